@@ -16,8 +16,7 @@ from study.experiment import samplers
 from study.experiment.experiment import SUCCESS_SPEED_MPS, Experiment, candidates, check_store
 from study.experiment.features import IN_WORLDS, RANKING, WORLDS, definition_of
 from study.experiment.samplers import Task
-from study.sampler.draws import Purpose, seed_32bit
-from study.sampler.random_sampler import ReproducibleRandomSampler
+from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.errors import InputError
 

@@ -18,10 +18,9 @@ from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.experiment.experiment import Experiment, candidates
-from study.sampler.draws import Purpose, generator, seed_32bit, turn
+from study.sampler.draws import Purpose, ReproducibleRandomSampler, generator, seed_32bit, turn
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.policy import set_attributes
-from study.sampler.random_sampler import ReproducibleRandomSampler
 from study.sampler.space import Space
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError

@@ -1,8 +1,4 @@
-"""Columns of arrays, files and stores, checked: the content of a table.
-
-Parameters become numbers with a distribution, features a matrix; then each row has to lie within
-the bounds and distributions.
-"""
+"""Columns of arrays, files and stores, checked: the content of a table."""
 
 import json
 from collections.abc import Hashable, Iterable, Mapping, Sequence
@@ -21,9 +17,9 @@ from optuna.distributions import (
     json_to_distribution,
 )
 
-from study.sampler.space import Space, first_not_taken
+from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.transforms import columns_of, let_go, new_matrix
-from study.sampler.worlds import Better, Outcomes, Worlds
+from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, reading
@@ -42,26 +38,13 @@ MOST_WAITING_BYTES = 2**28  # written to a matrix that may be a file's, before m
 def checked_columns(
     parameters: Mapping[str, ArrayLike],
     features: ArrayLike | None,
-    feature_names: Sequence[str] | None,
-    bounds: Bounds | None,
-    space: Mapping[str, BaseDistribution] | None,
+    feature_names: Sequence[str] | None = None,
+    bounds: Bounds | None = None,
+    space: Mapping[str, BaseDistribution] | None = None,
     outcomes: Outcomes | None = None,
     better: Better | None = None,
 ) -> Content:
-    """The content of a table of n rows, d parameters and k features.
-
-    Args:
-        parameters: d columns by name, [n] each.
-        features: [n, k], or [n] for one; None beside outcomes: there are none.
-        feature_names: k names; None: feature_0, feature_1, ...
-        bounds: (low, high) of some numeric parameters, by name.
-        space: distributions of some parameters, by name.
-        outcomes: in simulated worlds.
-        better: which of these are good, if they are not costs in the units of the study's values.
-
-    Raises:
-        InputError: naming the column and row that cannot be used.
-    """
+    """The content of a table; arguments and errors are those of `FeatureTable.from_arrays`."""
     if not parameters:
         raise InputError("table.parameters", "none", "at least one column")
     bounds, space = bounds or {}, space or {}
@@ -88,7 +71,7 @@ def checked_columns(
     raw = new_matrix(len(matrix), len(parameters))
     distributions: dict[str, BaseDistribution] = {}
     for (name, values), column in zip(parameters.items(), columns_of(raw), strict=True):
-        column[:], distribution = parameter_column(name, values, len(matrix), space.get(name))
+        column[:], distribution = _parameter_column(name, values, len(matrix), space.get(name))
         if name in bounds:
             if isinstance(distribution, CategoricalDistribution):
                 allowed = "none: the parameter is categorical"
@@ -96,21 +79,22 @@ def checked_columns(
             distribution = type(distribution)(*bounds[name])  # type: ignore[call-arg]
         let_go(np.asarray(values))
         distributions[name] = distribution
-    space_of_rows = Space.of(distributions)
-    _require_inside(space_of_rows, raw)
-    return space_of_rows, raw, names, matrix, worlds
+    for (name, own), values in zip(distributions.items(), columns_of(raw), strict=True):
+        if not isinstance(own, Number) or (row := first_not_taken(own, values, own)) is None:
+            continue
+        value = float(values[row])
+        is_inside = own.low <= value <= own.high
+        allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
+        raise InputError(f"table.{name}[{row}]", value, allowed)
+    return Space.of(distributions), raw, names, matrix, worlds
 
 
-def parameter_column(
+def _parameter_column(
     name: str, values: ArrayLike, length: int, given: BaseDistribution | None
 ) -> tuple[Floats, BaseDistribution]:
-    """A parameter's column as numbers [n] (categorical: indices), and its distribution.
+    """A parameter's column as numbers [length] (categorical: indices), and its distribution.
 
-    Args:
-        name: of the parameter.
-        values: [n], without gaps.
-        length: n.
-        given: its distribution; None: floats, integers or choices, as the values are.
+    None is given: floats, integers or choices, as the values are.
     """
     try:
         column = np.asarray(checks.unmasked(values))
@@ -126,7 +110,14 @@ def parameter_column(
         given is None and column.dtype.kind not in "iuf"
     ):
         return _choices(name, column, given)
-    numbers = _finite(name, column)
+    try:
+        numbers = column.astype(np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"table.{name}", str(column[0]), "numbers") from None
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if len(bad):
+        raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
+    numbers += 0.0  # no negative zero: rows are compared by their bits
     if given is not None:
         return numbers, given
     low, high = float(numbers.min()), float(numbers.max())
@@ -137,34 +128,19 @@ def parameter_column(
 
 def feature_matrix(features: ArrayLike | None, names: Sequence[str] | None) -> Floats:
     """Features as [n, k]; NaN is a gap, infinity a value."""
-    try:
-        matrix = np.array(checks.unmasked(features), dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError("table.features", type(features).__name__, "numbers, [n, k]") from None
-    matrix = matrix[:, None] if matrix.ndim == 1 else matrix
-    if matrix.ndim != 2 or not matrix.size:
-        raise InputError("table.features.shape", matrix.shape, "[n, k], n and k at least 1")
+    matrix = matrix_of("table.features", features, "k")
     if names is not None and len(names) != matrix.shape[1]:
         raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
     return matrix
 
 
-def _finite(name: str, column: NDArray[Any]) -> Floats:
-    """A column as finite floats, [n], or an error that names the first row that is none."""
-    try:
-        numbers = column.astype(np.float64)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"table.{name}", str(column[0]), "numbers") from None
-    bad = np.flatnonzero(~np.isfinite(numbers))
-    if len(bad):
-        raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
-    return numbers + 0.0  # no negative zero: rows are compared by their bits
-
-
 def _choices(
     name: str, column: NDArray[Any], given: CategoricalDistribution | None
 ) -> tuple[Floats, CategoricalDistribution]:
-    """Indices of choices: those given, or the values in the order in which they appear."""
+    """Indices of choices: those given, or the values in the order in which they appear.
+
+    What may be a gap is refused: NaN, and None that does not stand among words or flags.
+    """
     listed = column.tolist()
     if given is not None and None in given.choices:  # pandas has NaN for it
         listed = [None if _is_gap(value) else value for value in listed]
@@ -172,7 +148,13 @@ def _choices(
         if not isinstance(value, Hashable):
             raise InputError(f"table.{name}[{row}]", value, "a number, a word or a flag")
     if given is None:
-        _require_no_gap(name, listed)
+        others = [value for value in listed if value is not None and not _is_gap(value)]
+        words = bool(others) and all(isinstance(value, str | bool) for value in others)
+        choice = f"space={{{name!r}: CategoricalDistribution([...])}}"
+        for row, value in enumerate(listed):
+            if _is_gap(value) or (value is None and not words):
+                allowed = f"a value; or None as a choice: {choice}"
+                raise InputError(f"table.{name}[{row}]", value, allowed)
     choices = tuple(dict.fromkeys(listed)) if given is None else given.choices
     index = {choice: float(place) for place, choice in enumerate(choices)}
     for row, value in enumerate(listed):
@@ -189,41 +171,13 @@ def _is_gap(value: Any) -> bool:
         return True
 
 
-def _require_no_gap(name: str, values: list[Any]) -> None:
-    """Refuse what may be a gap: NaN, and None that does not stand among words or flags."""
-    others = [value for value in values if value is not None and not _is_gap(value)]
-    words = bool(others) and all(isinstance(value, str | bool) for value in others)
-    for row, value in enumerate(values):
-        if _is_gap(value) or (value is None and not words):
-            allowed = (
-                f"a value; or None as a choice: space={{{name!r}: CategoricalDistribution([...])}}"
-            )
-            raise InputError(f"table.{name}[{row}]", value, allowed)
-
-
-def _require_inside(space: Space, parameters: Floats) -> None:
-    """Refuse rows that their own distribution does not hold."""
-    named = space.as_dict().items()
-    for (name, distribution), values in zip(named, columns_of(parameters), strict=True):
-        if isinstance(distribution, CategoricalDistribution):
-            continue
-        row = first_not_taken(distribution, values, distribution)
-        if row is None:
-            continue
-        low, high = distribution.low, distribution.high  # type: ignore[attr-defined]
-        value, allowed = float(values[row]), f"a value of {distribution}"
-        if not low <= value <= high:
-            allowed = f"{low:g} to {high:g}"
-        raise InputError(f"table.{name}[{row}]", value, allowed)
-
-
 @dataclass(frozen=True)
 class FileColumns:
     """Where a table was read from."""
 
     path: Path  # a Parquet file, a folder of them, or a store
-    features: tuple[str, ...]  # k columns
-    parameters: tuple[str, ...] | None  # d columns; None: those of the store
+    features: Sequence[str]  # k columns
+    parameters: Sequence[str] | None  # d columns; None: those of the store
     space: Mapping[str, BaseDistribution] | None  # distributions of some parameters
     bounds: Bounds | None  # (low, high) of some parameters; None: those that a store was made with
 
@@ -266,14 +220,10 @@ class FileColumns:
 def store_parameters(
     ranges: Mapping[str, Mapping[str, Any]], matrix: Floats
 ) -> tuple[dict[str, NDArray[Any]], dict[str, tuple[float, float]], dict[str, BaseDistribution]]:
-    """The parameters of a store as studies suggest them.
+    """The parameters of a store as studies suggest them, of columns [n, p]; a choice is its number.
 
-    Args:
-        ranges: of each parameter, as the store's specification has them.
-        matrix: the columns, [n, p]; a choice is its number.
-
-    Returns:
-        Columns by name, [n] each; bounds of plain floats; distributions of all others.
+    Columns by name, [n] each; bounds of plain floats; distributions of all others. `ranges` are
+    those of the store's specification.
     """
     columns: dict[str, NDArray[Any]] = dict(zip(ranges, matrix.T, strict=True))
     bounds, space = {}, {}
@@ -317,11 +267,7 @@ def _read(path: Path, names: Sequence[str]) -> "pa.Table":
 
 
 def _fill(matrices: Sequence[Floats], tables: "Iterable[pa.Table]") -> None:
-    """Write the columns of tables, which follow one another, into matrices side by side.
-
-    Raises:
-        InputError: a column is none of numbers.
-    """
+    """Write columns of tables, which follow one another, into matrices; refuse but numbers."""
     first, waiting = 0, 0
     for table in tables:
         rows = slice(first, first + len(table))

@@ -27,16 +27,6 @@ WORLDS_TITLE = "Which worlds is the robot like?"
 SHOWN_WORLDS = 6  # most and least like
 BAR = 30  # characters of the longest bar
 HEAD = ("feature", "rank correlation with the cost")
-UNKNOWN = "-"
-CHOSEN = (
-    "In brackets: 95 % intervals. The sampler selected these trials, so correlations are biased "
-    "towards zero. Evaluate some random rows for an unbiased estimate."
-)
-MAXIMISED = "The cost is minus the study's value."
-DOUBTED = (
-    "No trial has been better than all before for some time: every other one is left to the "
-    "parameters."
-)
 LEAST_RANKED = 4  # trials with a feature, for its correlation
 NORMAL_95 = 1.959964  # 97.5 % quantile of the normal distribution
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
@@ -62,7 +52,6 @@ class RankCorrelation:
     errors: float  # r in standard errors, on the scale of z
 
     def __str__(self) -> str:
-        """The value and its interval."""
         return f"{self.value:+.2f} ({self.low:+.2f} to {self.high:+.2f})"
 
     @classmethod
@@ -141,24 +130,19 @@ class Worth:
                 f"model {gain} by the features: {error}."
             )
         if better:
-            return (
-                f"The features may explain part of the costs, which {self.trials} trials do not "
-                f"settle: {error}."
-            )
+            part = f"part of the costs, which {self.trials} trials do not settle"
+            return f"The features may explain {part}: {error}."
         return f"Among these trials, the features are not (yet) worth anything: {error}."
 
     def _strongest(self) -> tuple[str, RankCorrelation] | None:
         """The feature with the surest correlation; None: none is sure, of so many."""
         named = zip(self.names, self.correlations, strict=True)
         known = [(name, r) for name, r in named if r is not None]
-        if not known:
-            return None
-        best = max(known, key=lambda one: abs(one[1].errors))
-        needed = float(scipy.special.ndtri(1.0 - 0.025 / len(known)))  # Bonferroni
-        return best if abs(best[1].errors) > needed else None
+        needed = scipy.special.ndtri(1.0 - 0.025 / max(len(known), 1))  # Bonferroni
+        sure = [one for one in known if abs(one[1].errors) > needed]
+        return max(sure, key=lambda one: abs(one[1].errors), default=None)
 
     def __str__(self) -> str:
-        """A table for people."""
         rows = [HEAD, *self._rows()]
         width = max(len(name) for name, _ in rows)
         lines = [f"{name:<{width}}  {r}" for name, r in rows]
@@ -171,21 +155,27 @@ class Worth:
         table = [*head, *rows, ""] if self.names else []
         return "\n".join([f"## {TITLE}", "", self.verdict, "", *table, *self._remarks()]).rstrip()
 
-    def _rows(self) -> Iterator[tuple[str, str]]:
-        """Rows of the table: features."""
-        for name, r in zip(self.names, self.correlations, strict=True):
-            yield name, UNKNOWN if r is None else str(r)
+    def _rows(self) -> list[tuple[str, str]]:
+        named = zip(self.names, self.correlations, strict=True)
+        return [(name, "-" if r is None else str(r)) for name, r in named]
 
     def _remarks(self) -> Iterator[str]:
         """Notes on how to read the figures."""
         yield from self.prior
         if not self.names:
             return
-        yield f"{self.trials} trials. {CHOSEN}"
+        yield (
+            f"{self.trials} trials. In brackets: 95 % intervals. The sampler selected these "
+            "trials, so correlations are biased towards zero. Evaluate some random rows for an "
+            "unbiased estimate."
+        )
         if self.maximised:
-            yield MAXIMISED
+            yield "The cost is minus the study's value."
         if self.is_doubted:
-            yield DOUBTED
+            yield (
+                "No trial has been better than all before for some time: every other one is left "
+                "to the parameters."
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,24 +199,14 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
     absolute leave-one-out errors, averaged over the trials; its standard error follows from how it
     differs from trial to trial, as in Vehtari, Gelman, Gabry 2017 ("Practical Bayesian model
     evaluation using leave-one-out cross-validation and WAIC", section 5.1) for log densities.
-
-    Args:
-        present: of the sampler; None: nothing is known.
-        maximised: the study's values are.
     """
     if present is None:
         return Worth(0, (), (), None, False, maximised)
-    cost = present.model.costs
-    enough = len(cost) >= LEAST_TRIALS
-    return Worth(
-        len(cost),
-        present.names,
-        tuple(RankCorrelation.of(feature, cost) for feature in present.features.T),
-        _errors(present.model) if enough else None,
-        present.is_doubted,
-        maximised,
-        tuple(_of_prior(present)),
-    )
+    cost, names = present.model.costs, present.names
+    correlations = tuple(RankCorrelation.of(feature, cost) for feature in present.features.T)
+    errors = _errors(present.model) if len(cost) >= LEAST_TRIALS else None
+    prior = tuple(_of_prior(present))
+    return Worth(len(cost), names, correlations, errors, present.is_doubted, maximised, prior)
 
 
 def _of_prior(present: Present) -> Iterator[str]:
@@ -246,7 +226,7 @@ def _of_prior(present: Present) -> Iterator[str]:
 
 
 def _errors(model: Model) -> Errors | None:
-    """Errors of the model, as shares of the constant's; None where all trials cost the same.
+    """None where all trials cost the same.
 
     The model without features is the same learned where all trials have the same features. The
     sampler's own model over the parameters alone learns no mean, and would fall behind also where
@@ -263,14 +243,10 @@ def _errors(model: Model) -> Errors | None:
         blind = residuals(replace(model, trials=alike, prior_mean=None).posterior)
         without = rms(blind) / unit
         other = blind if without < 1.0 else constant
-    return Errors(rms(with_features) / unit, without, _gain(with_features, other))
-
-
-def _gain(ours: Floats, others: Floats) -> float:
-    """Mean difference of the sizes of errors [n], in its standard errors."""
-    less = np.abs(others) - np.abs(ours)
+    less = np.abs(other) - np.abs(with_features)
     spread = float(less.std(ddof=1)) / sqrt(len(less))
-    return float(less.mean()) / spread if spread > 0 else 0.0
+    gain = float(less.mean()) / spread if spread > 0 else 0.0
+    return Errors(rms(with_features) / unit, without, gain)
 
 
 @dataclass(frozen=True)
@@ -293,25 +269,26 @@ class Likeness:
         """In a sentence."""
         if not self.trials:
             return "No trial has told yet which worlds the robot is like."
-        order = np.argsort(-np.array(self.values), kind="stable")
-        most, least = self.names[order[0]], self.names[order[-1]]
-        trials = f"{self.trials} trial{'s' if self.trials > 1 else ''}"
-        return f"By {trials}, the robot is most like {most}, and least like {least}."
+        ordered = self._ordered()
+        most, least = ordered[0][0], ordered[-1][0]
+        return f"By {_trials(self.trials)}, the robot is most like {most}, and least like {least}."
 
     def __str__(self) -> str:
         """The worlds in the order of their values, a bar each."""
-        order = np.argsort(-np.array(self.values), kind="stable").tolist()
-        if len(order) > 2 * SHOWN_WORLDS:
-            order = order[:SHOWN_WORLDS] + order[-SHOWN_WORLDS:]
-        width = max(len(self.names[place]) for place in order)
-        largest = max(max(abs(value) for value in self.values), 1e-12)
-        lines = [
-            f"{self.names[place]:<{width}}  {self.values[place]:+.2f}  "
-            + ("+" if self.values[place] > 0 else "-")
-            * round(BAR * abs(self.values[place]) / largest)
-            for place in order
-        ]
-        return "\n".join([self.verdict, "", *(line.rstrip() for line in lines)])
+        shown = self._ordered()
+        if len(shown) > 2 * SHOWN_WORLDS:
+            shown = shown[:SHOWN_WORLDS] + shown[-SHOWN_WORLDS:]
+        width = max(len(name) for name, _ in shown)
+        largest = max(*map(abs, self.values), 1e-12)
+        lines = []
+        for name, value in shown:
+            bar = ("+" if value > 0 else "-") * round(BAR * abs(value) / largest)
+            lines.append(f"{name:<{width}}  {value:+.2f}  {bar}".rstrip())
+        return "\n".join([self.verdict, "", *lines])
+
+    def _ordered(self) -> list[tuple[str, float]]:
+        named = zip(self.names, self.values, strict=True)
+        return sorted(named, key=lambda one: -one[1])
 
     def markdown(self) -> str:
         """The same, for a note in the dashboard."""
@@ -357,12 +334,10 @@ class Best:
     trials: int
 
     def __str__(self) -> str:
-        """In a sentence."""
         row = "" if self.row is None else f", row {self.row}"
-        times = f"{self.trials} trial{'s' if self.trials > 1 else ''}"
         return (
             f"Trial {self.number}{row}: {self.value:.4g} ({self.low:.4g} to {self.high:.4g}), "
-            f"by {times} of it and what the others tell."
+            f"by {_trials(self.trials)} of it and what the others tell."
         )
 
 
@@ -409,9 +384,8 @@ def prediction_of(model: Model, points: Points, rows: NDArray[np.int64], sign: f
         for posterior in model.limit_posteriors:
             kept += log_kept(*posterior.predict(visible))
     elif isinstance(model.ensemble, Ensemble) and model.ensemble.in_costs:
-        *_, w = model.ensemble.parts.shape
-        mean, parts = points.features[:, -1], points.features[:, -w - 2 : -2]
-        variance = (parts**2).sum(axis=1)
+        w = model.ensemble.parts.shape[1]
+        mean, variance = points.features[:, -1], (points.features[:, -w - 2 : -2] ** 2).sum(axis=1)
     else:
         return Prediction(rows, *(unknown,) * 4, np.exp(kept))
     away = NORMAL_95 * np.sqrt(variance)
@@ -431,16 +405,16 @@ def _over_noise(model: Model) -> tuple[Floats, Floats]:
     sure for an interval.
     """
     own, points = model.posterior, model.visible(model.trials)
-    means, variances, misfits = list[Floats](), list[Floats](), list[float]()
+    found, misfits = list[tuple[Floats, Floats]](), list[float]()
     for noise in NOISES:
         posterior = replace(own, theta=np.append(own.theta[:-1], np.log(noise)))
         z = (posterior.theta[-1] - own.covariance.modes[-1]) / own.covariance.spreads[-1]
         misfits.append(misfit(own.covariance, own.x, own.y, posterior.theta)[0] - 0.5 * z**2)
-        for found, part in zip((means, variances), posterior.predict(points), strict=True):
-            found.append(part)
+        found.append(posterior.predict(points))
+    means, variances = np.array(found).transpose(1, 0, 2)
     weights = scipy.special.softmax(-np.array(misfits))
-    mean = weights @ np.array(means)
-    return mean, weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
+    mean = weights @ means
+    return mean, weights @ (variances + (means - mean) ** 2)
 
 
 def residuals(posterior: Posterior) -> Floats:
@@ -452,12 +426,15 @@ def residuals(posterior: Posterior) -> Floats:
     What is expected is the mean of the costs, here that of the others, so that a model that knows
     nothing errs as the constant does.
     """
-    k = posterior.gram()
     n, y = len(posterior.y), posterior.y  # whose mean is zero
-    inverse = np.linalg.inv(k + (posterior.noise + JITTER) * np.eye(n))
+    inverse = np.linalg.inv(posterior.gram() + (posterior.noise + JITTER) * np.eye(n))
     others = -y / (n - 1)  # mean of the others
     missed = (inverse @ y - others * inverse.sum(axis=1)) / np.diag(inverse)
     return np.asarray(posterior.cost_sd * missed)
+
+
+def _trials(count: int) -> str:
+    return f"{count} trial{'s' if count > 1 else ''}"
 
 
 def residuals_of_constant(cost: Floats) -> Floats:

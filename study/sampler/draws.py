@@ -1,17 +1,24 @@
 """Random numbers that depend on the seed, the purpose and the trial: on nothing else.
 
-A study that is resumed, or continued by another process, therefore draws what it would have drawn.
+A study that is resumed, or continued by another process, therefore draws what it would have drawn:
+also by the sampler here, whereas Optuna's own `RandomSampler` walks along one stream.
 """
 
+import secrets
 import warnings
 from enum import IntEnum
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 import optuna
+from optuna.distributions import BaseDistribution
 from optuna.exceptions import ExperimentalWarning
+from optuna.samplers import RandomSampler
 from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial
+
+from taichi_nmm import checks
 
 
 class Purpose(IntEnum):
@@ -75,3 +82,28 @@ def turn(study: optuna.Study, trial: FrozenTrial) -> int:
                     originals[other.number] = original
     number = originals.get(trial.number, trial.number)
     return number - sum(repetition < number for repetition in originals)
+
+
+class ReproducibleRandomSampler(RandomSampler):
+    """Optuna's `RandomSampler`, seeded anew for each parameter of each trial.
+
+    Args:
+        seed: of all draws; None takes one from the machine's entropy.
+    """
+
+    @checks.checked(seed=checks.optional(checks.whole(0, checks.LARGEST_SEED)))
+    def __init__(self, *, seed: int | None = None) -> None:
+        super().__init__()  # whose stream is never begun
+        self._seed = secrets.randbits(64) if seed is None else seed
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """One uniform draw, seeded by the trial and the parameter's name."""
+        key = (turn(study, trial), name_key(param_name))
+        sampler = RandomSampler(seed=seed_32bit(self._seed, Purpose.INDEPENDENT, *key))
+        return sampler.sample_independent(study, trial, param_name, param_distribution)

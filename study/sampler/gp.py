@@ -13,24 +13,16 @@
 | k | [n, m] | covariance of the trials and m candidates |
 | W | [n, n] | derivative of a number by each entry of K |
 
-Four kernels are sums of at most three terms, each a variance times a shape:
+A kernel is a sum of terms, each a variance times a shape:
 
-| term | formula | additive | rbf | rbf_ard | euclidean |
-|---|---|---|---|---|---|
-| slopes | v phi . phi' | yes | | | |
-| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | l each | l shared | l each | |
-| nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | L shared | | | L each |
-
-On a table with costs in simulated worlds (`study.sampler.worlds`), the kernel has, beside or in
-place of the terms of features,
-
-| term | formula |
-|---|---|
-| worlds | a^2 d . d', d being what each world adds to the mean over the worlds |
-| shift | c^2, the same for all rows; v m m' where outcomes are in units of their own |
-| nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L^2), L shared |
-
-On a pool of which a similarity K is known (`study.sampler.similarity`), it is s^2 K alone.
+| term | formula | kernels |
+|---|---|---|
+| slopes | v phi . phi' | additive, worlds |
+| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | these, rbf_ard; rbf: l shared |
+| nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | euclidean; additive, worlds: L shared |
+| worlds | a^2 d . d', d being what each world adds to the mean over the worlds | worlds |
+| shift | c^2 for all rows; v m m' where outcomes are in units of their own | worlds |
+| similarity | s^2 K, of a pool (`study.sampler.similarity`) | similarity |
 
 With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen, Williams 2006,
 section 2.7). The constants maximise
@@ -43,27 +35,11 @@ likelihood alone would allow almost any constants. The posterior at a candidate 
 
     mean = k^T K^-1 y = (L^-1 k)^T (L^-1 y),   variance = k(x, x) - |L^-1 k|^2  (algorithm 2.1).
 
-The priors, normal in the logarithm of each constant:
-
-| constant | unit | normal around | sd |
-|---|---|---|---|
-| s^2, t^2, variance of likeness or nearness | cost^2 | log 1 | 1.5 |
-| v, variance of a slope | (cost / feature)^2 | log 0.3 | 1.5 |
-| l, length scale of a feature | feature | log sqrt k | 1 |
-| L, length scale of parameters | their range | sqrt 2 + (log d) / 2 - 3 | sqrt 3 |
-| noise of a kernel with features | cost^2 | log 0.1 | 1.5 |
-| noise over parameters alone | cost^2 | -5 | 1 |
-| a^2, variance of worlds | table's cost^2 | log 0.25 | 1.4 |
-| c^2, of the shift | table's cost^2 | log 1 | 0.1 |
-| t^2 beside worlds | table's cost^2 | log 0.3 | 1.4 |
-| L beside worlds | their range | log 0.8 | 0.7 |
-| noise beside worlds | table's cost^2 | log 0.0025 | 1 |
-
-Length scales of parameters follow Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization
-performs great in high dimensions"): log-normal with mu = sqrt 2 + (log d) / 2, sigma = sqrt 3, so
-that the assumed complexity does not grow with d. A log-normal density of L is, as a function of
-log L and up to a factor, a normal density around mu - sigma^2; so is BoTorch's log-normal(-4, 1)
-of the noise around -5.
+The priors are normal in the logarithm of each constant. Length scales of parameters follow
+Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization performs great in high dimensions"):
+log-normal with mu = sqrt 2 + (log d) / 2, sigma = sqrt 3, so that the assumed complexity does not
+grow with d. A log-normal density of L is, as a function of log L and up to a factor, a normal
+density around mu - sigma^2; so is BoTorch's log-normal(-4, 1) of the noise around -5.
 
 Parameter sets with equal features differ in cost, and no repetition would show it. Over features,
 noise is that spread, so it is expected to be large.
@@ -145,15 +121,15 @@ class Constant:
     bounds: tuple[float, float]
 
 
-SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)
-SLOPE = Constant(log(0.3), 1.5, SLOPE_BOUNDS)
-FEATURE_NOISE = Constant(log(0.1), 1.5, NOISE_BOUNDS)
+SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)  # s^2, t^2: cost^2
+SLOPE = Constant(log(0.3), 1.5, SLOPE_BOUNDS)  # v: (cost / feature)^2
+FEATURE_NOISE = Constant(log(0.1), 1.5, NOISE_BOUNDS)  # cost^2
 PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
 # Of costs in units of a table, of whose costs in all worlds the standard deviation is one.
-WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)
-SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)
-BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)
-BEYOND_SCALE = Constant(log(0.8), 0.7, PARAMETER_SCALE_BOUNDS)
+WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)  # a^2
+SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)  # c^2
+BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2
+BEYOND_SCALE = Constant(log(0.8), 0.7, PARAMETER_SCALE_BOUNDS)  # L, in ranges of the parameters
 WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 
 
@@ -274,23 +250,22 @@ def new_covariance(
 
     With worlds, the last w + 2 features are what each world adds, a one, and the expected cost.
     """
+    own = k - w - 2 if kernel.worlds else k
+    if kernel.worlds and not kernel.of_parameters:
+        return Covariance((Term(own, own + w, SIGNAL, ()),), FEATURE_NOISE)
     terms = []
     if kernel.worlds:
-        first = k - w - 2
-        if not kernel.of_parameters:
-            return Covariance((Term(first, first + w, SIGNAL, ()),), FEATURE_NOISE)
         common = Term(k - 1, k, SLOPE, ()) if standardised else Term(k - 2, k - 1, SHIFT, ())
-        terms = [Term(first, first + w, WORLD, ()), common]
-        if first:
-            scale = Constant(log(sqrt(first)), 1.0, FEATURE_SCALE_BOUNDS)
-            terms += [Term(0, first, SLOPE, ()), Term(0, first, SIGNAL, (scale,) * first)]
+        terms = [Term(own, own + w, WORLD, ()), common]
+    if kernel.slopes and own:
+        terms.append(Term(0, own, SLOPE, ()))
+    if kernel.feature_scales is not None and own:
+        scale = Constant(log(sqrt(own)), 1.0, FEATURE_SCALE_BOUNDS)
+        count = own if kernel.feature_scales == "each" else 1
+        terms.append(Term(0, own, SIGNAL, (scale,) * count))
+    if kernel.worlds:
         terms.append(Term(k, k + e, BEYOND, (BEYOND_SCALE,)))
         return Covariance(tuple(terms), WORLD_NOISE, standardised)
-    if kernel.slopes:
-        terms.append(Term(0, k, SLOPE, ()))
-    if kernel.feature_scales is not None:
-        scale = Constant(log(sqrt(k)), 1.0, FEATURE_SCALE_BOUNDS)
-        terms.append(Term(0, k, SIGNAL, (scale,) * (k if kernel.feature_scales == "each" else 1)))
     if kernel.parameter_scales is not None:
         mode = sqrt(2.0) + log(d) / 2.0 - 3.0
         scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
@@ -383,10 +358,7 @@ def cholesky(k: Floats, noise: float) -> tuple[Floats, bool]:
 
 
 def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
-    """Theta [t] from trials x [n, p] with costs y [n], by L-BFGS.
-
-    The mean of the process is that of the costs.
-    """
+    """Theta [t] from trials x [n, p] with costs y [n], by L-BFGS."""
     some = _informative(y)
     scaled = _standard(y)[0] if covariance.standardised else y
     x, y = x[some], scaled[some]
@@ -396,7 +368,7 @@ def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
         start[-1] += shift
         result = scipy.optimize.minimize(
             lambda theta: misfit(covariance, x, y, theta),
-            np.clip(start, covariance.bounds[:, 0], covariance.bounds[:, 1]),
+            np.clip(start, *covariance.bounds.T),
             jac=True,
             method="L-BFGS-B",
             bounds=covariance.bounds,
@@ -407,13 +379,7 @@ def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
 
 
 def condition(
-    covariance: Covariance,
-    theta: Floats,
-    x: Floats,
-    y: Floats,
-    *,
-    noisy: bool,
-    fast: bool = True,
+    covariance: Covariance, theta: Floats, x: Floats, y: Floats, *, noisy: bool, fast: bool = True
 ) -> "Posterior":
     """The posterior under given constants, after trials x [n, p] with costs y [n]."""
     scaled, mean, sd = _standard(y) if covariance.standardised else (y, 0.0, 1.0)
@@ -467,7 +433,7 @@ class Posterior:
         return min((float(scales.min()) for _, _, scales in values if len(scales)), default=np.inf)
 
     def gram(self) -> Floats:
-        """K without noise."""
+        """K without noise, [n, n]."""
         return self.covariance.gram(self.theta, self.x)[0]
 
     @cached_property
@@ -505,8 +471,7 @@ class Posterior:
         return replace(self, x=x, y=np.concatenate([self.y, y]))
 
     @property
-    def _precision(self) -> type[np.floating[Any]]:
-        """The precision of all that is [n, m]."""
+    def _precision(self) -> type[np.floating[Any]]:  # of all that is [n, m]
         return np.float32 if self.fast_is_right else np.float64
 
     @cached_property
@@ -524,19 +489,14 @@ class Posterior:
 
     @cached_property
     def _whitener(self) -> AnyFloats:
-        """L^-1 in the order and precision of the product below."""
         return np.asfortranarray(self._inverse.astype(self._precision))
 
     def _whitened(self, x: Floats) -> AnyFloats:
         """L^-1 k of candidates [b, p], [n, b]: by a triangle, in half the steps of a square."""
-        blas = scipy.linalg.blas
-        times = blas.strmm if self.fast_is_right else blas.dtrmm
+        times = scipy.linalg.blas.strmm if self.fast_is_right else scipy.linalg.blas.dtrmm
         # BLAS counts along columns: to it, k is its transpose, and is multiplied from the right.
-        k = self._cross(x).T
-        whitened: AnyFloats = times(
-            1.0, self._whitener, k, side=1, lower=1, trans_a=1, overwrite_b=1
-        )
-        return whitened.T
+        options = {"side": 1, "lower": 1, "trans_a": 1, "overwrite_b": 1}
+        return np.asarray(times(1.0, self._whitener, self._cross(x).T, **options).T)
 
 
 def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:

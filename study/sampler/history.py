@@ -6,23 +6,18 @@ another way than the table has it: by another kind, scale or range. Its values c
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
+from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
-from study.sampler.space import Space
+from study.sampler.space import Number, Space
 from study.sampler.table import Rows
 from study.sampler.transforms import clip_infinities, squarable
 from taichi_nmm.errors import InputError
@@ -67,18 +62,14 @@ def read_history(
     before: FrozenTrial,
     space: Space,
     table: Rows | None = None,
-    has_place: Callable[[FrozenTrial], bool] = lambda trial: True,
+    places_all: bool = True,
     known: LookedUp | None = None,
 ) -> History:
-    """The history that the trial `before` is proposed from.
+    """The history that the trial `before`, which is left out itself, is proposed from.
 
-    Args:
-        study: whose trials are read.
-        before: left out itself.
-        space: parameters that a trial must have to be learned from.
-        table: where rows are looked up.
-        has_place: whether a trial that is no row can be learned from.
-        known: trials that were looked up before in this table; new ones are added.
+    A trial must have the parameters of the space to be learned from. If it is no row of the table,
+    it must also have features, unless all have a place. Trials that were looked up before in the
+    table are known, new ones added.
     """
     known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
@@ -93,7 +84,7 @@ def read_history(
             tried[row] = True
         if trial.state not in placed:
             continue
-        if row is None and has_place(trial):
+        if row is None and (places_all or noted_features(trial) is not None):
             row = OFF_TABLE
         if row is not None and parameters is not None:
             placed[trial.state].append((trial, parameters, row))
@@ -108,17 +99,10 @@ def read_history(
     trials = tuple(trial for trial, _, _ in placed[TrialState.COMPLETE])
     values = np.array([trial.values[0] for trial in trials], dtype=np.float64)
     sign = -1.0 if study.direction is StudyDirection.MAXIMIZE else 1.0
-    fixed = values_of(before)
-    return History(
-        trials,
-        *points(TrialState.COMPLETE),
-        sign * clip_infinities(values),
-        sign,
-        *points(TrialState.RUNNING),
-        tried,
-        tuple(unplaced),
-        {name: fixed[name] for name in space.names if name in fixed},
-    )
+    costs, settled = sign * clip_infinities(values), values_of(before)
+    fixed = {name: settled[name] for name in space.names if name in settled}
+    done, running = points(TrialState.COMPLETE), points(TrialState.RUNNING)
+    return History(trials, *done, costs, sign, *running, tried, tuple(unplaced), fixed)
 
 
 def _looked_up(
@@ -169,8 +153,7 @@ def row_of(table: Rows, trial: FrozenTrial) -> int | None:
 def noted_features(trial: FrozenTrial) -> list[float] | None:
     """The features that were left in a trial of a point off the table; None without such a note.
 
-    What was left with the number of a row is that row's: a trial that did something else has not
-    these features.
+    What was left with the number of a row is that row's.
     """
     noted = trial.user_attrs.get(FEATURES_ATTRIBUTE)
     is_off = trial.user_attrs.get(ROW_ATTRIBUTE, OFF_TABLE) == OFF_TABLE
@@ -227,9 +210,9 @@ def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> 
     distributions = list(rows.space.distributions)
     for column, name in enumerate(rows.names):
         own, theirs = distributions[column], suggested.get(name)
-        if not isinstance(own, FloatDistribution | IntDistribution) or own.log:
+        if not isinstance(own, Number) or own.log:
             continue
-        if not isinstance(theirs, FloatDistribution | IntDistribution) or not theirs.log:
+        if not isinstance(theirs, Number) or not theirs.log:
             continue
         if own.step not in (None, 1) or rows.outside(column, theirs) is not None:
             continue
@@ -246,18 +229,17 @@ def shown_misfit(
 ) -> InputError | None:
     """The misfit of a table that earlier trials have shown; None without any.
 
-    Args:
-        rows: of the table.
-        suggested: how the study is known to suggest its parameters, or some of them.
-        study: whose latest finished trial may have suggested some of them only.
+    `suggested` is how they suggested its parameters, or some of them; the latest finished one may
+    have suggested some of them only.
     """
     for column, name in enumerate(rows.names):
         error = distribution_misfit(rows, column, suggested[name]) if name in suggested else None
         if error is not None:
             return error
     trial = _latest(study)
-    some = trial is not None and any(name in trial.params for name in rows.names)
-    return not_suggested(rows.names, trial) if trial is not None and some else None
+    if trial is None or not any(name in trial.params for name in rows.names):
+        return None
+    return not_suggested(rows.names, trial)
 
 
 def proves_fit(rows: Rows, study: optuna.Study) -> bool:
@@ -271,7 +253,6 @@ def proves_fit(rows: Rows, study: optuna.Study) -> bool:
 
 
 def _latest(study: optuna.Study) -> FrozenTrial | None:
-    """The finished trial of the highest number."""
     trials = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     return trials[-1] if trials else None
 
@@ -295,8 +276,7 @@ def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) ->
         return None
     name, own = rows.names[column], rows.space.distributions[column]
     value = rows.as_parameters(outside)[name]
-    is_choice = isinstance(suggested, CategoricalDistribution)
-    what = "choices that hold" if is_choice else "a range that holds"
+    what = "a range that holds" if isinstance(suggested, Number) else "choices that hold"
     allowed = f"{what} all rows: row {outside} has {value!r} (the table: {own}, or as space= says)"
     return InputError(name, str(suggested), allowed)
 

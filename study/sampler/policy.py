@@ -1,26 +1,17 @@
 """The common part of proposals from a table and from a space.
 
-The first trials come before there is a model: they try both ends of the features, or follow the
-end that the user names.
-
-| | first trials |
-|---|---|
-| a feature's good end is known (`prior`) | the best `RANKED` of that ranking, in its order |
-| features without a prior | both ends of what they have in common |
-| a kernel that takes features as they are, or none; a similarity | `RANDOM`, at random |
-
-What features have in common is their first principal component: candidates at its ends are extreme
-by most of them at once. Where several features predict the cost, the good end is one of the two.
+The first trials come before there is a model: with a `prior` they are the best `RANKED` of that
+ranking; with features the `ENDS` of their first principal component, where candidates are extreme
+by most of them at once, so that one end is good where several predict the cost; else `RANDOM` ones.
 """
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
 from importlib import import_module
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,7 +23,6 @@ from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from study.sampler.acquisition import Learned, Model
-from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, generator
 from study.sampler.gp import ADDITIVE, NEARNESS, WORLDS, Kernel
 from study.sampler.history import History, read_limits
@@ -77,12 +67,15 @@ NOTHING = Proposal({}, {})
 
 
 class Policy:
-    """A maker of proposals for the trials of any study: the common part of the two.
+    """A maker of proposals, which follow from the trials alone.
 
-    Proposals follow from the trials alone: another process, without these memories, makes the same.
+    Another process, without these memories, makes the same.
     """
 
-    def __init__(self, options: Options, seed: int, independent: BaseSampler) -> None:
+    def __init__(
+        self, function: Features | None, options: Options, seed: int, independent: BaseSampler
+    ) -> None:
+        self.function = function  # of points; None: they have no features, but rows may have
         self.options = options
         self.seed = seed
         self.independent = independent  # for what is not proposed here
@@ -116,70 +109,49 @@ class Policy:
         return self._proposals.pop((trial.number, trial.datetime_start), None)
 
     def merit(self, prior_mean: PriorMean | None, features: Floats, turn: int) -> Floats:
-        """How good each candidate is as one of the first trials, [m]; equal where any will do.
+        """How good each is as one of the first trials, [m], by features in standard units [m, k].
 
-        Args:
-            prior_mean: of the option `prior`.
-            features: in standard units, [m, k].
-            turn: of the trial; the first are the ends.
+        Equal where any will do.
         """
         if prior_mean is not None:
             return prior_mean.merit(features)
         if not self.learns_trust or turn >= ENDS:  # of a batch, when the ends are taken
             return np.zeros(len(features))
-        return (1.0 if turn % ENDS == 0 else -1.0) * _common(features)
-
-    def plain_model(
-        self,
-        prior_mean: PriorMean | None,
-        parameters: int,
-        seen: Points,
-        cost: Floats,
-        ensemble: Relation | None = None,
-    ) -> Model:
-        """The model after finished trials alone, whatever limits they have."""
-        limits, running = np.empty((len(cost), 0)), seen.take(np.arange(0))
-        kernel, known = self.options.kernel, self.known
-        return Model(kernel, prior_mean, parameters, seen, cost, limits, running, known, ensemble)
+        centred = features - features.mean(axis=0)
+        first = np.linalg.eigh(centred.T @ centred)[1][:, -1]  # principal component
+        first = first if first.sum() >= 0 else -first  # more of most features
+        return np.asarray((1.0 if turn % ENDS == 0 else -1.0) * (centred @ first))
 
     def model(
         self,
         prior_mean: PriorMean | None,
-        parameters: int,
         history: History,
         seen: Points,
-        running: Points,
-        own_turn: int,
         ensemble: Relation | None = None,
+        running: Points | None = None,
+        own_turn: int = 0,
     ) -> Model:
-        """The model of one trial, after the trials of a history, at the points where they were."""
-        plain = self.plain_model(prior_mean, parameters, seen, history.cost, ensemble)
+        """The model of one trial, after the trials of a history, at the points where they were.
+
+        Without `running`, that of finished trials alone, whatever limits they have.
+        """
+        kernel, cost, nowhere = self.options.kernel, history.cost, seen.take(np.arange(0))
+        no_limits, d = np.empty((len(cost), 0)), history.parameters.shape[1]
+        model = Model(kernel, prior_mean, d, seen, cost, no_limits, nowhere, self.known, ensemble)
+        if running is None:
+            return model
         success = self.options.success
-        model = replace(
-            plain,
-            limits=read_limits(history.trials),
-            running=running,
-            success=None if success is None else history.sign * success,
-        )
-        kept = history.cost[model.feasible]
+        success = None if success is None else history.sign * success
+        limits = read_limits(history.trials)
+        model = replace(model, limits=limits, running=running, success=success)
+        kept = cost[model.feasible]
         if self.learns_trust and is_doubtful(kept, own_turn, prior_mean is not None):
             return replace(model, kernel=NEARNESS, prior_mean=None)
         return model
 
-    def present_of(
-        self,
-        trials: tuple[FrozenTrial, ...],
-        rows: tuple[int | None, ...],
-        names: Sequence[str],
-        features: Floats,
-        model: Model,
-        first: Mapping[int, Floats] = MappingProxyType({}),
-    ) -> Present:
-        """See `Present`."""
-        has_prior = model.prior_mean is not None
-        is_doubted = any(is_doubtful(model.costs, turn, has_prior) for turn in (0, 1))
-        is_doubted = is_doubted and self.learns_trust
-        return Present(trials, rows, tuple(names), features, model, is_doubted, first)
+    def doubts(self, model: Model) -> bool:
+        """Whether every other trial is left to the parameters at present."""
+        return self.learns_trust and is_doubtful(model.costs, 1, model.prior_mean is not None)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""
@@ -199,27 +171,13 @@ class Policy:
             warnings.warn(message, UserWarning, stacklevel=2)
 
 
-def _common(features: Floats) -> Floats:
-    """Candidates [m, k] along their first principal component, more of most features first, [m]."""
-    centred = features - features.mean(axis=0)
-    _, directions = np.linalg.eigh(centred.T @ centred)
-    first = directions[:, -1]
-    return np.asarray(centred @ (first if first.sum() >= 0 else -first))
-
-
 def call_features(
     function: Features, points: Floats, width: int | None = None, *, to_choose: bool = True
 ) -> Floats:
     """Features [n, k] of points [n, d], by one call; NaN is a gap, infinity a value.
 
-    Args:
-        function: of the user.
-        points: as rows of `study.sampler.space`.
-        width: k, where it is known.
-        to_choose: one of the points is to be proposed; else gaps in all of them are no error.
-
-    Raises:
-        InputError: the function raised (its exception is the cause), or returned something else.
+    `width` is k, where it is known. Gaps in all points are an error if one is to be proposed, as
+    is what the function raises (its exception is the cause), and all that is not [n, k].
     """
     try:
         returned = function(points.copy())
@@ -232,12 +190,12 @@ def call_features(
         name = type(returned).__name__
         raise InputError("features(params)", name, "an array of numbers [n, k]") from None
     features = features[:, None] if features.ndim == 1 else features
-    expected = f"[{len(points)}, {'k' if width is None else width}]"
-    if features.ndim != 2 or len(features) != len(points) or width not in (None, features.shape[1]):
-        raise InputError("features(params).shape", features.shape, expected)
-    if not features.shape[1]:
-        raise InputError("features(params).shape", features.shape, "at least one feature")
-    if to_choose and len(features) and np.isnan(features).any(axis=1).all():
+    shape, expected = features.shape, f"[{len(points)}, {'k' if width is None else width}]"
+    if len(shape) != 2 or shape[0] != len(points) or width not in (None, shape[1]):
+        raise InputError("features(params).shape", shape, expected)
+    if not shape[1]:
+        raise InputError("features(params).shape", shape, "at least one feature")
+    if to_choose and np.isnan(features).any(axis=1).all():
         raise InputError("features(params)", "no row without NaN", f"finite numbers {expected}")
     return features
 

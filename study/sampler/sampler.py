@@ -1,11 +1,7 @@
-"""Samplers for candidates of which some are known to be alike: the contract with Optuna.
-
-A Gaussian process of cost over features (of a table's rows, or of any point by a function) and over
-the parameters themselves predicts the cost of each candidate; the one of the largest expected
-improvement comes next. `table_policy` and `space_policy` choose it, `history` reads the study.
-"""
+"""Samplers for candidates of which some are known to be alike: the contract with Optuna."""
 
 import inspect
+import secrets
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -26,9 +22,9 @@ from study.sampler.diagnostics import (
     likeness_of,
     worth_of,
 )
+from study.sampler.draws import ReproducibleRandomSampler
 from study.sampler.gp import KERNELS, SIMILARITY, WORLDS
 from study.sampler.policy import Features, Options, one_thread
-from study.sampler.random_sampler import ReproducibleRandomSampler, new_seed
 from study.sampler.space_policy import SpacePolicy
 from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TablePolicy
@@ -43,19 +39,14 @@ OFF_GRID = 1500  # points near the best trials, where worlds say what rows cost
 PAPER: dict[str, Any] = {"kernel": "rbf"}
 
 
-def _no_constraints(field: str, value: object) -> None:
-    """Name the successor of the option, which is gone since 0.3.0."""
-    if value is not None:
-        raise InputError(
-            field, value, "None: call trial.set_constraint(key, value) in the objective"
-        )
-
-
-def _mask(field: str, value: Any) -> NDArray[np.bool_]:
-    """Which rows of a table: [n] flags."""
-    if not isinstance(value, np.ndarray) or value.ndim != 1 or value.dtype != bool:
-        raise InputError(field, value, "an array of flags, one a row")
-    return value
+_MASK = checks.that(
+    lambda value: isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype == bool,
+    "an array of flags, one a row",
+)
+# Names the successor of the option, which is gone since 0.3.0.
+_NO_CONSTRAINTS = checks.that(
+    lambda value: value is None, "None: call trial.set_constraint(key, value) in the objective"
+)
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -80,15 +71,12 @@ class FeatureKernelSampler(BaseSampler):
     of the rows over the worlds are a part of the model (`study.sampler.worlds`). On a pool of which
     a similarity is known, that alone is the model (`study.sampler.similarity`).
 
-    v, s, t, the length scales and the noise maximise the marginal likelihood times a prior
-    (`study.sampler.gp`): what explains nothing gets no weight. Once no trial has been better
-    than all before for some time, every other one is left to g alone
-    (`study.sampler.transforms`), so that features that mislead cost half the trials from then on.
-    Trials running elsewhere are conditioned on as if they had shown what is expected of them.
-
-    Constraints are those that the objective names by `trial.set_constraint(key, value)`, feasible
-    where the value is <= 0. Improvement is multiplied by the probability that all are kept
-    (Gelbart, Snoek, Adams 2014).
+    v, s, t, the length scales and the noise are learned (`study.sampler.gp`). Once no trial has
+    been better than all before for some time, every other one is left to g alone
+    (`study.sampler.transforms`). Trials running elsewhere are conditioned on as if they had shown
+    what is expected of them. Constraints are those that the objective names by
+    `trial.set_constraint(key, value)`, feasible where the value is <= 0: improvement is multiplied
+    by the probability that all are kept (Gelbart, Snoek, Adams 2014).
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
     the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED
@@ -134,7 +122,7 @@ class FeatureKernelSampler(BaseSampler):
             values enqueued that no row has, or a function that raises or returns other than finite
             [n, k]. At a trial's end: it has not suggested all of the table (strict).
         TableExhaustedError: in a trial, when no row is left (strict).
-        ValueError: in a trial of a study with several objectives.
+        ValueError: a study with several objectives.
     """
 
     @checks.checked(
@@ -148,8 +136,8 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters=checks.each(checks.text),
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
         success=checks.optional(checks.number()),
-        allowed=checks.optional(_mask),
-        constraints_func=_no_constraints,
+        allowed=checks.optional(_MASK),
+        constraints_func=_NO_CONSTRAINTS,
     )
     def __init__(
         self,
@@ -168,7 +156,6 @@ class FeatureKernelSampler(BaseSampler):
         allowed: NDArray[np.bool_] | None = None,
         constraints_func: None = None,
     ) -> None:
-        """Check the options; nothing is computed yet."""
         given = dict(locals())
         self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
         if self._kernel not in KERNELS:
@@ -184,18 +171,17 @@ class FeatureKernelSampler(BaseSampler):
         extra = frozenset(extra_parameters)
         options = Options(chosen, prior, off_grid, space, extra, strict, success, allowed)
         _require_sense(features, feature_function, options, self._kernel)
-        seed = new_seed() if seed is None else seed
-        independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
-        self._independent = independent
+        seed = secrets.randbits(64) if seed is None else seed
+        self._independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
+        common = options, seed, self._independent
         self._policy: TablePolicy | SpacePolicy
         if isinstance(features, FeatureTable):
-            self._policy = TablePolicy(features, feature_function, options, seed, independent)
+            self._policy = TablePolicy(features, feature_function, *common)
         else:
-            self._policy = SpacePolicy(features, options, seed, independent)
+            self._policy = SpacePolicy(features, *common)
         self._call = _call_text(given | {"seed": seed})
 
     def __repr__(self) -> str:
-        """A call that makes an equal sampler, with its seed."""
         return f"{type(self).__name__}({self._call})"
 
     @property
@@ -217,7 +203,6 @@ class FeatureKernelSampler(BaseSampler):
 
         Raises:
             InputError: there are no features, or their function raises.
-            ValueError: the study has several objectives.
         """
         self._raise_error_if_multi_objective(study)
         if not self.has_features:
@@ -240,7 +225,6 @@ class FeatureKernelSampler(BaseSampler):
 
         Raises:
             InputError: no finished trial can be learned from.
-            ValueError: the study has several objectives.
         """
         self._raise_error_if_multi_objective(study)
         with one_thread():
@@ -265,7 +249,6 @@ class FeatureKernelSampler(BaseSampler):
 
         Raises:
             InputError: the sampler has no table, or parameters that it cannot have.
-            ValueError: the study has several objectives.
         """
         self._raise_error_if_multi_objective(study)
         if not isinstance(self._policy, TablePolicy):
@@ -331,8 +314,7 @@ class DoGSampler(FeatureKernelSampler):
         k(x, x') = exp(-(phi(x) - phi(x'))^2 / 2),
 
     the score phi of each having been computed beforehand, on a grid from which candidates come.
-    Scale, length scale and noise are learned; everything else is as in the paper. Expected
-    improvement is compared by its logarithm, which has the same maximum and does not underflow.
+    Scale, length scale and noise are learned; everything else is as in the paper.
 
     Args:
         table: parameter sets and their score (or scores, with one length scale for all).
@@ -341,7 +323,6 @@ class DoGSampler(FeatureKernelSampler):
     """
 
     def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
-        """As `FeatureKernelSampler`, with other defaults."""
         super().__init__(table, seed=seed, **PAPER | options)
 
 
@@ -352,49 +333,45 @@ def _require_sense(
     kernel: str,
 ) -> None:
     """Refuse options that do not go together."""
-    has_function = function is not None
-    off_grid, prior = options.off_grid, options.prior
 
     def refuse(is_wrong: object, field: str, value: object, allowed: str) -> None:
         if is_wrong:
             raise InputError(field, value, allowed)
 
-    if options.kernel.worlds:
+    off_grid, prior, mask = options.off_grid, options.prior, options.allowed
+    given, worlds, of_features = "given", options.kernel.worlds, options.kernel.of_features
+    if worlds:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
-        refuse(has_function, "feature_function", "given", allowed)
+        refuse(function is not None, "feature_function", given, allowed)
         refuse(prior is not None, "prior", prior, allowed)
-    mask, is_table = options.allowed, isinstance(features, FeatureTable)
-    refuse(mask is not None and not is_table, "allowed", "given", "none without a table")
     if isinstance(features, FeatureTable):
-        rows = len(features.rows)
-        refuse(mask is not None and mask.shape != (rows,), "allowed", "another size", f"[{rows}]")
-        refuse(mask is not None and off_grid, "off_grid", off_grid, "0 beside `allowed` rows")
-        without = not has_function and not options.kernel.worlds
+        rows, pool = len(features.rows), options.kernel == SIMILARITY
+        if mask is not None:
+            refuse(mask.shape != (rows,), "allowed", "another size", f"[{rows}]")
+            refuse(off_grid, "off_grid", off_grid, "0 beside `allowed` rows")
+        without = function is None and not worlds
         refuse(off_grid and without, "off_grid", off_grid, "0 without a feature_function")
-        pool = options.kernel == SIMILARITY
         refuse(off_grid and pool, "off_grid", off_grid, "0: a similarity knows its rows alone")
-        refuse(options.space is not None, "space", "given", "none: a table knows its own")
-        no_features = options.kernel.of_features and not options.kernel.worlds
-        no_features = no_features and not features.rows.feature_names
-        refuse(no_features, "kernel", kernel, "none, or euclidean: the table has no features")
+        refuse(options.space is not None, "space", given, "none: a table knows its own")
+        lacking = of_features and not worlds and not features.rows.feature_names
+        refuse(lacking, "kernel", kernel, "none, or euclidean: the table has no features")
         return
+    refuse(mask is not None, "allowed", given, "none without a table")
     allowed = "none: only a table needs it beside `features`"
-    refuse(has_function, "feature_function", "given", allowed)
-    if features is not None:
-        allowed = "a FeatureTable, a function, or None"
-        refuse(not callable(features), "features", type(features).__name__, allowed)
-        return
-    refuse(options.kernel.of_features, "kernel", kernel, "euclidean: there are no features")
-    refuse(prior is not None, "prior", prior, "none without features")
-    refuse(off_grid, "off_grid", off_grid, "0: points are off any grid without features")
+    refuse(function is not None, "feature_function", given, allowed)
+    if features is None:
+        refuse(of_features, "kernel", kernel, "euclidean: there are no features")
+        refuse(prior is not None, "prior", prior, "none without features")
+        refuse(off_grid, "off_grid", off_grid, "0: points are off any grid without features")
+    elif not callable(features):
+        name = type(features).__name__
+        raise InputError("features", name, "a FeatureTable, a function, or None")
 
 
 def _call_text(given: Mapping[str, Any]) -> str:
     """The arguments of `FeatureKernelSampler` that are not its defaults, as in a call."""
     parts = []
-    for name, parameter in inspect.signature(FeatureKernelSampler.__init__).parameters.items():
-        if name == "self":
-            continue
+    for name, parameter in inspect.signature(FeatureKernelSampler).parameters.items():
         value, default = given[name], parameter.default
         if value is default or (type(value) is type(default) and bool(value == default)):
             continue

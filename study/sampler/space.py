@@ -57,8 +57,7 @@ class Space:
         """A trial's values as one row [d]; None where one is missing, or of no use here."""
         row = np.empty(len(self))
         for column, name in enumerate(self.names):
-            number = self.number(column, values[name]) if name in values else None
-            if number is None:
+            if name not in values or (number := self.number(column, values[name])) is None:
                 return None
             row[column] = number
         return row
@@ -75,9 +74,8 @@ class Space:
 
     def pinned(self, values: Mapping[str, Any]) -> "Space":
         """The space, with these values of some parameters in all new points."""
-        columns = [c for c, name in enumerate(self.names) if name in values]
-        numbers = [self.number(c, values[self.names[c]]) for c in columns]
-        pins = zip(columns, numbers, strict=True)
+        named = [(c, name) for c, name in enumerate(self.names) if name in values]
+        pins = [(column, self.number(column, values[name])) for column, name in named]
         return replace(self, pins=tuple((c, n) for c, n in pins if n is not None))
 
     def values(self, row: Floats) -> dict[str, Any]:
@@ -90,10 +88,8 @@ class Space:
 
         Values outside the ranges are moved to the edge or, with `beyond`, lie outside the cube.
         """
-        parts = [
-            _to_unit(distribution, values if beyond else _moved_inside(distribution, values))
-            for distribution, values in zip(self.distributions, rows.T, strict=True)
-        ]
+        columns = zip(self.distributions, rows.T, strict=True)
+        parts = [_to_unit(distribution, values, beyond) for distribution, values in columns]
         cube = np.hstack(parts) if parts else np.zeros((len(rows), 0))
         return cube if beyond else np.clip(cube, 0.0, 1.0)
 
@@ -114,8 +110,7 @@ class Space:
             if isinstance(distribution, CategoricalDistribution):
                 fractions[:, column] = (values + 0.5) / len(distribution.choices)
             else:
-                unit = _to_unit(distribution, _moved_inside(distribution, values))
-                fractions[:, column] = np.clip(unit[:, 0], 0.0, 1.0)
+                fractions[:, column] = np.clip(_to_unit(distribution, values)[:, 0], 0.0, 1.0)
         return fractions
 
 
@@ -153,12 +148,11 @@ def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
 def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
     """A value in the form of a distribution: of its type, or the equal one of its choices.
 
-    Raises:
-        ValueError: the distribution does not have it.
+    It is a ValueError if the distribution does not have it.
     """
     if isinstance(distribution, CategoricalDistribution):
         return distribution.choices[int(distribution.to_internal_repr(value))]
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    assert isinstance(distribution, Number)
     if not _is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
         raise ValueError(f"{value!r} is not in {distribution}")
     return round(value) if isinstance(distribution, IntDistribution) else float(value)
@@ -169,19 +163,14 @@ def first_not_taken(
 ) -> int | None:
     """The first of the values [n] of one parameter that another distribution does not hold.
 
-    Args:
-        own: the distribution that the values are of.
-        values: as rows have them.
-        suggested: the other.
+    Values are as rows of their own distribution have them.
     """
-    numeric = FloatDistribution | IntDistribution
-    if isinstance(own, numeric) and isinstance(suggested, numeric):
+    if isinstance(own, Number) and isinstance(suggested, Number):
         outside = np.flatnonzero(~_taken(suggested, values))
         return int(outside[0]) if len(outside) else None
-    distinct, first = np.unique(values, return_index=True)
-    for value, place in sorted(zip(distinct, first, strict=True), key=lambda pair: pair[1]):
+    for place in np.sort(np.unique(values, return_index=True)[1]).tolist():
         try:
-            as_suggested(suggested, _external(own, float(value)))
+            as_suggested(suggested, _external(own, float(values[place])))
         except ValueError:
             return int(place)
     return None
@@ -208,21 +197,17 @@ def _external(distribution: BaseDistribution, value: float) -> Any:
     return distribution.to_external_repr(value)
 
 
-def _moved_inside(distribution: BaseDistribution, values: Floats) -> Floats:
-    """One parameter [n], numbers outside its range moved to its ends."""
-    if isinstance(distribution, CategoricalDistribution):
-        return values
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
-    return np.clip(values, distribution.low, distribution.high)
+def _to_unit(distribution: BaseDistribution, values: Floats, beyond: bool = False) -> Floats:
+    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices].
 
-
-def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
-    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices]."""
+    Numbers outside the range are moved to its ends, unless they may lie `beyond`.
+    """
     if isinstance(distribution, CategoricalDistribution):
         choices = np.arange(len(distribution.choices))
         return np.asarray(CHOICE_LENGTH * (values[:, None] == choices).astype(np.float64))
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    assert isinstance(distribution, Number)
     low, high = _ends(distribution)
+    values = values if beyond else np.clip(values, distribution.low, distribution.high)
     if high <= low:  # a range of one value: any other is as far away as can be
         return np.where(values == distribution.low, 0.0, np.inf)[:, None]
     values = np.log(np.maximum(values, np.finfo(float).tiny)) if distribution.log else values
@@ -234,7 +219,7 @@ def _from_fraction(distribution: BaseDistribution, fractions: Floats) -> Floats:
     if isinstance(distribution, CategoricalDistribution):
         last = len(distribution.choices) - 1
         return np.minimum(np.floor(fractions * len(distribution.choices)), last)
-    assert isinstance(distribution, FloatDistribution | IntDistribution)
+    assert isinstance(distribution, Number)
     low, high = _ends(distribution)
     values = low + fractions * (high - low)
     values = np.exp(values) if distribution.log else values

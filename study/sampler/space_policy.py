@@ -1,12 +1,12 @@
 """Proposals from a whole space: points anywhere, and near the best trials."""
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
-from optuna.samplers import BaseSampler
 from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
@@ -22,8 +22,6 @@ from study.sampler.history import (
     values_of,
 )
 from study.sampler.policy import (
-    Features,
-    Options,
     Policy,
     Proposal,
     call_features,
@@ -45,12 +43,6 @@ REFINEMENTS = 3  # rounds of points near the best candidates, where features cos
 class SpacePolicy(Policy):
     """Points of a space, with features by a function or without."""
 
-    def __init__(
-        self, function: Features | None, options: Options, seed: int, independent: BaseSampler
-    ) -> None:
-        super().__init__(options, seed, independent)
-        self.function = function
-
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """The declared space, or the parameters that all finished trials share."""
         space = self.options.space
@@ -68,9 +60,13 @@ class SpacePolicy(Policy):
             return {}
         space = Space.of(search_space).pinned(values_of(trial))
         try:
-            self._require_declared(study, trial, search_space)
+            self._require_declared(study, search_space)
+            history, own_turn = read_history(study, trial, space), turn(study, trial)
             with one_thread():
-                point, features = self._choose(study, trial, space)
+                if len(history.cost) < self.first_trials:
+                    point, features = self._first(space, own_turn)
+                else:
+                    point, features = self._best(space, history, own_turn)
         except InputError as error:
             self.misfit(error)
             draw = self.independent.sample_independent
@@ -103,14 +99,12 @@ class SpacePolicy(Policy):
         if not len(history.cost):
             return None
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
-        points = self._candidates(space, history, rng)
-        features, shown, _ = self._features(points, history)
-        scale, prior_mean = self._scale(features), self._prior_mean(features)
+        features, shown, _ = self._features(self._candidates(space, history, rng), history)
+        scale, prior_mean = self._scales(features)
         seen = _placed(scale, shown, space, history.parameters)
-        model = self.plain_model(prior_mean, len(space), seen, history.cost)
-        names = _names(features)
-        trials, rows = history.trials, (None,) * len(history.trials)
-        return self.present_of(trials, rows, names, shown, model)
+        model = self.model(prior_mean, history, seen)
+        names, rows, doubts = _names(features), (None,) * len(shown), self.doubts(model)
+        return Present(history.trials, rows, names, shown, model, doubts, {})
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""
@@ -121,16 +115,12 @@ class SpacePolicy(Policy):
         if proposal is not None and not proposal.values.items() <= trial.params.items():
             set_attributes(study, trial, dict.fromkeys(proposal.notes))
 
-    def _require_declared(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
-    ) -> None:
+    def _require_declared(self, study: optuna.Study, search_space: Collection[str]) -> None:
         """Refuse parameters of the declared space that are fixed, or were not suggested before.
 
         The latest finished trial that was proposed here tells.
         """
-        declared = self.options.space
-        if declared is None:
-            return
+        declared = self.options.space or {}
         for name, distribution in declared.items():
             if name not in search_space and self.function is not None:
                 allowed = "a parameter left free: the feature function needs all of them"
@@ -138,51 +128,36 @@ class SpacePolicy(Policy):
         names = [name for name in search_space if name in declared]
         for other in reversed(study.get_trials(deepcopy=False)):
             is_ours = self.function is None or FEATURES_ATTRIBUTE in other.user_attrs
-            if other.number == trial.number or not other.state.is_finished():
-                continue
             if other.values is not None and is_ours:
                 if (error := not_suggested(names, other)) is not None:
                     raise error
                 return
 
-    def _choose(
-        self, study: optuna.Study, trial: FrozenTrial, space: Space
-    ) -> tuple[Floats, Floats]:
-        """A point [d] and its features [k]: at random at first, then the best by the model."""
-        own_turn = turn(study, trial)
-        history = read_history(study, trial, space)
-        if len(history.cost) < self.first_trials:
-            return self._first(space, own_turn)
-        return self._best(space, history, own_turn)
-
     def _first(self, space: Space, own_turn: int) -> tuple[Floats, Floats]:
-        """A point before there is a model."""
+        """A point [d] before there is a model, and its features [k]."""
         rng = self.rng(Purpose.STARTUP_POINT, own_turn)
         if self.function is None:
             return anywhere(space, 1, rng)[0], np.empty(0)
         points = anywhere(space, CANDIDATES, rng)
         features = call_features(self.function, points)
-        standard = self._scale(features).standard(features)
-        merit = self.merit(self._prior_mean(features), standard, own_turn)
+        scale, prior_mean = self._scales(features)
+        merit = self.merit(prior_mean, scale.standard(features), own_turn)
         merit[np.isnan(features).any(axis=1)] = -np.inf
         best = argmax_random_tie(merit, rng)
         return points[best], features[best]
 
     def _best(self, space: Space, history: History, own_turn: int) -> tuple[Floats, Floats]:
-        """The best of points anywhere and near the incumbents; without features, also of points
-        near those, round by round."""
+        """The best of points anywhere and near the incumbents, and its features.
+
+        Without features, also of points near those, round by round.
+        """
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         points = self._candidates(space, history, rng)
         features, shown, running = self._features(points, history)
-        scale = self._scale(features)
-        model = self.model(
-            self._prior_mean(features),
-            len(space),
-            history,
-            _placed(scale, shown, space, history.parameters),
-            _placed(scale, running, space, history.running),
-            own_turn,
-        )
+        scale, prior_mean = self._scales(features)
+        seen = _placed(scale, shown, space, history.parameters)
+        elsewhere = _placed(scale, running, space, history.running)
+        model = self.model(prior_mean, history, seen, None, elsewhere, own_turn)
         taken = np.vstack([history.parameters, history.running])
         known = np.asarray(~np.isnan(features).any(axis=1))
         new = not_among(points, taken) & known
@@ -224,14 +199,10 @@ class SpacePolicy(Policy):
             known[place] = values
         return features[:m], known, features[m : m + r]
 
-    def _scale(self, features: Floats) -> Scale:
-        """The scale of features [m, k] of points anywhere."""
-        by_order = self.options.kernel.by_order
-        return NormalScores.of(features) if by_order else Standard.of(features)
-
-    def _prior_mean(self, features: Floats) -> PriorMean | None:
-        """The prior mean by one of the features [m, k]."""
-        return PriorMean.of(self.options.prior, _names(features))
+    def _scales(self, features: Floats) -> tuple[Scale, PriorMean | None]:
+        """The scale of features [m, k] of points anywhere, and the prior mean by one of them."""
+        scale = NormalScores if self.options.kernel.by_order else Standard
+        return scale.of(features), PriorMean.of(self.options.prior, _names(features))
 
 
 def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:
@@ -239,6 +210,6 @@ def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) ->
     return Points(scale.standard(features), space.unit(parameters))
 
 
-def _names(features: Floats) -> list[str]:
+def _names(features: Floats) -> tuple[str, ...]:
     """Names of features [m, k] of a function, which gives none."""
-    return [f"feature_{column}" for column in range(features.shape[1])]
+    return tuple(f"feature_{column}" for column in range(features.shape[1]))

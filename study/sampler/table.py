@@ -130,20 +130,13 @@ class Rows:
     def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
         """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
 
-        Each point has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 / distance^4 (in many
-        dimensions all but the nearest are about as far). They are looked for among the `NEAR_POOL`
-        rows that are nearest to each of the centres.
-
-        Args:
-            columns: of the rows, [m, k].
-            points: [n, e].
-            centres: that the points are near to, [c, e].
+        Each point [e] has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 / distance^4 (in
+        many dimensions all but the nearest are about as far). They are looked for among the
+        `NEAR_POOL` rows that are nearest to each of the centres [c, e], which points are near to.
         """
-        cdist, pools = scipy.spatial.distance.cdist, []
-        for centre in centres:
-            pools.append(self._once(("pool", centre.tobytes()), partial(self._pool, centre)))
+        pools = [self._once(("pool", c.tobytes()), partial(self._pool, c)) for c in centres]
         pool = np.unique(np.concatenate(pools))
-        distance = cdist(points, self.unit[pool])
+        distance = scipy.spatial.distance.cdist(points, self.unit[pool])
         count = min(NEAR_ROWS, len(pool))
         near = np.argpartition(distance, count - 1, axis=1)[:, :count]
         weight = 1.0 / (np.take_along_axis(distance, near, axis=1) + 1e-3) ** NEAR_POWER
@@ -154,11 +147,8 @@ class Rows:
 
     def mixed_at(self, points: Points, place: Floats) -> Floats:
         """The features of rows that may be proposed, as points, mixed at a place [e]: [k]."""
-
-        def made() -> Floats:
-            return np.asarray(self.mixed(points.features, place[None], place[None])[0])
-
-        return self._once(("mixed", id(points), place.tobytes()), made)
+        made = partial(self.mixed, points.features, place[None], place[None])
+        return np.asarray(self._once(("mixed", id(points), place.tobytes()), made)[0])
 
     def _pool(self, centre: Floats) -> NDArray[np.int64]:
         """Places of the rows that are nearest to a point of the unit cube [e]."""
@@ -232,17 +222,12 @@ class Rows:
         """Those of rows [n, ...] that may be proposed; a copy only where that leaves some out."""
         return values if len(self.numbers) == len(self) else values[self.numbers]
 
-    @cached_property
-    def _kept(self) -> dict[Any, Any]:
-        """Results of `_once`."""
-        return {}
-
     def _once(self, key: Any, made: Callable[[], T]) -> T:
         """A result that each proposal needs, computed in the first one."""
-        if key not in self._kept:
-            self._kept[key] = made()
-        kept: T = self._kept[key]
-        return kept
+        kept: dict[Any, T] = self.__dict__.setdefault("_kept", {})
+        if key not in kept:
+            kept[key] = made()
+        return kept[key]
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -284,19 +269,15 @@ def _hash(parameters: Floats) -> NDArray[np.uint64]:
     return hashes
 
 
-def _frame(field: str, value: Any) -> Any:
-    """Anything that has columns by name, as data frames do; no package of them is loaded."""
-    if isinstance(value, type) or not hasattr(value, "columns"):
-        raise InputError(field, value, "a pandas data frame")
-    return value
-
-
-COLUMN_CHECKS = {
-    "path": checks.path,
-    "features": checks.each(checks.text),
+# Anything that has columns by name, as data frames do; no package of them is loaded.
+IS_FRAME = checks.that(
+    lambda value: not isinstance(value, type) and hasattr(value, "columns"), "a pandas data frame"
+)
+SPACE_CHECKS = {
     "space": checks.optional(checks.by_name(checks.instance(BaseDistribution))),
     "bounds": checks.optional(checks.by_name(checks.interval())),
 }
+COLUMN_CHECKS = SPACE_CHECKS | {"path": checks.path, "features": checks.each(checks.text)}
 
 
 class FeatureTable:
@@ -352,13 +333,7 @@ class FeatureTable:
         Raises:
             InputError: no such file, store or column, or what `from_arrays` refuses.
         """
-        columns = FileColumns(
-            Path(path).absolute(),
-            tuple(features),
-            None if parameters is None else tuple(parameters),
-            None if space is None else dict(space),
-            None if bounds is None else dict(bounds),
-        )
+        columns = FileColumns(Path(path).absolute(), features, parameters, space, bounds)
         return cls(Rows(*columns.read()), columns)
 
     @classmethod
@@ -366,9 +341,8 @@ class FeatureTable:
         "table.",
         parameters=checks.by_name(checks.anything),
         feature_names=checks.optional(checks.each(checks.text)),
-        space=COLUMN_CHECKS["space"],
-        bounds=COLUMN_CHECKS["bounds"],
         better=checks.optional(checks.word("lower", "higher")),
+        **SPACE_CHECKS,
     )
     def from_arrays(
         cls,
@@ -454,11 +428,11 @@ class FeatureTable:
     @classmethod
     def _of_factor(cls, factor: Floats, parameters: Mapping[str, ArrayLike] | None) -> Self:
         columns = {"row": np.arange(len(factor))} if parameters is None else parameters
-        space, raw, *_ = checked_columns(columns, factor, None, None, None)
+        space, raw, *_ = checked_columns(columns, factor)
         return cls(Rows(space, raw, (), np.empty((len(factor), 0)), alike=factor))
 
     @classmethod
-    @checks.checked(frame=_frame, parameters=checks.each(checks.text), **COLUMN_CHECKS)
+    @checks.checked(frame=IS_FRAME, parameters=checks.each(checks.text), **COLUMN_CHECKS)
     def from_dataframe(
         cls,
         frame: "pandas.DataFrame",
@@ -494,26 +468,19 @@ class FeatureTable:
         return len(self.rows)
 
     def __repr__(self) -> str:
-        """Its size and features; nothing is read for it."""
         return f"{type(self).__name__}({self._size})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the content, where it can be read again."""
-        state = self.__dict__.copy()
-        if self._file is not None:
-            state["_rows"] = None
-        return state
+        return self.__dict__ | ({} if self._file is None else {"_rows": None})
 
 
 def _warn_of(rows: Rows) -> None:
-    """Warn of what the table leaves out."""
     said = []
-    if incomplete := int((~rows._known).sum()):
-        said.append(
-            f"{incomplete} rows that lack more than half of their features are not proposed"
-        )
-    if duplicates := int((~rows._first).sum()):
-        said.append(f"{duplicates} rows repeat the parameters of another and are not proposed")
+    if count := int((~rows._known).sum()):
+        said.append(f"{count} rows that lack more than half of their features are not proposed")
+    if count := int((~rows._first).sum()):
+        said.append(f"{count} rows repeat the parameters of another and are not proposed")
     flags = zip(rows.feature_names, rows._informative, strict=True)
     if empty := [name for name, informative in flags if not informative]:
         said.append(f"features without information are ignored: {', '.join(empty)}")
@@ -524,19 +491,13 @@ def _warn_of(rows: Rows) -> None:
 
 def _size_text(rows: Rows) -> str:
     """Size and features of a table, as the arguments of a call."""
-    names = rows.feature_names
-    shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
-    numbers = {"row": len(rows), "parameter": len(rows.names), "feature": len(names)}
-    if rows.alike is not None:
-        del numbers["feature"]
-        return ", ".join([*_counts(numbers), f"similarity of rank {rows.alike.shape[1]}"])
+    names, numbers = rows.feature_names, {"row": len(rows), "parameter": len(rows.names)}
+    if names or (rows.worlds is None and rows.alike is None):
+        numbers["feature"] = len(names)
     if rows.worlds is not None:
-        numbers |= {"world": len(rows.worlds.names)}
-        if not names:
-            del numbers["feature"]
-    return f"{', '.join(_counts(numbers))}{': ' * bool(names)}{shown}"
-
-
-def _counts(numbers: Mapping[str, int]) -> list[str]:
-    """Numbers of things in words."""
-    return [f"{n} {thing}" if n == 1 else f"{n} {thing}s" for thing, n in numbers.items()]
+        numbers["world"] = len(rows.worlds.names)
+    counts = [f"{n} {thing}{'s' * (n != 1)}" for thing, n in numbers.items()]
+    if rows.alike is not None:
+        counts.append(f"similarity of rank {rows.alike.shape[1]}")
+    shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
+    return f"{', '.join(counts)}{': ' * bool(names)}{shown}"

@@ -7,7 +7,6 @@ write before either reads, both do. Nobody waits.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
-from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from study.sampler.acquisition import Model, argmax_random_tie
@@ -56,7 +54,7 @@ from study.sampler.policy import (
 from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among
 from study.sampler.table import FeatureTable, Rows
-from study.sampler.transforms import Points, PriorMean, Scale
+from study.sampler.transforms import Points, PriorMean
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -64,7 +62,6 @@ Mask = NDArray[np.bool_]
 
 CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
-IGNORED = "trials whose parameters are no row of the table are ignored"
 
 
 class TableExhaustedError(RuntimeError):
@@ -95,14 +92,13 @@ class TablePolicy(Policy):
         seed: int,
         independent: BaseSampler,
     ) -> None:
-        super().__init__(options, seed, independent)
+        super().__init__(function, options, seed, independent)
         self._table = table
-        self.function = function  # of points off the table; None: there are none
         self._suggested: Rows | None = None
         self._looked_up: LookedUp = {}
         self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)
 
-    @cached_property
+    @property
     def own_rows(self) -> Rows:
         """The content of the table, on its own scales."""
         return self._table.rows
@@ -114,8 +110,7 @@ class TablePolicy(Policy):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without rows and trials, which follow from the table and the study."""
-        state = super().__getstate__() | {"_suggested": None, "_looked_up": {}}
-        return {name: value for name, value in state.items() if name != "own_rows"}
+        return super().__getstate__() | {"_suggested": None, "_looked_up": {}}
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """The table's parameters."""
@@ -132,25 +127,23 @@ class TablePolicy(Policy):
         fixed, names = values_of(trial), self.own_rows.names
         if all(name in fixed for name in names):
             return {}  # nothing of the table is left to choose
-        suggested = suggested_so_far(names, study)
-        self._adopt(suggested)
-        misfit = None
+        suggested, misfit = self._adopt(study), None
         if not self.options.strict:
-            self._warn_of_foreign(study)
+            finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+            if finished and not any(name in finished[-1].params for name in names):
+                self.warn(
+                    f"the study suggests none of the table's parameters: {', '.join(names[:3])}, "
+                    "...; the independent sampler takes over"
+                )
             misfit = shown_misfit(self.own_rows, suggested, study)
-        for name in names:
-            if name not in search_space:
-                allowed = "a parameter left free: rows are proposed whole"
-                misfit = InputError(name, "fixed", allowed)
-                break
+        if unfree := [name for name in names if name not in search_space]:
+            allowed = "a parameter left free: rows are proposed whole"
+            misfit = InputError(unfree[0], "fixed", allowed)
         if misfit is not None:
             self._refuse(study, trial, misfit)
         if isinstance(search_space, Inferred):
             return {}
-        return {
-            name: self.propose_one(study, trial, name, distribution)
-            for name, distribution in search_space.items()
-        }
+        return {name: self.propose_one(study, trial, name, d) for name, d in search_space.items()}
 
     def propose_one(
         self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
@@ -159,7 +152,10 @@ class TablePolicy(Policy):
         if name not in self.rows.names:
             self._require_table_first(study, trial, name)
             return self.independent.sample_independent(study, trial, name, distribution)
-        proposal = self._proposal(study, trial)
+        proposal = self.remembered(trial)
+        if proposal is None:
+            proposal = self._propose_row(study, trial)
+            self.remember(trial, proposal)
         if proposal.values:
             error = distribution_misfit(self.own_rows, self.rows.names.index(name), distribution)
             try:
@@ -172,11 +168,13 @@ class TablePolicy(Policy):
             self._refuse(study, trial, error)
         return self.independent.sample_independent(study, trial, name, distribution)
 
-    def _adopt(self, suggested: dict[str, BaseDistribution]) -> None:
-        """Put the rows on the logarithmic scales that the study suggests."""
+    def _adopt(self, study: optuna.Study) -> dict[str, BaseDistribution]:
+        """Put the rows on the logarithmic scales that the study suggests: what it suggests."""
+        suggested = suggested_so_far(self.own_rows.names, study)
         rows = as_suggested_rows(self.own_rows, suggested)
         if rows.space.distributions != self.rows.space.distributions:
             self._suggested = rows
+        return suggested
 
     def _refuse(self, study: optuna.Study, trial: FrozenTrial, error: InputError) -> None:
         """Propose nothing of the table for this trial; an error, or a warning (not strict)."""
@@ -197,14 +195,6 @@ class TablePolicy(Policy):
                 f"or extra_parameters=[{name!r}]"
             )
             raise InputError(name, "suggested, and not in the table", allowed)
-
-    def _proposal(self, study: optuna.Study, trial: FrozenTrial) -> Proposal:
-        """The trial's, chosen if need be; without values where the independent sampler has it."""
-        proposal = self.remembered(trial)
-        if proposal is None:
-            proposal = self._propose_row(study, trial)
-            self.remember(trial, proposal)
-        return proposal
 
     def _propose_row(self, study: optuna.Study, trial: FrozenTrial) -> Proposal:
         """A candidate that no other trial has, noted in the trial."""
@@ -236,13 +226,12 @@ class TablePolicy(Policy):
         A trial that was enqueued with the row, and still waits, has it too; one that has the number
         and did something else has not.
         """
-        for other in study.get_trials(deepcopy=False):
-            if other.number == trial.number:
-                continue
-            claims = other.user_attrs.get(ROW_ATTRIBUTE) == row
-            if (claims or other.state is TrialState.WAITING) and row_of(self.rows, other) == row:
-                return False
-        return True
+        return not any(
+            (other.user_attrs.get(ROW_ATTRIBUTE) == row or other.state is TrialState.WAITING)
+            and row_of(self.rows, other) == row
+            for other in study.get_trials(deepcopy=False)
+            if other.number != trial.number
+        )
 
     def _take_back(self, study: optuna.Study, trial: FrozenTrial, notes: Mapping[str, Any]) -> None:
         """Mark a trial with these notes as no row: notes cannot be removed."""
@@ -255,7 +244,12 @@ class TablePolicy(Policy):
         """A row that no trial has taken, or a point off the table."""
         rows, own_turn = self.rows, turn(study, trial)
         history = self._history(study, trial)
-        self._warn_of(history)
+        if history.unplaced:
+            self.warn(
+                "trials whose parameters are no row of the table are ignored: such as trial "
+                f"{history.unplaced[0].number}; enqueue rows of the table instead, or give the "
+                "table outcomes in worlds, or the sampler a feature_function"
+            )
         offered = rows.offered & ~history.tried
         offered[list(withdrawn)] = False
         if self.options.allowed is not None:
@@ -266,21 +260,16 @@ class TablePolicy(Policy):
             self._refuse_exhausted(history)
             return None
         if len(history.cost) < self.first_trials and offered.any():
-            return self._first_row(offered, own_turn, self._ensemble(study))
+            return self._first_row(offered, own_turn, self._ensemble(history))
         try:
-            return self._best_candidate(history, offered, own_turn, self._ensemble(study))
+            return self._best_candidate(history, offered, own_turn)
         except InputError as error:  # of the feature function
             self.misfit(error)
             return None
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
-        """The history that a trial is proposed from."""
         rows = self.rows
-
-        def has_place(other: FrozenTrial) -> bool:
-            return self._places_all or noted_features(other) is not None
-
-        return read_history(study, trial, rows.space, rows, has_place, self._looked_up)
+        return read_history(study, trial, rows.space, rows, self._places_all, self._looked_up)
 
     @property
     def _places_all(self) -> bool:
@@ -288,11 +277,10 @@ class TablePolicy(Policy):
         looked_at = self.options.kernel.of_features or self.options.prior is not None
         return self.function is not None or self.rows.worlds is not None or not looked_at
 
-    def _ensemble(self, study: optuna.Study) -> Relation | None:
+    def _ensemble(self, history: History) -> Relation | None:
         """The worlds, with costs that are minimised; None where they do not count."""
-        if not self.options.kernel.worlds:
-            return None
-        return self.rows.ensemble(maximise=study.direction is StudyDirection.MAXIMIZE)
+        worlds = self.options.kernel.worlds
+        return self.rows.ensemble(maximise=history.sign < 0) if worlds else None
 
     def _first_row(self, offered: Mask, own_turn: int, ensemble: Relation | None) -> Proposal:
         """A row before there is a model, of equal ones any."""
@@ -305,53 +293,39 @@ class TablePolicy(Policy):
         best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
-    def _best_candidate(
-        self, history: History, offered: Mask, own_turn: int, ensemble: Relation | None
-    ) -> Proposal:
-        """The candidate of the largest utility, of equal ones any.
-
-        Args:
-            history: at least one finished trial.
-            offered: rows that may be proposed, [n].
-            own_turn: the trial's.
-            ensemble: of the worlds.
-
-        Raises:
-            InputError: of the feature function.
-        """
+    def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Proposal:
+        """The candidate of the largest utility after some trials, of equal ones any."""
         rows = self.rows
-        self._warn_of_prior(history)
-        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        running = self._seen(history.running, history.running_rows, (), ensemble)
-        model = self.model(
-            self.prior_mean, len(rows.space), history, seen, running, own_turn, ensemble
-        )
-        points, free = self._points(ensemble), offered[rows.numbers]
+        first, enough = history.cost[:RANKED], len(history.cost) > 2 * RANKED
+        if self.prior_mean is not None and enough and first.min() > np.median(history.cost):
+            self.warn(
+                f"prior: the {RANKED} rows that it ranks first cost more than the median of the "
+                f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
+            )
+        model = self._model(history, own_turn)
+        points, free = self._points(model.ensemble), offered[rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
             utility = model.utility(points, free, self.rng(Purpose.CANDIDATES, own_turn))
         if self.options.off_grid:
-            value, off = self._off_table(history, utility, model, own_turn, ensemble)
+            value, off = self._off_table(history, utility, model, own_turn)
             if not free.any() or value > utility.max():
                 return off
         best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
+    def _model(self, history: History, own_turn: int) -> Model:
+        ensemble = self._ensemble(history)
+        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
+        running = self._seen(history.running, history.running_rows, (), ensemble)
+        return self.model(self.prior_mean, history, seen, ensemble, running, own_turn)
+
     def _off_table(
-        self,
-        history: History,
-        utility: Floats,
-        model: Model,
-        own_turn: int,
-        ensemble: Relation | None,
+        self, history: History, utility: Floats, model: Model, own_turn: int
     ) -> tuple[float, Proposal]:
         """The best of some points near the best rows and trials, and its utility.
 
-        Args:
-            history: the trials.
-            utility: of the rows that may be proposed, [m].
-            model: of the trial.
-            own_turn: the trial's.
+        `utility` is that of the rows that may be proposed, [m].
         """
         rows, space = self.rows, self.rows.space
         incumbents = history.parameters[np.lexsort((history.cost, ~model.feasible))[:INCUMBENTS]]
@@ -371,7 +345,7 @@ class TablePolicy(Policy):
             placed = self._placed(near, features)
         else:
             unit = space.unit(near)
-            mixed = rows.mixed(self._points(ensemble).features, unit, space.unit(centres))
+            mixed = rows.mixed(self._points(model.ensemble).features, unit, space.unit(centres))
             placed = Points(mixed, unit)
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
         utility = model.utility(placed, new, rng)
@@ -380,14 +354,7 @@ class TablePolicy(Policy):
         return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
 
     def _of_row(self, row: int) -> Proposal:
-        """A row as a proposal."""
-        rows = self.rows
-        return Proposal(rows.as_parameters(row), notes_of(row, rows.features[row]))
-
-    @property
-    def _scale(self) -> Scale:
-        """The scale of the features, as the kernel takes them."""
-        return self.rows.scale(by_order=self.options.kernel.by_order)
+        return Proposal(self.rows.as_parameters(row), notes_of(row, self.rows.features[row]))
 
     def _points(self, ensemble: Relation | None = None) -> Points:
         """Rows that may be proposed, with coordinates only where the kernel uses them."""
@@ -416,7 +383,8 @@ class TablePolicy(Policy):
         unit = np.empty((len(parameters), 0))
         if self.options.kernel.of_parameters:
             unit = self.rows.space.unit(parameters)
-        return Points(self._scale.standard(features), unit)
+        scale = self.rows.scale(by_order=self.options.kernel.by_order)
+        return Points(scale.standard(features), unit)
 
     def _features(
         self, parameters: Floats, numbers: NDArray[np.int64], trials: Sequence[FrozenTrial]
@@ -441,73 +409,41 @@ class TablePolicy(Policy):
         """An error or a warning: no row is left, or none that has the fixed values."""
         if history.fixed:
             error = no_row_has(self.rows, history.fixed)
-            if not self._places_all:
-                self.misfit(error)
-            else:
-                self.warn(f"{error}; the independent sampler takes over")
+            if self.options.strict and not self._places_all:
+                raise error
+            self.warn(f"{error}; the independent sampler takes over")
             return
         message = f"all {len(self.rows)} rows of the table have been tried"
         if self.options.strict:
             raise TableExhaustedError(message)
         self.warn(f"{message}; the independent sampler takes over")
 
-    def _warn_of_foreign(self, study: optuna.Study) -> None:
-        """Warn where the table need not fit and a trial has suggested none of its parameters."""
-        finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-        if finished and not any(name in finished[-1].params for name in self.rows.names):
-            self.warn(
-                f"the study suggests none of the table's parameters: "
-                f"{', '.join(self.rows.names[:3])}, ...; the independent sampler takes over"
-            )
-
-    def _warn_of(self, history: History) -> None:
-        """Warn that trials off the table are ignored; the message says what can be done."""
-        if not history.unplaced or IGNORED in self._said:
-            return
-        self.warn(
-            f"{IGNORED}: such as trial {history.unplaced[0].number}; enqueue rows of the table "
-            "instead, or give the table outcomes in worlds, or the sampler a feature_function"
-        )
-
-    def _warn_of_prior(self, history: History) -> None:
-        """Warn that the rows which the prior ranks first were bad."""
-        first, enough = history.cost[:RANKED], len(history.cost) > 2 * RANKED
-        if self.prior_mean is not None and enough and first.min() > np.median(history.cost):
-            self.warn(
-                f"prior: the {RANKED} rows that it ranks first cost more than the median of the "
-                f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
-            )
-
     def present(self, study: optuna.Study) -> Present:
         """See `Present`."""
-        self._adopt(suggested_so_far(self.own_rows.names, study))
-        history, ensemble = self._history(study, next_trial(study)), self._ensemble(study)
+        self._adopt(study)
+        history = self._history(study, next_trial(study))
+        ensemble = self._ensemble(history)
         shown = self._features(history.parameters, history.rows, history.trials)
-        first = {}
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        sizes = self.prior_mean, len(self.rows.space)
-        model = self.plain_model(*sizes, seen, history.cost, ensemble)
+        model = self.model(self.prior_mean, history, seen, ensemble)
+        first = {}
         if self.prior_mean is not None:
             merit = self.prior_mean.merit(self._points().features)
             best = np.argsort(-merit, kind="stable")[:RANKED]
             first = {row: self.rows.features[row] for row in self.rows.numbers[best].tolist()}
-        trials, names = history.trials, self.rows.feature_names
-        rows = tuple(row_of(self.rows, trial) for trial in trials)
-        return self.present_of(trials, rows, names, shown, model, first)
+        rows = tuple(row_of(self.rows, trial) for trial in history.trials)
+        names, doubts = self.rows.feature_names, self.doubts(model)
+        return Present(history.trials, rows, names, shown, model, doubts, first)
 
     def predict(
         self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None
     ) -> Prediction:
         """See `FeatureKernelSampler.predict`."""
-        self._adopt(suggested_so_far(self.own_rows.names, study))
-        rows, ensemble = self.rows, self._ensemble(study)
-        history = self._history(study, next_trial(study))
-        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        running = self._seen(history.running, history.running_rows, (), ensemble)
-        sizes = self.prior_mean, len(rows.space)
-        model = self.model(*sizes, history, seen, running, len(history.cost), ensemble)
+        self._adopt(study)
+        rows, history = self.rows, self._history(study, next_trial(study))
+        model = self._model(history, len(history.cost))
         if params is None:
-            return prediction_of(model, self._points(ensemble), rows.numbers, history.sign)
+            return prediction_of(model, self._points(model.ensemble), rows.numbers, history.sign)
         places = np.empty((len(params), len(rows.names)))
         for place, values in enumerate(params):
             known = rows.space.row(values)
@@ -516,9 +452,8 @@ class TablePolicy(Policy):
             places[place] = known
         found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
         numbers = np.array(found, dtype=np.int64)
-        return prediction_of(
-            model, self._seen(places, numbers, (), ensemble), numbers, history.sign
-        )
+        points = self._seen(places, numbers, (), model.ensemble)
+        return prediction_of(model, points, numbers, history.sign)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.
@@ -542,10 +477,9 @@ class TablePolicy(Policy):
         if len(study.directions) > 1:
             return
         rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
-        missing = not_suggested(rows.names, trial) if is_complete else None
-        ran = trial.params
+        missing, ran = not_suggested(rows.names, trial) if is_complete else None, trial.params
         other = next((name for name, v in proposal.values.items() if ran.get(name, v) != v), None)
-        row, known = rows.find(trial.params), row_of(rows, trial)
+        row, known = rows.find(ran), row_of(rows, trial)
         if row is not None and known != noted:
             set_attributes(study, trial, notes_of(row, rows.features[row]))
         wrong = missing is not None or other is not None or noted not in (OFF_TABLE, known)
@@ -555,11 +489,7 @@ class TablePolicy(Policy):
         if missing is not None and (noted is not None or self.options.strict):
             self.misfit(missing)
         elif is_complete and other is not None:
-            self.misfit(self._not_as_proposed(trial, other, proposal))
-
-    def _not_as_proposed(self, trial: FrozenTrial, name: str, proposal: Proposal) -> InputError:
-        """The error of another value; Optuna calls no sampler where a range has one value."""
-        column, suggested = self.own_rows.names.index(name), trial.distributions[name]
-        allowed = f"{proposal.values[name]!r}, as was proposed"
-        own = InputError(name, trial.params[name], allowed)
-        return distribution_misfit(self.own_rows, column, suggested) or own
+            # Optuna calls no sampler where a range has one value.
+            error = distribution_misfit(rows, rows.names.index(other), trial.distributions[other])
+            allowed = f"{proposal.values[other]!r}, as was proposed"
+            self.misfit(error or InputError(other, ran[other], allowed))

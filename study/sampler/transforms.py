@@ -1,10 +1,5 @@
 """Candidates, trials and costs as a Gaussian process takes them, and what users say of features.
 
-`Points` are features in standard units beside coordinates in the unit cube. `NormalScores` uses
-nothing of a feature but the order of its values: heavy tails, infinities, and units do not matter.
-`Standard` is affine, as in the paper. `PriorMean` holds the option `prior`, and `is_doubtful`
-decides whether a trial follows the features.
-
 Tables may have tens of millions of rows. A proposal needs all features, and of the parameters those
 of a few rows. So the parameters of a large table lie in a file without a name, a column after the
 other, which ends with the process; memory holds what is used.
@@ -154,8 +149,9 @@ class Standard:
 class NormalScores:
     """Phi^-1 of the share of rows below (Blom 1958), equal values sharing theirs, unit variance.
 
-    A feature that some rows lack has a column more: whether a row has it. Those follow the k
-    columns of scores, in the order of the features, each pattern of gaps once.
+    Only the order of values counts: heavy tails, infinities and units do not matter. A feature
+    that some rows lack has a column more: whether a row has it. Those follow the k columns of
+    scores, in the order of the features, each pattern of gaps once.
     """
 
     known: tuple[Floats, ...]  # values of each feature in ascending order, k of them, without gaps
@@ -227,9 +223,8 @@ def _scores(known: Floats, values: Floats) -> Floats:
     """Scores of values [m] among known ones [n], ascending."""
     if not len(known):
         return np.zeros(len(values))
-    rank = np.searchsorted(known, values, side="left") + np.searchsorted(
-        known, values, side="right"
-    )
+    below = np.searchsorted(known, values, side="left")
+    rank = below + np.searchsorted(known, values, side="right")
     return _at_ranks(np.clip(0.5 * (rank + 1.0), 1.0, len(known)), len(known))
 
 
@@ -237,10 +232,9 @@ def _scores(known: Floats, values: Floats) -> Floats:
 class PriorMean:
     """The mean of the process before any trial, from the option `prior`.
 
-    The option names the good end of a feature. Until trials say otherwise, the cost is expected to
-    fall by one standard deviation for each standard deviation of the feature, with the uncertainty
-    of `gp.SLOPE` about the slope: m(x) = -SLOPE phi(x), in standard units (Rasmussen, Williams
-    2006, section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
+    The option names the good end of a feature. Until trials say otherwise, m(x) = -SLOPE phi(x), in
+    standard units, with the uncertainty of `gp.SLOPE` about the slope (Rasmussen, Williams 2006,
+    section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
     """
 
     column: int  # of the feature
@@ -248,11 +242,7 @@ class PriorMean:
 
     @classmethod
     def of(cls, prior: str | None, names: Sequence[str]) -> "PriorMean | None":
-        """The prior mean of an option and the features' names; None without the option.
-
-        Raises:
-            InputError: there is no such feature.
-        """
+        """The prior mean of an option; an InputError where no feature has its name."""
         if prior is None:
             return None
         sign, name = (-1.0, prior[1:]) if prior not in names and prior[:1] == "-" else (1.0, prior)
@@ -273,16 +263,11 @@ def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
     """Whether this trial is left to the parameters: features are followed while they succeed.
 
     The likelihood cannot tell a feature that follows the cost everywhere from one that follows it
-    everywhere but at its best: both explain the trials. What tells them apart is success. Once the
-    best cost is older than `PATIENCE` trials, every other trial is left to the parameters alone,
-    until one of either kind is better than all before (win-stay, lose-shift: Robbins 1952). From
-    then on a feature that misleads costs half the trials, as where the two take turns (Antonova et
-    al. 2018).
-
-    Args:
-        cost: of the finished trials that kept their limits, in their order, [n].
-        turn: number of the trial.
-        has_prior: the user has said which end of a feature is good.
+    everywhere but at its best; success can. Once the best cost is older than `PATIENCE` trials,
+    every other trial is left to the parameters alone, until one of either kind is better than all
+    before (win-stay, lose-shift: Robbins 1952). From then on a feature that misleads costs half the
+    trials, as where the two take turns (Antonova et al. 2018). Costs [n] are those of the finished
+    trials that kept their limits, in their order.
     """
     if not len(cost):
         return False
@@ -294,11 +279,7 @@ def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
 
 
 def new_matrix(rows: int, columns: int) -> Floats:
-    """An [n, d] matrix without content.
-
-    Raises:
-        InputError: a large one, for which the folder of temporary files has no space.
-    """
+    """An [n, d] matrix without content; a large one is a file, for which there must be space."""
     if rows * columns <= MOST_IN_MEMORY:
         return np.empty((rows, columns))
     size = rows * columns * np.dtype(np.float64).itemsize

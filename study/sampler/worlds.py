@@ -18,7 +18,7 @@ a slope, learned from the trials, in place of the shift.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,9 +50,7 @@ class Worlds:
     def of(cls, outcomes: Outcomes, better: Better | None = None) -> "Worlds":
         """The worlds of outcomes [n, w] (or [n]: one world), or of such outcomes by family.
 
-        Raises:
-            InputError: naming the family: no numbers, other rows than the other families', or no
-                row that has its costs in all worlds.
+        Refused are, by family: no numbers, other rows than the others', no row without gaps.
         """
         families = outcomes if isinstance(outcomes, Mapping) else {"world": outcomes}
         if not families:
@@ -60,7 +58,7 @@ class Worlds:
         names, parts, weights = list[str](), list[Floats](), list[Floats]()
         for family, given in families.items():
             field = f"table.outcomes.{family}" if outcomes is families else "table.outcomes"
-            part = _matrix(field, given)
+            part = squarable(clip_infinities(matrix_of(field, given, "w")))  # as the worst or best
             if parts and len(part) != len(parts[0]):
                 raise InputError(field, f"{len(part)} rows", f"{len(parts[0])}, as the others")
             count = part.shape[1]
@@ -79,16 +77,17 @@ class Worlds:
         return np.asarray(~np.isnan(self.costs).any(axis=1))
 
 
-def _matrix(field: str, given: ArrayLike) -> Floats:
-    """Costs [n, w]; infinite ones are as the worst or the best of the others."""
+def matrix_of(field: str, given: Any, count: str) -> Floats:
+    """Numbers as [n, count], of [n] or [n, count]; NaN is a gap, infinity a value."""
     try:
         matrix = np.array(checks.unmasked(given), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(field, type(given).__name__, "numbers, [n, w]") from None
+        raise InputError(field, type(given).__name__, f"numbers, [n, {count}]") from None
     matrix = matrix[:, None] if matrix.ndim == 1 else matrix
     if matrix.ndim != 2 or not matrix.size:
-        raise InputError(f"{field}.shape", matrix.shape, "[n, w], n and w at least 1")
-    return squarable(clip_infinities(matrix))
+        allowed = f"[n, {count}], n and {count} at least 1"
+        raise InputError(f"{field}.shape", matrix.shape, allowed)
+    return matrix
 
 
 class Ensemble:

@@ -12,9 +12,8 @@ from optuna.trial import TrialState
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import history
-from study.sampler.draws import Purpose, generator, turn
+from study.sampler.draws import Purpose, ReproducibleRandomSampler, generator, turn
 from study.sampler.history import OFF_TABLE, next_trial, read_history, row_of
-from study.sampler.random_sampler import ReproducibleRandomSampler
 from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import kill, params_of, resumed, rows_of, study_of, without_warning
 
