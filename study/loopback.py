@@ -1,4 +1,4 @@
-"""Servers that answer this machine alone: the dashboard and the explorer, which have no passwords.
+"""Servers that answer this machine alone: dashboard, explorer, bench, which have no passwords.
 
 A page of any site may send a browser to the loopback address, by a name of its own that it lets
 point there. So requests of other names are refused, and requests that another page's script makes.
@@ -6,11 +6,14 @@ point there. So requests of other names are refused, and requests that another p
 
 import errno
 import re
+import socket
 import stat
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from socketserver import ThreadingMixIn
 from typing import Any
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from taichi_nmm.errors import InputError
 
@@ -25,12 +28,37 @@ KINDS = ("image/png", "image/jpeg", "image/gif", "image/webp", "video/mp4", "vid
 NO_SNIFFING = ("X-Content-Type-Options", "nosniff")
 
 
+class Server(ThreadingMixIn, WSGIServer):
+    """A thread for each request: a picture must not hold up the page."""
+
+    daemon_threads = True
+
+
+class QuietHandler(WSGIRequestHandler):
+    """Logs no requests."""
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Drop the line."""
+
+
+def wsgi_server(application: Application, address: str, port: int) -> WSGIServer:
+    """A server of an application, which listens already.
+
+    Raises:
+        InputError: the port is in use, or not ours to take; or no address of this machine.
+    """
+    with listening(port, address):
+        return make_server(address, port, application, Server, QuietHandler)
+
+
 @contextmanager
-def listening(port: int) -> Iterator[None]:
-    """Turn the system's refusal of a port into one line."""
+def listening(port: int, address: str = HOST) -> Iterator[None]:
+    """Turn the system's refusal of a port or an address into one line."""
     try:
         yield
     except OSError as error:
+        if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
+            raise InputError("listen", address, "an address of this machine") from None
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):
             raise
         raise InputError("port", port, f"a free port, or 0 ({error.strerror})") from None

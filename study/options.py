@@ -190,6 +190,9 @@ def bench(options: Options) -> None:
     options.add_argument("--repeat", type=int, metavar="N", help="a trial to run once more")
     options.path("--json", "write the next trials' parameters there too", "FILE")
     options.add_argument("--operator", metavar="NAME", help="default: the user and the machine")
+    what = "of the page of `serve`, for others too, by the link that is printed; default: loopback"
+    options.add_argument("--listen", metavar="ADDRESS", help=what)
+    options.port(8090)
 
 
 def compare(options: Options) -> None:

@@ -37,6 +37,7 @@ COLUMNS = checks.optional(checks.by_name(checks.number()))
 Own = tuple[Mapping[str, Any], float, Mapping[str, float], str]
 """Parameters, value, columns and note of a trial that nobody proposed."""
 BEFORE = "as before"  # the feature, or the world, that other contexts tell of
+MOST_BATCH = 1000
 TOLD = {True: TrialState.COMPLETE, False: TrialState.RUNNING}
 
 
@@ -82,6 +83,20 @@ class Bench:
         return bench
 
     @property
+    def operator(self) -> str:
+        """Who makes the entries."""
+        return self._journal.operator
+
+    @operator.setter
+    def operator(self, name: str) -> None:
+        self._journal.operator = name
+
+    def look(self) -> State:
+        """What all entries come to, also those that others have made since."""
+        self._entries = self._journal.entries()
+        return self.state
+
+    @property
     def state(self) -> State:
         """What the entries come to."""
         return read_state(self._entries)
@@ -109,12 +124,12 @@ class Bench:
             raise InputError("candidates", str(self.plan.path), allowed)
         return found
 
-    @checks.checked(batch=checks.whole(1), repeat=checks.optional(WHOLE))
+    @checks.checked(batch=checks.whole(1, MOST_BATCH), repeat=checks.optional(WHOLE))
     def next(self, batch: int = 1, repeat: int | None = None) -> list[Trial]:
         """Trials to run: those that this operator has not entered yet, and new ones up to `batch`.
 
         Args:
-            batch: how many.
+            batch: how many, at most `MOST_BATCH`.
             repeat: a finished trial, whose parameters are tried once more.
 
         Raises:
@@ -124,7 +139,7 @@ class Bench:
             mine = [
                 trial for trial in state.trials.values()
                 if trial.value is None and trial.context == state.context
-                and trial.operator == self._journal.operator
+                and trial.operator == self.operator
             ]  # fmt: skip
             asked = list[dict[str, Any]]()
             if repeat is not None:

@@ -11,6 +11,7 @@
     taichi-nmm bench context gravel     # new ground: what was learned counts as far as it agrees
     taichi-nmm bench status | recommend | compare-to-simulator
     taichi-nmm bench export trials.csv | import trials.csv
+    taichi-nmm bench serve              # a page with forms, for a phone beside the machine
 
 Options of other names (--torque) are the columns of the file. Every entry is kept with its time and
 operator; the study can be opened with `taichi-nmm dashboard`. Exit codes: 0, 2 bad input.
@@ -18,9 +19,11 @@ operator; the study can be opened with `taichi-nmm dashboard`. Exit codes: 0, 2 
 
 import csv
 import json
+import socket
 import sys
 from argparse import Namespace
 from collections.abc import Callable
+from contextlib import suppress
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -32,12 +35,14 @@ from storage.commit import commit_text
 from study.bench.bench import Bench
 from study.bench.journal import Trial
 from study.bench.plan import read_columns
+from study.loopback import HOST, wsgi_server
 from study.sampler.diagnostics import RankCorrelation
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import json_document, toml_document
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost
 
+EVERYWHERE = "0.0.0.0"
 PARAMETERS = "a JSON object of parameters by name"
 
 
@@ -222,6 +227,20 @@ def other(bench: Bench, args: Namespace) -> None:
     print(bench.entries[-1])
 
 
+def serve(bench: Bench, args: Namespace) -> None:
+    """Serve the page with forms until Ctrl-C."""
+    from study.bench.form import application
+
+    address = args.listen or HOST
+    app, token = application(bench, address)
+    with wsgi_server(app, address, args.port) as server:
+        host = socket.gethostname() if address == EVERYWHERE else address
+        link = f"/?token={token}" if token else "/"
+        print(f"bench       http://{host}:{server.server_port}{link}  (Ctrl-C ends it)", flush=True)
+        with suppress(KeyboardInterrupt):
+            server.serve_forever()
+
+
 def number(args: Namespace) -> int:
     """The number of a trial or an entry."""
     word = needed(args.what, "what", "the number of a trial")
@@ -252,5 +271,5 @@ ACTIONS: dict[str, Callable[[Bench, Namespace], None]] = {
     "new": other, "next": next_trials, "record": record, "fail": record, "abort": other,
     "correct": record, "undo": other, "add": record, "context": other, "status": status,
     "recommend": recommend, "compare-to-simulator": compare_to_simulator, "export": export,
-    "import": import_trials,
+    "import": import_trials, "serve": serve,
 }  # fmt: skip

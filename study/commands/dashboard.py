@@ -10,8 +10,6 @@ The server answers this machine only (127.0.0.1), until Ctrl-C. Exit codes: 0, 2
 from argparse import Namespace
 from contextlib import suppress
 from pathlib import Path
-from socketserver import ThreadingMixIn
-from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 import optuna
 import optuna_dashboard
@@ -23,24 +21,11 @@ from storage.databases.studies import open_studies, read_studies, shown_url, stu
 from storage.databases.urls import SQLITE, file_url
 from study.experiment.experiment import SUMMARY
 from study.experiment.folder import ARTIFACTS_NAME, DATABASE_NAME
-from study.loopback import HOST, Application, guarded, listening
+from study.loopback import HOST, Application, guarded, wsgi_server
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, is_folder
 
 EXPERIMENTS = Path("out") / "compare"
-
-
-class Server(ThreadingMixIn, WSGIServer):
-    """A thread for each request: a picture must not hold up the page."""
-
-    daemon_threads = True
-
-
-class QuietHandler(WSGIRequestHandler):
-    """Logs no requests."""
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Drop the line."""
 
 
 def find_database(folder: Path | None, storage: str | None) -> str:
@@ -91,9 +76,7 @@ def main(args: Namespace) -> None:
     with read_studies(url) as known:  # a database that is refused is not changed
         numbers = study_ids(known) if known is not None else {}
     application = guarded_dashboard(open_studies(url), artifacts)
-    with listening(args.port):
-        server = make_server(HOST, args.port, application, Server, QuietHandler)
-    with server:
+    with wsgi_server(application, HOST, args.port) as server:
         address = f"http://{HOST}:{server.server_port}/dashboard"
         print(f"studies    {shown_url(url)}")
         print(f"artifacts  {artifacts or 'none'}")

@@ -1,0 +1,170 @@
+"""The bench as a page with forms, for a phone beside the machine.
+
+A page of HTML without a script, made anew for each request. On the loopback it answers this machine
+alone, as the dashboard does; on any other address only a browser that has opened the link with the
+token, which is printed once. Requests take turns.
+"""
+
+import secrets
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+from urllib.parse import quote, unquote
+
+import bottle
+
+from study.bench.bench import Bench
+from study.loopback import HOST, Application, guarded
+from taichi_nmm.errors import InputError
+
+PAGE = bottle.SimpleTemplate(Path(__file__).with_suffix(".html").read_text(encoding="utf-8"))
+PROTECTION = [
+    ("Content-Security-Policy", "default-src 'none'; style-src 'unsafe-inline'; "
+                                "form-action 'self'; frame-ancestors 'none'"),
+    ("X-Content-Type-Options", "nosniff"), ("Referrer-Policy", "same-origin"),
+    ("Cache-Control", "no-store"),
+]  # fmt: skip
+OPERATOR, COOKIE_S = "bench_operator", 30 * 24 * 3600
+SHOWN_ENTRIES, LONGEST_NAME, MOST_DIGITS = 20, 60, 9
+Fields = Mapping[str, str]
+
+
+def application(bench: Bench, address: str = HOST) -> tuple[Application, str]:
+    """A WSGI application with a bench's page, and the token that it asks for ("": none).
+
+    Args:
+        bench: that was begun.
+        address: where it is served.
+    """
+    app, turn, own = bottle.Bottle(), threading.Lock(), bench.operator
+    token = "" if address == HOST else secrets.token_urlsafe(16)
+    cookie = f"bench_{secrets.token_hex(4)}"  # servers on other ports of a machine have others
+    kept = {"path": "/", "httponly": True, "samesite": "lax", "maxage": COOKIE_S}
+
+    def require_token() -> None:
+        request = bottle.request
+        given = request.get_cookie(cookie) or (request.path == "/" and request.query.token) or ""
+        if not secrets.compare_digest(given.encode() if token else b"", token.encode()):
+            bottle.abort(403, "open the link that the command has printed")
+        origin = request.get_header("Origin")
+        if origin not in (None, f"http://{request.get_header('Host')}"):
+            bottle.abort(403, "only the page itself may make entries")
+
+    @contextmanager
+    def operated() -> Iterator[None]:
+        """The bench in the hands of the person who asks."""
+        with turn:
+            bench.operator = unquote(bottle.request.get_cookie(OPERATOR) or "") or own
+            yield
+
+    def show() -> Any:
+        if token and bottle.request.query.token:
+            bottle.response.set_cookie(cookie, token, **kept)
+            return bottle.redirect("/")
+        with operated():
+            return page(bench, bottle.request.query.entry)
+
+    def name_operator() -> Any:
+        name = bottle.request.forms.getunicode("operator", "").strip()[:LONGEST_NAME]
+        bottle.response.set_cookie(OPERATOR, quote(name), **kept)
+        return bottle.redirect("/")
+
+    def enter(action: str) -> Any:
+        if action not in ENTRIES:
+            bottle.abort(404, "no such entry")
+        try:
+            given = dict(bottle.request.forms.decode())
+        except UnicodeError:
+            bottle.abort(400, "this is no text")
+        with operated():
+            try:
+                ENTRIES[action](bench, given)
+            except InputError as error:
+                bottle.response.status = 400
+                return page(bench, error=str(error), given=given)
+            return bottle.redirect(f"/?entry={bench.entries[-1].number}")
+
+    app.add_hook("before_request", require_token)
+    app.get("/", callback=show)
+    app.post("/operator", callback=name_operator)
+    app.post("/<action>", callback=enter)
+
+    def answer(environment: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+        def begin(status: str, headers: list[tuple[str, str]], *error: Any) -> Any:
+            return start(status, [*headers, *PROTECTION], *error)
+
+        return cast(Iterable[bytes], app(environment, begin))
+
+    return (answer if token else guarded(answer, None)), token
+
+
+def page(bench: Bench, entry: str = "", error: str = "", given: Fields | None = None) -> str:
+    """The page after an entry of this number, or with an error and what was typed."""
+    state, told = bench.look(), list[str]()
+    if entry.isdecimal() and int(entry[:MOST_DIGITS]) < len(bench.entries):
+        made = bench.entries[int(entry[:MOST_DIGITS])]
+        value = made.data.get("value")
+        told = [str(made).strip(), "" if value is None else bench.odd(value)]
+    trials = list(state.trials.values())
+    return str(PAGE.render(
+        plan=bench.plan, context=state.context, operator=bench.operator, told=" ".join(told),
+        error=error, given=given or {}, shown=shown, undone=state.undone,
+        pending=[trial for trial in trials if trial.value is None],
+        finished=[trial for trial in reversed(trials) if trial.value is not None],
+        entries=bench.entries[: -SHOWN_ENTRIES - 1 : -1],
+    ))  # fmt: skip
+
+
+def shown(value: Any) -> str:
+    """A number as the page has it."""
+    return f"{value:.8g}" if isinstance(value, float) else str(value)
+
+
+def number(given: Fields, name: str) -> float | None:
+    """A number that was typed; None where nothing was.
+
+    Raises:
+        InputError: something else.
+    """
+    word = given.get(name, "").strip()
+    try:
+        return float(word) if word else None
+    except ValueError:
+        raise InputError(name, word, "a number, such as 0.21") from None
+
+
+def trial_of(given: Fields, name: str = "trial") -> int:
+    """The number of a trial, or of an entry, that a form is about."""
+    word = given.get(name, "")
+    if not word.isdecimal() or len(word) > MOST_DIGITS:
+        raise InputError(name, word, "a number")
+    return int(word)
+
+
+def rest(bench: Bench, given: Fields) -> dict[str, Any]:
+    """Columns and note of a result."""
+    named = {name: number(given, f"column {name}") for name in bench.plan.columns}
+    columns = {name: value for name, value in named.items() if value is not None}
+    return {"columns": columns, "note": given.get("note", "")}
+
+
+def record(bench: Bench, given: Fields) -> None:
+    """The result of a pending trial, or that it failed."""
+    value, seconds = number(given, "value"), number(given, "seconds")
+    if value is not None and seconds is not None:
+        raise InputError("seconds", seconds, "the value, or after how long it failed, not both")
+    bench.record(trial_of(given), value, failed_s=seconds, **rest(bench, given))
+
+
+ENTRIES: dict[str, Callable[[Bench, Fields], Any]] = {
+    "next": lambda bench, given: bench.next(trial_of(given, "batch")),
+    "record": record,
+    "abort": lambda bench, given: bench.abort(trial_of(given), given.get("note", "")),
+    "correct": lambda bench, given: bench.correct(
+        trial_of(given), number(given, "value"), **rest(bench, given)
+    ),
+    "undo": lambda bench, given: bench.undo(trial_of(given, "entry")),
+    "context": lambda bench, given: bench.context(given.get("name", "").strip()),
+}

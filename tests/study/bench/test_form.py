@@ -1,0 +1,104 @@
+"""The page with forms: entries by hand on a phone, one line for what is wrong, the token."""
+
+import threading
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import bottle
+import pytest
+
+from study.bench.bench import Bench
+from study.bench.form import application
+from study.loopback import HOST, wsgi_server
+from taichi_nmm.errors import InputError
+from tests.browser import opened_page, save
+from tests.study.bench import robot
+
+Serve = Callable[[str], tuple[str, str, Bench]]
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Serve]:
+    """Address, token and bench of a page that is served as if on this address."""
+    servers = []
+
+    def start(address: str) -> tuple[str, str, Bench]:
+        bench = Bench.new(robot.write(tmp_path), "me")
+        app, token = application(bench, address)
+        servers.append(wsgi_server(app, HOST, 0))
+        threading.Thread(target=servers[-1].serve_forever).start()
+        return f"http://{HOST}:{servers[-1].server_port}", token, bench
+
+    yield start
+    for server in servers:
+        server.shutdown()
+        server.server_close()
+
+
+def ask(url: str, form: dict[str, Any] | None = None, **headers: str) -> tuple[int, str]:
+    """Status and text of an answer, redirections followed."""
+    data = None if form is None else urllib.parse.urlencode(form).encode()
+    opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
+    try:
+        with opener.open(urllib.request.Request(url, data, headers), timeout=30) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_entries_by_hand_and_one_line_for_what_is_wrong(serve: Serve) -> None:
+    address, token, bench = serve(HOST)
+    assert token == "" and ask(f"{address}/next", {"batch": 2})[0] == 200
+    for form, line in (
+        ({"trial": 0, "value": "0,9"}, "value: '0,9'"), ({"trial": 7, "value": 1}, "trial: 7"),
+        ({"trial": "x"}, "trial: 'x'"), ({"trial": 0}, "value: None"),
+        ({"trial": 0, "value": 1, "seconds": 2}, "seconds: 2.0"),
+        ({"trial": 0, "value": 1, "column torque": "<b>"}, "column torque: '<b>'"),
+    ):  # fmt: skip
+        status, text = ask(f"{address}/record", form)
+        assert status == 400 and f'<p role="alert">{bottle.html_escape(line)}' in text
+    assert len(bench.look().trials) == 2 and bench.entries[-1].kind == "next"
+    assert "far from all" in ask(f"{address}/record", {"trial": 0, "value": -31})[1]
+    ask(f"{address}/correct", {"trial": 0, "value": 0.9, "column torque": 81})
+    ask(f"{address}/record", {"trial": 1, "seconds": 2.1, "note": "<i>"})
+    ask(f"{address}/context", {"name": "gravel"})
+    ask(f"{address}/undo", {"entry": 5})
+    trials, state = bench.look().trials, bench.state
+    assert (trials[0].value, trials[0].columns, state.context) == (0.9, {"torque": 81.0}, "")
+    assert trials[1].failed and "&lt;i&gt;" in ask(address)[1] and "<i>" not in ask(address)[1]
+    assert ask(f"{address}/next", {"batch": 10**8})[0] == 400
+    assert ask(f"{address}/drop", {})[0] == 404 and ask(address, Host="evil.example")[0] == 403
+    assert ask(f"{address}/undo", {"entry": 1}, Origin="http://evil.example")[0] == 403
+
+
+def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
+    address, token, bench = serve("0.0.0.0")
+    for end in ("", "/?token=x", "/?token=", f"/next?token={token}"):
+        url = f"{address}{end}"
+        assert ask(url)[0] == 403 and "walk" not in ask(url)[1]
+    assert ask(f"{address}/next", {"batch": 1})[0] == 403 and len(bench.entries) == 1
+    assert ask(f"{address}/?token={token}")[0] == 200
+    with pytest.raises(InputError, match=r"^listen: '203.0.113.1'.* an address of this machine"):
+        wsgi_server(application(bench, "203.0.113.1")[0], "203.0.113.1", 0)
+
+
+@pytest.mark.slow
+def test_a_phone_beside_the_machine(serve: Serve) -> None:
+    address, token, bench = serve("0.0.0.0")
+    with opened_page(390, 780) as page:
+        page.goto(f"{address}/?token={token}")
+        page.get_by_label("Operator").fill("Zoë")
+        page.get_by_text("This is me").click()
+        page.get_by_role("button", name="Next").click()
+        form = page.get_by_label("Trial 0")
+        form.get_by_label("J/m").fill("0.42")
+        form.get_by_label("torque, N m").fill("81")
+        save(page, "bench-form")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        form.get_by_role("button", name="Record").click()
+        page.get_by_text("Zoë: record 0").first.wait_for()
+        assert bench.look().trials[0].value == 0.42 and bench.entries[-1].operator == "Zoë"
