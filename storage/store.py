@@ -1,6 +1,6 @@
 """A store: names and types of its columns, its manifest, and its shards, one alone or merged."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -247,9 +247,17 @@ class Store:
         Raises:
             InputError: no such column; stores of versions before 0.3.0 have none.
         """
-        name, ran = outcome_name(family, column), evaluated_name(family)
-        rows = self.numpy([name, ran])
-        return np.where(rows[ran][:, None], rows[name], np.float32(np.nan))
+        return self.all_outcomes(column, (family,))[family]
+
+    def all_outcomes(self, column: str, families: Sequence[str]) -> dict[str, NDArray[np.float32]]:
+        """`outcomes` of several families, by name, from one look at the files."""
+        names = {family: (outcome_name(family, column), evaluated_name(family))
+                 for family in families}  # fmt: skip
+        rows = self.numpy(name for both in names.values() for name in both)
+        return {
+            family: np.where(rows[ran][:, None], rows[name], np.float32(np.nan))
+            for family, (name, ran) in names.items()
+        }
 
     @property
     def simulator(self) -> str:

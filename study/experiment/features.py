@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -80,11 +81,11 @@ class Given(dict[str, Floats]):
         InputError: the store has not kept the column in each world.
     """
 
-    def __init__(self, store: Store, family: str) -> None:
-        self._store, self._family = store, family
+    def __init__(self, family: str, read: Callable[[str], Mapping[str, Any]]) -> None:
+        self._family, self._read = family, read
 
     def __missing__(self, column: str) -> Floats:
-        self[column] = self._store.outcomes(self._family, column).astype(np.float64)
+        self[column] = self._read(column)[self._family].astype(np.float64)
         return self[column]
 
 
@@ -130,10 +131,11 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     if not store.families:
         raise InputError("store", str(store.path), "a store with families of worlds")
     known = store.specification.get("families", {})
+    read = cache(lambda column: store.all_outcomes(column, store.families))
     found: dict[str, Floats] = {}
     for family in sorted(store.families, key=lambda name: "after" in known.get(name, {})):
         settings = store.specification["robust"] if family == "robust" else known[family]
-        costs = cost(Given(store, family), float(settings["horizon_s"]))
+        costs = cost(Given(family, read), float(settings["horizon_s"]))
         if "after" in settings:
             missing, before = np.isnan(costs).any(axis=1), found[settings["after"]]
             mean = before[missing].mean(axis=1)
