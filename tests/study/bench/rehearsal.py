@@ -6,6 +6,10 @@ On each robot the bench goes on in a new context; beside it one that is begun an
 carries on as if nothing had changed. Prints the median of the least cost after 1, 3 and 10 trials
 on the new ground, and on how many robots the context is ahead of the others. Needs the store
 out/store-worlds (`taichi-nmm precompute --config store-worlds`).
+
+The bench with contexts is entered from three computers in turn, each of which opens it anew, and
+with mistakes: trials that break off, wrong numbers that are corrected, trials that are undone. In
+the end a quiet bench must have proposed the same for the same results.
 """
 
 import argparse
@@ -17,12 +21,14 @@ import numpy as np
 import optuna
 
 from study.bench.bench import Bench
+from study.bench.journal import Trial
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.trials import costs, finite, simulate_trials
 from study.options import config_path
 from study.report.numbers import wilcoxon
 
 TRIALS, AFTER = 20, (1, 3, 10)
+MISTAKE = 0.15  # chance of each kind, a trial
 WAYS = ("context", "new", "carry on")
 TOML = """
 name = "rehearsal"
@@ -38,31 +44,68 @@ def run(bench: Bench, experiment: Experiment, robot: int, trials: int) -> list[f
     found = []
     for _ in range(trials):
         (trial,) = bench.next()
-        gains = np.array([[trial.params[name] for name in experiment.names]])
-        rows = finite(simulate_trials(experiment, [robot], gains).rows)
-        found.append(float(costs(rows, experiment.cost)[0]))
+        found.append(tried(experiment, robot, trial))
         bench.record(trial.number, found[-1])
     return found
 
 
+def tried(experiment: Experiment, robot: int, trial: Trial) -> float:
+    """The cost that a trial shows."""
+    gains = np.array([[trial.params[name] for name in experiment.names]])
+    rows = finite(simulate_trials(experiment, [robot], gains).rows)
+    return float(costs(rows, experiment.cost)[0])
+
+
+def clumsily(
+    path: Path, experiment: Experiment, robot: int, trials: int, rng: np.random.Generator
+) -> list[float]:
+    """The same from three computers, with mistakes that are put right."""
+    found = []
+    for turn in range(trials):
+        bench = Bench(path, f"computer {turn % 3}")
+        (trial,) = bench.next()
+        if rng.random() < MISTAKE:
+            bench.abort(trial.number, "a cable")
+            (trial,) = bench.next()
+        if rng.random() < MISTAKE:
+            bench.add([(trial.params, 1e3, {}, "another machine's")])
+            bench.undo()
+        found.append(tried(experiment, robot, trial))
+        wrong = rng.random() < MISTAKE
+        bench.record(trial.number, 1e3 * found[-1] if wrong else found[-1])
+        if wrong:
+            bench.correct(trial.number, found[-1])
+    return found
+
+
+def assert_same_as_quiet(clumsy: Path, quiet: Path) -> None:
+    """Give a quiet bench the results of the other one: it must ask for the same trials."""
+    told, bench, context = Bench(clumsy).state.trials.values(), Bench.new(quiet), ""
+    for trial in told:
+        if trial.context != context:
+            bench.context(context := trial.context)
+        (asked,) = bench.next()
+        assert asked.params == trial.params
+        bench.record(asked.number, trial.value)
+
+
 def rehearse(folder: Path, robot: int, before: Experiment, after: Experiment) -> np.ndarray:
     """Least costs after some trials on the new ground, [ways, len(AFTER)]."""
-    store = Path("out/store-worlds").absolute()
-    benches = dict.fromkeys(WAYS[:2])
-    for way in benches:
+    store, rng = Path("out/store-worlds").absolute(), np.random.default_rng(robot)
+    for way in (*WAYS[:2], "quiet"):
         (folder / way).mkdir(parents=True)
         text = TOML.format(store=store, success=before.success)
         (folder / way / "bench.toml").write_text(text)
-    first = Bench.new(folder / "context" / "bench.toml")
-    run(first, before, robot, TRIALS)
+    path = folder / "context" / "bench.toml"
+    first = Bench.new(path)
+    clumsily(path, before, robot, TRIALS, rng)
     shutil.copytree(folder / "context", folder / "carry on")
     first.context("new ground")
-    found = []
-    for way in WAYS:
-        bench = Bench.new(folder / way / "bench.toml")
-        told = np.minimum.accumulate(run(bench, after, robot, AFTER[-1]))
-        found.append([told[at - 1] for at in AFTER])
-    return np.array(found)
+    found = [clumsily(path, after, robot, AFTER[-1], rng)]
+    assert_same_as_quiet(path, folder / "quiet" / "bench.toml")
+    for way in WAYS[1:]:
+        found.append(run(Bench.new(folder / way / "bench.toml"), after, robot, AFTER[-1]))
+    return np.minimum.accumulate(found, axis=1)[:, np.array(AFTER) - 1]
 
 
 def main() -> None:
@@ -74,7 +117,8 @@ def main() -> None:
     args = parser.parse_args()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     before, after = (
-        read_experiment(config_path(name), None, args.seed) for name in (args.before, args.after)
+        read_experiment(config_path(name), None, args.seed).on_one_thread()
+        for name in (args.before, args.after)
     )
     found = []
     with tempfile.TemporaryDirectory() as folder:
