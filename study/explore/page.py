@@ -28,7 +28,7 @@ Page = Callable[[Executor, Executor, Document], None]
 FIRST_GAIT = "reference"
 OF_COMPARISONS = (
     "a store; for a comparison: taichi-nmm report DIR, taichi-nmm dashboard DIR, "
-    "or taichi-nmm walk --trial STUDY/NUMBER --storage DIR"
+    "or taichi-nmm walk --trial STUDY/NUMBER --storage DIR; for a bench: taichi-nmm bench serve"
 )
 
 
@@ -38,11 +38,11 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
     Each tab reads the store anew: it may be growing. `simulator` films rows of a store of its own.
 
     Raises:
-        InputError: a comparison, or no store that can be read.
+        InputError: a comparison, a bench, or no store that can be read.
     """
     if simulator is not None:
         filmable(simulator)
-    if is_folder(path) and any((path / name).exists() for name in (EXPERIMENT_NAME, RESULTS_NAME)):
+    if path.suffix == ".toml" or is_folder(path) and any((path / name).exists() for name in (EXPERIMENT_NAME, RESULTS_NAME)):
         raise InputError("folder", str(path), OF_COMPARISONS)
     _store(path)
 
