@@ -18,7 +18,7 @@ from tests.tools.running import load_command
 
 pytestmark = pytest.mark.slow
 
-INSTEAD = "folder: .*: a store; for a comparison: taichi-nmm report DIR, .*--storage DIR"
+INSTEAD = "folder: .*: a store; for a comparison: taichi-nmm report DIR, .*--storage DIR; for a bench"
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize(("name", "message"), [
     ("nowhere", "store: "), ("empty", "store: "), ("file", "store: "), ("compared", INSTEAD),
-    ("newer", "store: .*of format 99"),
+    ("newer", "store: .*of format 99"), ("walk.toml", INSTEAD),
 ])  # fmt: skip
 def test_bad_input(name: str, message: str, store: Path, tmp_path: Path, tool: Tool) -> None:
     (tmp_path / "empty").mkdir()
