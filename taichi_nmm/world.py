@@ -5,6 +5,7 @@ The nominal world is that of the published walker. `WorldRanges` draws others.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,8 @@ LIMITS: dict[str, Range] = {
     "overall_strength": (0.1, 10.0),
     "catch_ns": (0.0, 50.0),
 }
+SIDES = ("left", "right")  # of a muscle: SOL_left
+HEALTHY = (1.0,) * MUSCLE_COUNT
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,8 @@ class Worlds(Rows):
             the more a contact damps.
         friction: Coulomb's coefficient, [n].
         strength: largest force over the nominal of each muscle of the left leg, then the right,
-            [n, 14]. Nerves feel the force itself: a weaker muscle's reflex gets less.
+            [n, 14]; 0 where it is missing. Nerves feel the force itself: a weaker muscle's reflex
+            gets less.
         nerve_lag_s: time constant of a low pass of the signals, besides their delay, [n].
         sensing_noise: half the width of uniform noise on the signals, each tick anew, [n]: of
             forces over Fmax, lengths over the optimal one, loads over body weight, angles in rad,
@@ -70,7 +74,7 @@ class Worlds(Rows):
     def __post_init__(self) -> None:
         self._check_shapes("world", _size)
         for name, values in vars(self).items():
-            low, high = LIMITS[name]
+            low, high = (0.0, LIMITS[name][1]) if name == "strength" else LIMITS[name]
             outside = values[~((values >= low) & (values <= high))]
             if outside.size:
                 raise InputError(f"worlds.{name}", float(outside[0]), f"{low:g} to {high:g}")
@@ -89,7 +93,9 @@ class WorldRanges:
 
     Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
     a stream of its own, and so is the seed of noise and catches. A muscle is `overall_strength`,
-    which all of a walker's muscles share, times its own `strength`. They pickle and hash.
+    which all of a walker's muscles share, times its own `strength`, times what `muscles` has for it
+    in all worlds, the left leg's first, [14]: a weak soleus, a muscle that is missing (0). They
+    pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -100,42 +106,55 @@ class WorldRanges:
     sensing_noise: Range = NONE
     overall_strength: Range = AS_NOMINAL
     catch_ns: Range = NONE
+    muscles: tuple[float, ...] = HEALTHY
 
     def __post_init__(self) -> None:
-        pairs = {each.name: checks.interval(*LIMITS[each.name]) for each in fields(self)}
-        checks.check_fields(self, "world.", **pairs)
+        pairs = {name: checks.interval(*LIMITS[name]) for name in RANGES}
         low, high = LIMITS["strength"]
+        each_muscle = checks.numbers("world.muscles", self.muscles)
+        checks.check_fields(self, "world.", **pairs)
+        if each_muscle.shape != (MUSCLE_COUNT,):
+            raise InputError("world.muscles", self.muscles, f"{MUSCLE_COUNT} numbers")
         for each, overall in zip(self.strength, self.overall_strength, strict=True):
             if not low <= each * overall <= high:
                 allowed = f"with world.strength {each:g} a product of {low:g} to {high:g}"
                 raise InputError("world.overall_strength", overall, allowed)
+        most = self.strength[1] * self.overall_strength[1]
+        for name, factor in zip(MUSCLE_NAMES, self.muscles, strict=True):
+            if not 0.0 <= factor * most <= high:
+                raise InputError(f"world.muscles.{name}", factor, f"0 to {high / most:g}")
 
     @checks.checked(seeds=checks.each(checks.seed))
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
         """One world a seed."""
         streams = [_streams(seed) for seed in seeds]
         drawn: dict[str, NDArray[np.float64]] = {}
-        for each in fields(self):
-            size, (low, high) = _size(each.name), getattr(self, each.name)
-            shares = np.array([stream[each.name].random(size) for stream in streams])
-            shares = shares.reshape(-1, *size)
-            if each.name in OWN_CONTACT:
-                drawn[each.name] = low * (high / low) ** shares
+        for name in RANGES:
+            size, (low, high) = _size(name), getattr(self, name)
+            shares = np.array([stream[name].random(size) for stream in streams]).reshape(-1, *size)
+            if name in OWN_CONTACT:
+                drawn[name] = low * (high / low) ** shares
             else:
-                drawn[each.name] = low + (high - low) * shares
+                drawn[name] = low + (high - low) * shares
         drawn["strength"] = drawn["strength"] * drawn.pop("overall_strength")[:, None]
+        drawn["strength"] = drawn["strength"] * self.muscles
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
         return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
 
-    def document(self) -> dict[str, list[float]]:
-        """The table [world] of these ranges: only those that are not nominal."""
-        return {
-            each.name: list(getattr(self, each.name))
-            for each in fields(self)
-            if getattr(self, each.name) != getattr(NOMINAL, each.name)
+    def document(self) -> dict[str, Any]:
+        """The table [world] of these ranges: only what is not nominal."""
+        document: dict[str, Any] = {
+            name: list(getattr(self, name))
+            for name in RANGES
+            if getattr(self, name) != getattr(NOMINAL, name)
         }
+        both = zip(MUSCLE_NAMES, self.muscles, strict=True)
+        changed = {name: factor for name, factor in both if factor != 1.0}
+        return document | ({"muscles": changed} if changed else {})
 
 
+MUSCLE_NAMES = tuple(f"{muscle}_{side}" for side in SIDES for muscle in MUSCLES)
+RANGES = tuple(each.name for each in fields(WorldRanges) if each.name != "muscles")
 NOMINAL = WorldRanges()
 STREAMS = tuple(LIMITS)  # in this order; a new one comes last
 OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
@@ -145,23 +164,32 @@ NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     """The table [world]: pairs of numbers, lowest and highest; a missing one is nominal.
 
-    Reads every key.
+    [world.muscles] has factors of the strength of single muscles, by name (`SOL`), or name and side
+    (`SOL_left`). Reads every key.
 
     Raises:
         InputError: an unknown key, a range that is empty or out of bounds, or a contact of our own
             engine for another one.
     """
-    ranges = WorldRanges(
-        **{
-            each.name: table.range(each.name, getattr(NOMINAL, each.name), *LIMITS[each.name])
-            for each in fields(NOMINAL)
-        }
-    )
+    pairs = {name: table.range(name, getattr(NOMINAL, name), *LIMITS[name]) for name in RANGES}
+    ranges = WorldRanges(**pairs, muscles=_read_muscles(table.table("muscles")))
     table.done()
     if engine != OWN_ENGINE:
         for name in set(ranges.document()) & set(OWN_CONTACT):
             raise InputError(table.path(name), getattr(ranges, name), NOT_OURS)
     return ranges
+
+
+def _read_muscles(table: Table) -> tuple[float, ...]:
+    high = LIMITS["strength"][1]
+    both = {muscle: table.number(muscle, 1.0, 0.0, high) for muscle in MUSCLES}
+    factors = tuple(
+        table.number(f"{muscle}_{side}", both[muscle], 0.0, high)
+        for side in SIDES
+        for muscle in MUSCLES
+    )
+    table.done()
+    return factors
 
 
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:

@@ -99,11 +99,45 @@ def test_the_table_reads_back_what_was_written() -> None:
     ("contact_stiffness", [1.0, 1e9], "0.01 to 100"),
     ("contact_stifness", [1.0, 2.0], "only the keys contact_stiffness"),
     ("catch_ns", [-1.0, 2.0], "0 to 50"), ("catch_ns", [0.0, 51.0], "0 to 50"),
+    ("muscles", 0.5, "a table"),
 ])  # fmt: skip
 def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
     with pytest.raises(InputError) as error:
         read_world(Table({key: value}, "world"))
     assert error.value.field == f"world.{key}" and allowed in error.value.allowed
+
+
+def test_single_muscles_are_weak_or_missing() -> None:
+    limp = read_world(Table({"strength": [0.5, 2.0], "muscles": {"SOL": 0.5, "GAS_right": 0}}))
+    drawn, healthy = (each.draw([3, 4]) for each in (limp, WorldRanges(strength=(0.5, 2.0))))
+    factors = np.ones(14)
+    factors[[0, 7, 9]] = 0.5, 0.5, 0.0
+    assert np.array_equal(drawn.strength, healthy.strength * factors)
+    assert limp.document()["muscles"] == {"SOL_left": 0.5, "SOL_right": 0.5, "GAS_right": 0.0}
+    assert read_world(Table(limp.document())) == limp == pickle.loads(pickle.dumps(limp))
+    for key, value, allowed in (
+        ("SOL_left", -0.1, "0 to 10"), ("SOL_up", 0.5, "only the keys SOL, .* SOL_left"),
+        ("HFL_right", 6.0, "0 to 5$"), ("TA", "weak", "a number"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=rf"world\.muscles\.{key}: .*{allowed}"):
+            read_world(Table({"strength": [0.5, 2.0], "muscles": {key: value}}, "world"))
+    with pytest.raises(InputError, match=r"^world\.muscles: .* 14 numbers"):
+        WorldRanges(muscles=(1.0, 0.5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", [CPU, Settings(engine="mujoco", arch="cpu")])
+def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
+    worlds = read_world(Table({"muscles": {"SOL_left": 0, "TA_right": 0.5}})).draw([1])
+    both = [
+        taichi_nmm.simulate(
+            PUBLISHED_GAINS, duration_s=1.0, worlds=w, record=[0], settings=engine
+        )
+        for w in (worlds, None)
+    ]
+    limp, healthy = (result.trajectories[0] for result in both)
+    assert not limp.muscle_force_n[:, 0].any() and healthy.muscle_force_n[:, 0].max() > 100.0
+    assert limp.muscle_force_n[:, 7].max() > 100.0 and np.isfinite(limp.q).all()
 
 
 @pytest.mark.parametrize(("change", "field"), [

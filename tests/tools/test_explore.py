@@ -18,7 +18,9 @@ from tests.tools.running import load_command
 
 pytestmark = pytest.mark.slow
 
-INSTEAD = "folder: .*: a store; for a comparison: taichi-nmm report DIR, .*--storage DIR; for a bench"
+INSTEAD = (
+    "folder: .*: a store; for a comparison: taichi-nmm report DIR, .*--storage DIR; for a bench"
+)
 
 
 @pytest.fixture(scope="module")
