@@ -221,10 +221,7 @@ IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")  # of study and trial, in the or
 
 
 def digest(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file, by its name within the folder, less times, dates and interruptions.
-
-    Every file counts, so what a killed process left behind is a difference.
-    """
+    """SHA-256 of each file, also of what a killed process left, less times and interruptions."""
     return {
         str(file.relative_to(folder)): hashlib.sha256(content(file)).hexdigest()
         for file in sorted(folder.rglob("*"))
@@ -271,10 +268,7 @@ def of_study(study: optuna.Study) -> dict[str, Any]:
 
 
 def kill(theatre: Theatre, commands: list[str], kills: int, seed: int) -> dict[str, list[int]]:
-    """Kill the commands by turns, so often in total.
-
-    Of each command: kills, those at a commit, folders, and folders that are bit-equal.
-    """
+    """Of each command: kills, those at a commit, folders, and folders that are bit-equal."""
     dice = random.Random(seed)
     wholes = {command: theatre.run(command) for command in commands}
     counts = {command: [0, 0, 0, 0] for command in commands}

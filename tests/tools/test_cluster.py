@@ -9,12 +9,11 @@ from subprocess import Popen
 
 import pytest
 
-from tests.tools.running import ROOT, WAIT_S, finish, start
+from tests.tools.running import INTERRUPTED, ROOT, WAIT_S, finish, start
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
 pytestmark = pytest.mark.slow
 
-INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 STORE = """
 samples = {samples}
 shard_rows = 8

@@ -7,7 +7,7 @@ import pytest
 
 from storage import open_store
 from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import Done, finish, start
+from tests.tools.running import INTERRUPTED, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +19,6 @@ searched = ["theta_ref"]
 families.up = {settings = 2, terrain = {kind = "ramp"}}
 """
 SHARDS = 12
-INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 
 
 def run(command: Command, *more: str, **accidents: object) -> Done:

@@ -155,9 +155,7 @@ for names in {"parameters": ["x"]}, {}:
 """
 
 
-def test_the_sampler_alone_needs_neither_simulator_nor_arrow(
-    source: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_the_sampler_alone_is_light(source: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     wheel = built(source / "study" / "hub", tmp_path_factory.mktemp("alone"))
     parts = zipfile.ZipFile(wheel)
     (metadata,) = (name for name in parts.namelist() if name.endswith("METADATA"))

@@ -75,6 +75,10 @@ def kill(study: optuna.Study, number: int) -> None:
         RetryHeartbeatStaleTrialCallback()(study, trial)
 
 
+def only_a(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", 0, 1)
+
+
 def bowl(trial: optuna.Trial) -> float:
     """On a from -1 to 1 and b from 0 to 5."""
     return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)

@@ -18,7 +18,7 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import bowl, rows_of, study_of
+from tests.study.sampler.studies import bowl, only_a, rows_of, study_of
 
 PAGE = Path(__file__).parents[3] / "docs" / "sampler.md"
 EXPLAINED = re.findall(
@@ -39,10 +39,6 @@ def sampler(features: Any = None, **options: Any) -> FeatureKernelSampler:
     return FeatureKernelSampler(new_table() if features is None else features, seed=1, **options)
 
 
-def only_a(trial: optuna.Trial) -> float:
-    return trial.suggest_float("a", 0, 1)
-
-
 def a_within(low: float, high: float) -> Callable[[optuna.Trial], float]:
     return lambda trial: trial.suggest_float("a", low, high) + trial.suggest_float("b", 0, 5)
 
@@ -52,14 +48,6 @@ both = a_within(0, 1)
 
 def arrays(a: Any, **options: Any) -> FeatureTable:
     return FeatureTable.from_arrays({"a": a}, FEATURES, **options)
-
-
-def from_file() -> None:
-    FeatureTable.from_parquet("missing.parquet", parameters=["a"], features=["f"])
-
-
-def from_frame() -> None:
-    FeatureTable.from_dataframe(pd.DataFrame(PARAMETERS), parameters=["a"], features=["c"])
 
 
 def run(sampler: BaseSampler, objective: Any = both, trials: int = 5) -> optuna.Study:
@@ -91,8 +79,10 @@ CASES: dict[str, Callable[[], object]] = {
     "table.…: … allowed: a value; or None as a choice: space=…": lambda: arrays([1, None, 3]),
     "table.…: … allowed: one of (…)":
         lambda: arrays(["x", "y", "z"], space={"a": CategoricalDistribution(["x", "y"])}),
-    "column: … allowed: one of …": from_frame,
-    "…: … allowed: a Parquet file, or a folder of them, that exists": from_file,
+    "column: … allowed: one of …": lambda: FeatureTable.from_dataframe(
+        pd.DataFrame(PARAMETERS), parameters=["a"], features=["c"]),
+    "…: … allowed: a Parquet file, or a folder of them, that exists":
+        lambda: FeatureTable.from_parquet("missing.parquet", parameters=["a"], features=["f"]),
     "… rows that lack more than half of their features are not proposed":
         lambda: new_table([[0.0], [1.0], [np.nan]]),
     "… rows repeat the parameters of another and are not proposed": lambda: arrays([1.0, 1.0, 2.0]),

@@ -17,7 +17,7 @@ from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.history import read_history, row_of
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import kill, resumed, rows_of, study_of
+from tests.study.sampler.studies import kill, only_a, resumed, rows_of, study_of
 
 Floats = NDArray[np.float64]
 A = np.repeat([0.0, 0.5, 1.0], 6)
@@ -39,10 +39,6 @@ def compute(params: Floats) -> Floats:
 
 def both(trial: optuna.Trial) -> float:
     return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 5)
-
-
-def only_a(trial: optuna.Trial) -> float:
-    return trial.suggest_float("a", 0, 1)
 
 
 def run_quietly(study: optuna.Study, trials: int, objective: Any = both) -> None:
