@@ -75,9 +75,7 @@ def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trial
     assert rows.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max() == 1
 
 
-def test_the_ranking_is_by_the_mean_over_the_worlds_and_peers_begin_with_it(
-    experiment: RobotExperiment, trials: Any
-) -> None:
+def test_the_ranking_is_by_the_mean_over_worlds(experiment: RobotExperiment, trials: Any) -> None:
     store = open_store(experiment.store)
     lasted, speed = (store.outcomes("gale", name) for name in ("survived_fraction", "speed_mps"))
     cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
@@ -146,9 +144,7 @@ def test_the_command_writes_a_report(
 
 
 @pytest.mark.parametrize("arm", ["worlds", "ranking"])
-def test_a_live_study_has_the_trials_of_the_comparison(
-    arm: str, config: Path, trials: Any, tmp_path: Path
-) -> None:
+def test_a_live_study_has_these_trials(arm: str, config: Path, trials: Any, tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'live.db'}"
     words = ["--config", str(config), "--storage", url, "--run", "2", "--out", str(tmp_path)]
     for count in ("3", "6"):

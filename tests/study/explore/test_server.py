@@ -51,12 +51,15 @@ def status(address: str, path: str, headers: dict[str, str]) -> int:
     return found
 
 
-def test_it_listens_on_the_loopback_alone(address: str) -> None:
+def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -> None:
     assert urlsplit(address).hostname == "127.0.0.1"
     assert status(address, "/", {}) == 200
     port = urlsplit(address).port
     for name in ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}"):
         assert status(address, "/", {"Host": name}) == 200
+    # Other sites cannot embed the page.
+    for path in ("/autoload.js?bokeh-autoload-element=1", "/metadata", "/robots.txt", "/static"):
+        assert status(address, path, {}) == 404
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""])
@@ -90,13 +93,6 @@ def test_a_socket_without_a_page_s_token_finds_nothing(address: str, errors: Pat
         assert open_socket(address, words) == 404, words[:40]
     time.sleep(0.2)  # a traceback would be printed after the answer
     assert "Traceback" not in errors.read_text()
-
-
-@pytest.mark.parametrize(
-    "path", ["/autoload.js?bokeh-autoload-element=1", "/metadata", "/robots.txt", "/static"]
-)
-def test_other_sites_cannot_embed_the_page(address: str, path: str) -> None:
-    assert status(address, path, {}) == 404
 
 
 def start() -> tuple[Latest, list[Any], list[Any], list[Any], list[Any]]:

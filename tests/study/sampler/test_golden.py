@@ -16,17 +16,13 @@ import optuna
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
+from optuna import distributions
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 
 KERNELS = ("additive", "rbf", "rbf_ard", "euclidean")
-SPACE: dict[str, BaseDistribution] = {
+SPACE: dict[str, distributions.BaseDistribution] = {
     "a": FloatDistribution(-1.0, 1.0), "b": FloatDistribution(1e-3, 1e1, log=True),
     "c": IntDistribution(1, 9), "d": CategoricalDistribution(("x", "y", "z")),
 }  # fmt: skip
@@ -108,15 +104,10 @@ def file_table(n: int = 80) -> FeatureTable:
 
 
 def proposals(
-    sampler: optuna.samplers.BaseSampler,
-    trials: int,
-    cost: Cost = cost_of,
-    *,
-    limit: Cost | None = None,
-    enqueued: tuple[Proposal, ...] = (),
-    pending: int = 0,
+    sampler: optuna.samplers.BaseSampler, trials: int, cost: Cost = cost_of, *,
+    limit: Cost | None = None, enqueued: tuple[Proposal, ...] = (), pending: int = 0,
     maximise: bool = False,
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[dict[str, Any]]:  # fmt: skip
     """What a sampler proposes in a study, and the row that it noted."""
     study = optuna.create_study(sampler=sampler, direction="maximize" if maximise else "minimize")
     for params in enqueued:
