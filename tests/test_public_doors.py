@@ -34,8 +34,6 @@ Call = tuple[Callable[..., Any], dict[str, Any]]
 PACKAGES = (taichi_nmm, storage, study)
 # Made by us, of values that were checked.
 CONTAINERS = {"InputError", "Muscles", "Result", "Store", "Trajectory"}
-
-
 HOOKS = (BaseSampler, Simulator)  # whose members Optuna and stores call
 
 

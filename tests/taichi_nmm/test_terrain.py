@@ -136,11 +136,8 @@ def test_heights_have_bounds_and_fit_the_grid(tmp_path: Path, height_m: float) -
 @pytest.mark.parametrize("end", ["low", "high"])
 def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> None:
     hints = get_type_hints(KINDS[kind], include_extras=True)
-    options = {
-        name: getattr(get_args(hint)[1], end)
-        for name, hint in hints.items()
-        if get_origin(hint) is Annotated
-    }
+    bounded = {name: hint for name, hint in hints.items() if get_origin(hint) is Annotated}
+    options = {name: getattr(get_args(hint)[1], end) for name, hint in bounded.items()}
     steep = {"spacing_m": 0.1, "run_m": 0.1, "riser_m": 0.05, "flat_start_m": 0.0}
     for others in ({}, steep):
         chosen = options | {name: value for name, value in others.items() if name in options}

@@ -15,10 +15,8 @@ from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 @pytest.mark.parametrize(("settings", "processes"), [
     (Settings(arch="cpu"), 7), (Settings(engine="mujoco"), 7), (Settings(), 1),
 ])  # fmt: skip
-def test_a_process_a_core_where_no_gpu_computes(
-    settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """MuJoCo computes on the processor, even beside a GPU."""
+def test_a_core_each(settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no GPU computes: MuJoCo computes on the processor, even beside a GPU."""
     monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
     monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
     assert Walker(settings).processes(7) == processes

@@ -1,7 +1,4 @@
-"""Commands in processes that a shell or a machine is unkind to: one line, or nothing amiss.
-
-Kills are in kills.py, Ctrl-C and missing packages in test_guard.py.
-"""
+"""Commands in processes that a shell or a machine is unkind to: one line, or nothing amiss."""
 
 import json
 import os

@@ -64,9 +64,8 @@ def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trial
     rows = trials.to_pandas()
     for run, own in rows.groupby("run"):
         world = experiment.rule.draw([stream(5, Purpose.WORLD, run)])
-        found, _ = run_points(
-            experiment.simulator, own[list(robot.PARAMETERS)].to_numpy(), world, 1, 9.0
-        )
+        points = own[list(robot.PARAMETERS)].to_numpy()
+        found, _ = run_points(experiment.simulator, points, world, 1, 9.0)
         speed, lasted = found[:, 0]["speed_mps"], found[:, 0]["survived_fraction"]
         cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
         assert own["cost"].tolist() == cost.tolist()
@@ -116,9 +115,8 @@ def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
     assert whole.equals(trials)
     longer = compare_robots(read_robots(config, trials=7, runs=1), tmp_path, IN_PROCESS, SILENT)
     kept = longer.filter(pa.compute.less(longer["trial"], 6))
-    assert len(longer) == len(trials) + 4 and kept.select(["arm", "run"]).equals(
-        trials.select(["arm", "run"])
-    )
+    assert len(longer) == len(trials) + 4
+    assert kept.select(["arm", "run"]).equals(trials.select(["arm", "run"]))
     with pytest.raises(InputError, match=r"^seed: 6 .* 5, as .*robots\.json says; or another"):
         compare_robots(read_robots(config, seed=6), tmp_path, IN_PROCESS, SILENT)
 
@@ -133,9 +131,8 @@ def test_the_command_writes_a_report(
     results = RobotResults.of(read_robots(config), trials)
     lasted = trials.to_pandas().query("arm == 'ranking' and survived >= 1.0")
     assert results.arms["ranking"].walkers == lasted["run"].nunique()
-    assert (
-        f"| ranking | the ranking | {results.arms['ranking'].has_walker[:, 0].sum()} |" in printed
-    )
+    at_once = results.arms["ranking"].has_walker[:, 0].sum()
+    assert f"| ranking | the ranking | {at_once} |" in printed
     with pytest.raises(InputError, match=r"^folder: .* a comparison of the walker; on robots"):
         read_results(tmp_path / "out")
     for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
@@ -180,9 +177,8 @@ def test_arms_that_need_pytorch_are_left_out_where_it_is_missing(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(robots, "find_spec", lambda name: None)
-    (every := config.with_name("every.toml")).write_text(
-        re.sub("arms = .*", "", config.read_text())
-    )
+    every = config.with_name("every.toml")
+    every.write_text(re.sub("arms = .*", "", config.read_text()))
     assert {*robots.ARMS} - {*read_robots(every).arms} == {*robots.NEED_TORCH}
     assert capsys.readouterr().err.startswith("GPSampler is left out: it needs PyTorch")
     with pytest.raises(InputError, match=r"^arm: 'gp' .* PyTorch installed"):

@@ -7,7 +7,9 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
 import optuna
+from numpy.typing import NDArray
 from optuna.exceptions import ExperimentalWarning
 from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import TrialState
@@ -15,6 +17,7 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler
 from tests.tools.running import ROOT
 
+Floats = NDArray[np.float64]
 Objective = Callable[[optuna.Trial], Any]
 
 
