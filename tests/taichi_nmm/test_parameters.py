@@ -38,9 +38,8 @@ def test_gains_become_rows_even_outside_the_bounds() -> None:
     np.testing.assert_array_equal(parameters.gain_rows(PUBLISHED_GAINS), PUBLISHED_GAINS[None])
     single = np.tile(PUBLISHED_GAINS, (5, 1)).astype(np.float32)
     assert parameters.gain_rows(single).dtype == np.float64
-    np.testing.assert_allclose(
-        parameters.gain_rows(10.0 * PUBLISHED_GAINS)[0], 10.0 * PUBLISHED_GAINS
-    )
+    large = 10.0 * PUBLISHED_GAINS
+    np.testing.assert_allclose(parameters.gain_rows(large)[0], large)
 
 
 def spoilt(value: float) -> NDArray[np.float64]:

@@ -99,11 +99,10 @@ def test_ramps_steepen_by_increments_and_stairs_step_at_runs(direction: str, sig
 
 
 HILL_ROWS = [(0.0, 0.0), (10.0, 1.0), (20.0, 0.5)]
+HEADS = ["", "x_m,height_m\n", " x , height \n", "# a hill\n\n  \nx,height\n", "\ufeff"]
 
 
-@pytest.mark.parametrize(
-    "head", ["", "x_m,height_m\n", " x , height \n", "# a hill\n\n  \nx,height\n", "\ufeff"]
-)
+@pytest.mark.parametrize("head", HEADS)
 @pytest.mark.parametrize("between", [",", ", ", " ", "\t", "  "])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "  # a note, or none\n", "\n\n   \n"])
 def test_headers_blanks_notes_of_a_file(tmp_path: Path, head: str, between: str, end: str) -> None:

@@ -11,6 +11,8 @@ from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
 from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 
+DIGESTS = {101: "5e8565d00aa2dc6f", 103: "7dcc02119a2f7fec"}  # by the purpose of the draws
+
 
 @pytest.mark.parametrize(("settings", "processes"), [
     (Settings(arch="cpu"), 7), (Settings(engine="mujoco"), 7), (Settings(), 1),
@@ -46,9 +48,7 @@ def test_contact_of_our_own_engine_is_refused_with_mujoco() -> None:
     assert Walker(Settings()).read_worlds(Table(tables)).ranges.contact_stiffness == (0.5, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("purpose", "digest"), [(101, "5e8565d00aa2dc6f"), (103, "7dcc02119a2f7fec")]
-)
+@pytest.mark.parametrize(("purpose", "digest"), DIGESTS.items())
 def test_worlds_of_a_seed_are_those_of_0_2_0(purpose: int, digest: str) -> None:
     family = {
         "terrain": {"kind": "rough"}, "body": {"disturbance": 0.1},

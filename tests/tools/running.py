@@ -99,9 +99,8 @@ def load_command(command: str) -> ModuleType:
 
 def load_tool(tool: str) -> ModuleType:
     """tools/TOOL.py as a module, not run."""
-    specification = importlib.util.spec_from_file_location(
-        f"tools_{tool}", ROOT / "tools" / f"{tool}.py"
-    )
+    file = ROOT / "tools" / f"{tool}.py"
+    specification = importlib.util.spec_from_file_location(f"tools_{tool}", file)
     assert specification is not None and specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)

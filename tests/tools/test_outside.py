@@ -187,9 +187,7 @@ def test_the_page_keeps_what_people_wrote(tmp_path: Path, monkeypatch: pytest.Mo
     assert run.kept(tmp_path) is None
 
 
-def test_an_arm_without_its_package_is_left_out_with_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_left_out_arms(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     absent = outside.Arm("A Peer", "nothing", ARMS["random"].costs, needs="absent")
     monkeypatch.setitem(ARMS, "gp", absent)
     left_out = "A Peer is left out: it needs absent (pip install absent)\n"

@@ -162,8 +162,5 @@ def test_the_sampler_alone_is_light(source: Path, tmp_path_factory: pytest.TempP
     needed = re.findall(r"^Requires-Dist: (\w+)[^;\n]*$", parts.read(metadata).decode(), re.M)
     assert needed == ["numpy", "scipy", "optuna", "threadpoolctl"]  # and extras
     alone = Installed(tmp_path_factory.mktemp("alone-installed"), wheel)
-    assert alone.run("python", "-c", ALONE).splitlines() == [
-        "0.0",
-        "an installed pyarrow, which reads it",
-        "columns; only taichi-nmm whole reads stores",
-    ]
+    allowed = "an installed pyarrow, which reads it", "columns; only taichi-nmm whole reads stores"
+    assert alone.run("python", "-c", ALONE).splitlines() == ["0.0", *allowed]

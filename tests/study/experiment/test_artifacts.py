@@ -105,9 +105,7 @@ def test_what_is_there_is_kept(tmp_path: Path, url: str, fake: Fake) -> None:
     assert file.exists()
 
 
-def test_a_note_that_a_kill_left_out_is_made_up_for(
-    tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_note(tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -138,9 +136,7 @@ def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, url: str, fa
         make(url, tmp_path)
 
 
-def test_the_real_simulator_repeats_the_trial(
-    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_real_one_repeats_it(tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     walks: list[Any] = []
     monkeypatch.setattr(artifacts, "write_strip", lambda _, *made: walks.append(made))
     study = make(url, tmp_path)

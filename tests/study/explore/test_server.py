@@ -104,9 +104,8 @@ def start() -> tuple[Latest, list[Any], list[Any], list[Any], list[Any]]:
         calls.append((Future[Any](), asked))
         return calls[-1][0]
 
-    at_once = SimpleNamespace(
-        on_session_destroyed=closed.append, add_next_tick_callback=lambda call: call()
-    )
+    at_once = SimpleNamespace(on_session_destroyed=closed.append)
+    at_once.add_next_tick_callback = lambda call: call()
     executor: Any = SimpleNamespace(submit=submit)
     return Latest(at_once, executor, done.append, failed.append), calls, closed, done, failed
 

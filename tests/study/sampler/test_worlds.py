@@ -247,9 +247,8 @@ def test_outcomes_in_other_units_tell_the_same_whatever_their_scale() -> None:
     study = studied(FeatureKernelSampler(table(-COSTS, better="higher"), seed=1), 12)
     again = studied(FeatureKernelSampler(table(COSTS - 50.0, better="lower"), seed=1), 12)
     params = [trial.params for trial in study.trials]
-    np.testing.assert_allclose(
-        [list(each.values()) for each in params], [list(t.params.values()) for t in again.trials]
-    )
+    both = params, [trial.params for trial in again.trials]
+    np.testing.assert_allclose(*([list(each.values()) for each in one] for one in both))
     first = studied(FeatureKernelSampler(table(shares, better="higher"), seed=1), 1).trials[0]
     assert first.user_attrs["row"] == np.argmax(shares.mean(axis=1))
     assert study.best_value < np.sort(cost(ROWS, np.array([0.85, 0.75])))[1]
@@ -279,12 +278,10 @@ def test_the_chance_of_success_is_that_of_the_posterior() -> None:
     rng = np.random.default_rng(0)
     aimed, far = replace(model, success=0.15), replace(model, success=1e-3)
     assert chance.max() > np.log(0.01)
-    np.testing.assert_array_equal(
-        far.utility(points, offered, rng), model.utility(points, offered, rng)
-    )
     np.testing.assert_allclose(aimed.utility(points, offered, rng), chance, rtol=1e-6)
-    reached = replace(model, success=float(model.costs.min())).utility(points, offered, rng)
-    np.testing.assert_array_equal(reached, model.utility(points, offered, rng))
+    plain, reached = model.utility(points, offered, rng), float(model.costs.min())
+    for same in (far, replace(model, success=reached)):
+        np.testing.assert_array_equal(same.utility(points, offered, rng), plain)
 
 
 def test_after_two_successes_the_model_of_successes_says_what_one_costs() -> None:
