@@ -1,7 +1,4 @@
-"""A headless Chromium, for tests of what a person sees.
-
-Screenshots go to the folder that NMM_SCREENSHOTS names, if it is set.
-"""
+"""A headless Chromium, for tests of what a person sees."""
 
 import os
 import shutil
@@ -19,7 +16,7 @@ FLAGS = (
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # as if the network were cut
 )  # fmt: skip
 PATIENCE_MS = 30_000  # a busy machine draws slowly
-SCREENSHOTS = "NMM_SCREENSHOTS"
+SCREENSHOTS = "NMM_SCREENSHOTS"  # names the folder where they are kept, if it is set
 
 
 @contextmanager

@@ -73,17 +73,12 @@ def faulty(node: ast.expr) -> ast.expr | None:
 
 def drawn(count: int, seed: int) -> list[tuple[str, int]]:
     """Files, and numbers of places in them; every place of the product is as likely."""
-    files = [
-        file.relative_to(ROOT).as_posix()
-        for package in PACKAGES
-        for file in sorted((ROOT / package).rglob("*.py"))
-    ]
+    paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    files = [path.relative_to(ROOT).as_posix() for path in paths]
     every = [
-        (file, number)
-        for file in files
-        if not file.startswith(LEFT_OUT)
+        (file, number) for file in files if not file.startswith(LEFT_OUT)
         for number, _ in enumerate(places(ast.parse((ROOT / file).read_text())))
-    ]
+    ]  # fmt: skip
     chosen = np.random.default_rng(seed).permutation(len(every))[:count]
     return [every[index] for index in chosen]
 

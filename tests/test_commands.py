@@ -31,23 +31,19 @@ PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
 __all__ = ["tool"]  # a fixture of the commands' own tests
 # Options that make a command short, at its end, where they replace earlier ones.
 SHORT: dict[str, tuple[object, ...]] = {
-    "precompute": ("--samples", 24, "--workers", 1, "--out", "made"),
-    "study": ("--trials", 2, "--out", "made"),
-    "compare": ("--runs", 1, "--trials", 2, "--workers", 1, "--out", "made"),
-    "walk": ("--duration", 2, "--movie-seconds", 0.3, "--out", "made"),
-    "quickstart": ("--out", "made"),
-}
+    "precompute": ("--samples", 24, "--workers", 1), "study": ("--trials", 2), "quickstart": (),
+    "compare": ("--runs", 1, "--trials", 2, "--workers", 1),
+    "walk": ("--duration", 2, "--movie-seconds", 0.3),
+}  # fmt: skip
 
 # Files that a document has the reader make: taken from the explorer's page, or copied and changed.
 GAINS = dict(zip(GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
 OWN = ROOT / "docs" / "own-simulator.md"
 TAKEN_AWAY = {
-    "my_robot.py": code_blocks(OWN)[0],
-    "pole.toml": code_blocks(OWN, "toml")[0],
-    "gains.json": json.dumps(GAINS),
-    "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
+    "my_robot.py": code_blocks(OWN)[0], "pole.toml": code_blocks(OWN, "toml")[0],
+    "gains.json": json.dumps(GAINS), "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
     "short.toml": (ROOT / "configs" / "store.toml").read_text(),
-}
+}  # fmt: skip
 
 Words = tuple[str, ...]
 
@@ -118,10 +114,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             few = ("--config", name, "--samples", 96, "--workers", 1)
             assert run_tool(patch, "precompute", *few) == 0
         for config, arm, runs, trials in (
-            ("rough8-smooth", "dog", 8, 13),
-            ("mujoco-rough8-soft", "worlds", 1, 1),
+            ("rough8-smooth", "dog", 8, 13), ("mujoco-rough8-soft", "worlds", 1, 1),
             ("stairs-up-high", "worlds-stairs", 32, 10),
-        ):
+        ):  # fmt: skip
             given = ("--config", config, "--arms", arm, "--runs", runs, "--trials", trials)
             assert run_tool(patch, "compare", *given, "--workers", 1) == 0
     return folder
@@ -147,7 +142,7 @@ def test_a_command_that_is_named_is_taken(
     monkeypatch.chdir(tmp_path)
     for name in ("configs", "out", *TAKEN_AWAY):
         (tmp_path / name).symlink_to(made / name)
-    assert run_tool(monkeypatch, *words, *SHORT[words[0]]) == 0
+    assert run_tool(monkeypatch, *words, *SHORT[words[0]], "--out", "made") == 0
     assert (tmp_path / "made").is_dir()
 
 

@@ -115,9 +115,7 @@ def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(printed: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("page", "block"), [(README, 1), (DOCS / "store.md", 0)])
-def test_examples_that_read_a_store_run_on_a_small_one(
-    page: Path, block: int, tmp_path: Path, printed: Printed
-) -> None:
+def test_examples_run_on_a_store(page: Path, block: int, tmp_path: Path, printed: Printed) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
     fake_walker.write_store(tmp_path / "out" / "store-worlds")

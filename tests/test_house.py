@@ -51,14 +51,10 @@ def modules() -> dict[str, Path]:
     return {name_of(file): file for file in sorted(files) if HUB not in file.parents}
 
 
-def of_types_only(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
-
-
 def statements(node: ast.AST) -> Iterator[ast.AST]:
     """All that is run, now or in a call."""
     for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and of_types_only(child):
+        if isinstance(child, ast.If) and ast.unparse(child.test).endswith("TYPE_CHECKING"):
             for other in child.orelse:
                 yield other
                 yield from statements(other)
@@ -96,6 +92,10 @@ def imported_by(module: str) -> frozenset[str]:
     return frozenset(name for name in found if name is not None and name != module)
 
 
+def imports() -> list[tuple[str, str]]:
+    return [(name, other) for name in modules() for other in sorted(imported_by(name))]
+
+
 def within(name: str, part: str) -> bool:
     return name == part or name.startswith(f"{part}.")
 
@@ -106,40 +106,27 @@ def test_the_source_is_found() -> None:
     assert "study.experiment.features" not in imported_by("study")  # for types only
 
 
-def first_circle() -> list[str]:
-    """Modules of which each imports the next, the last being the first again; none: empty."""
+def test_no_imports_run_in_a_circle() -> None:
     try:
         TopologicalSorter({name: imported_by(name) for name in modules()}).prepare()
     except CycleError as error:
-        return list(reversed(error.args[1]))
-    return []
-
-
-def test_no_imports_run_in_a_circle() -> None:
-    circle = first_circle()
-    assert not circle, " -> ".join(circle)
+        pytest.fail(" -> ".join(reversed(error.args[1])))  # each imports the next
 
 
 @pytest.mark.parametrize("part", ALLOWED)
 def test_arrows_run_one_way(part: str) -> None:
     wrong = [
-        f"{name} imports {other}"
-        for name in modules()
-        if within(name, part) and name != DOOR
-        for other in sorted(imported_by(name))
-        if not any(within(other, allowed) for allowed in ALLOWED[part])
-    ]
+        f"{name} imports {other}" for name, other in imports() if within(name, part)
+        if name != DOOR and not any(within(other, allowed) for allowed in ALLOWED[part])
+    ]  # fmt: skip
     assert not wrong, "; ".join(wrong)
 
 
 def test_commands_are_imported_by_nobody() -> None:
     wrong = [
-        f"{name} imports {other}"
-        for name in modules()
-        for other in sorted(imported_by(name))
+        f"{name} imports {other}" for name, other in imports() if not within(name, "tools")
         if any(within(other, part) and not within(name, part) for part in COMMANDS)
-        and not within(name, "tools")
-    ]
+    ]  # fmt: skip
     assert wrong == []  # study.cli imports them by their names
 
 

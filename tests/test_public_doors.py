@@ -27,6 +27,7 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE
 from tests.storage import fake, robot
+from tests.taichi_nmm.test_errors import Unspeakable
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
@@ -34,16 +35,7 @@ Call = tuple[Callable[..., Any], dict[str, Any]]
 PACKAGES = (taichi_nmm, storage, study)
 # Made by us, of values that were checked.
 CONTAINERS = {"InputError", "Muscles", "Result", "Store", "Trajectory"}
-
-
 HOOKS = (BaseSampler, Simulator)  # whose members Optuna and stores call
-
-
-class Hostile:
-    """An object whose repr fails."""
-
-    def __repr__(self) -> str:
-        raise RuntimeError("no")
 
 
 def wrong_values() -> list[Any]:
@@ -51,7 +43,7 @@ def wrong_values() -> list[Any]:
     shapes = [tuple(rng.integers(0, 4, size)) for size in (0, 1, 2, 3, 3)]
     return [
         None, "a", "", "nul\0", "\ud800", "x" * 300, b"a", True, -1, 0, 1.5, 1e300, -0.0, np.nan,
-        np.inf, 10**400, 2 + 1j, [], [[]], {}, {"a": 1}, (), object(), Hostile(), print,
+        np.inf, 10**400, 2 + 1j, [], [[]], {}, {"a": 1}, (), object(), Unspeakable(), print,
         ["a"], [None], [1.5], [10**400], [np.nan], [[1], [2, 3]], {1: 2}, {"a": None},
         iter([]), np.array("a"), np.datetime64("2026-01-01"), *(rng.normal(size=s) for s in shapes),
         rng.integers(-9, 9, (2, 16)), np.zeros(3, dtype=object), np.zeros(2, dtype=RESULT_DTYPE),

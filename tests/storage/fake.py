@@ -1,6 +1,7 @@
 """A simulator that takes no time: every number is a fixed function of the walker's own input."""
 
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -77,14 +78,15 @@ def content(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-def stopping(after: int) -> Callable[..., Result]:
-    """`simulate`, which is interrupted in the call after so many."""
-    calls: list[int] = []
+def stopping(
+    after: int, simulate: Any = simulate, error: type[BaseException] = KeyboardInterrupt
+) -> Callable[..., Result]:
+    """`simulate`, which an error ends in the call after so many, and in later ones."""
+    calls = count(1)
 
-    def stopped(*args: Any, **options: Any) -> Result:
-        calls.append(1)
-        if len(calls) > after:
-            raise KeyboardInterrupt
+    def stopped(*args: Any, **options: Any) -> Any:
+        if next(calls) > after:
+            raise error
         return simulate(*args, **options)
 
     return stopped

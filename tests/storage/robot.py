@@ -10,11 +10,9 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from storage import FunctionSimulator
 
 PARAMETERS = {
-    "thrust_n": FloatDistribution(0.1, 10.0, log=True),
-    "steer": FloatDistribution(-1.0, 1.0),
-    "gear": IntDistribution(1, 5),
-    "mode": CategoricalDistribution(["slow", "fast"]),
-}
+    "thrust_n": FloatDistribution(0.1, 10.0, log=True), "steer": FloatDistribution(-1.0, 1.0),
+    "gear": IntDistribution(1, 5), "mode": CategoricalDistribution(["slow", "fast"]),
+}  # fmt: skip
 WORLDS = {"wind": 0.5, "mass_kg": 1.0}
 COLUMNS = ("survived_fraction", "speed_mps")
 

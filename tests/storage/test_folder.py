@@ -12,14 +12,7 @@ import pytest
 
 from storage import tables
 from storage.store import FOOTER_NEEDS, read_footer
-from storage.tables import (
-    agree,
-    read_columns,
-    read_stamped,
-    table_digest,
-    write_stamped,
-    write_table,
-)
+from storage.tables import read_columns, read_stamped, table_digest, write_stamped, write_table
 from study import FeatureTable
 from study.report.runs import read_trials
 from taichi_nmm.errors import InputError
@@ -30,7 +23,7 @@ FOLDER = {"seed": 1, "arms": {"dog": {}, "cat": {}}}
 
 
 def agreed(path: Path, document: dict[str, Any], *growing: str) -> dict[str, Any]:
-    return agree(path / "experiment.json", document, growing=growing, remedy="another --out")
+    return tables.agree(path / "experiment.json", document, growing=growing, remedy="another --out")
 
 
 def read(path: Path) -> Any:

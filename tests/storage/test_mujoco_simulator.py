@@ -73,9 +73,8 @@ def plain_loop(kp: float, beats: int, world: dict[str, float]) -> dict[str, floa
 def test_each_robot_is_a_loop_over_mj_step() -> None:
     points = sobol_points(1, 0, 8, Rail.parameters)
     world = {"mass": [0.8, 1.3], "friction": [0.3, 1.0]}
-    drawn = Rail.read_worlds(Table({"world": world})).draw(
-        [np.random.SeedSequence(k) for k in (0, 1)]
-    )
+    seeds = list(map(np.random.SeedSequence, (0, 1)))
+    drawn = Rail.read_worlds(Table({"world": world})).draw(seeds)
     rows = run_points(Rail, points, drawn, 2, SECONDS)[0]
     assert 0 < np.sum(rows["survived_fraction"] < 1.0) < 16
     for (kp, beats), found in zip(points.tolist(), rows, strict=True):
@@ -126,9 +125,8 @@ SHARE = {"share": FloatDistribution(0.0, 1.0)}
 
 def test_worlds_do_what_their_names_say() -> None:
     """A cart of 2 kg under 4 N; a block on a slope, whose friction is 0.2."""
-    cart = MujocoSimulator(
-        rail.Model(CART), full, parameters=SHARE, control_step_s=0.01, fallen=never
-    )
+    given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01, "fallen": never}
+    cart = MujocoSimulator(rail.Model(CART), full, **given)
 
     def moved(**world: float) -> float:
         row = runs(cart, np.array([[1.0]]), world, seconds=1.0)[0, 0]
@@ -140,10 +138,8 @@ def test_worlds_do_what_their_names_say() -> None:
     assert moved(delay_s=0.2) == pytest.approx(0.64, rel=5e-3)
     assert abs(moved(mass_spread=0.3, mass=1.0) - 1.0) > 1e-3
     assert 0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5  # at a time between .5 and 1 s or not at all
-    block = MujocoSimulator(
-        rail.Model(BLOCK.replace("{joint}", "s").replace('type="slide"', 'type="slide" name="s"')),
-        still, parameters=SHARE, control_step_s=0.01, fallen=never,
-    )  # fmt: skip
+    text = BLOCK.replace("{joint}", "s").replace('type="slide"', 'type="slide" name="s"')
+    block = MujocoSimulator(rail.Model(text), still, **given)
     slopes = []
     for slope, friction in ((0.1, 1.0), (0.5, 1.0), (0.5, 3.0)):
         row = runs(block, np.array([[0.0]]), {"slope": slope, "friction": friction}, seconds=1.0)

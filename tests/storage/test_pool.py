@@ -194,9 +194,7 @@ def test_idle_processes_end_by_themselves(tmp_path: Path) -> None:
     assert [note.read_text() for note in notes] == ["ended by itself"] * 2
 
 
-def test_processes_import_our_packages_and_no_folder_of_that_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_processes_import_our_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A worker of Dask has such a folder among its paths; an editable install comes after it."""
     (tmp_path / "storage").mkdir()
     paths = [str(tmp_path), *(path for path in sys.path if Path(path).resolve() != ROOT)]

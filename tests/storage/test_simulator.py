@@ -41,21 +41,6 @@ def specification(**changes: Any) -> Specification:
     return read_specification(Table(CONFIGURATION | changes))
 
 
-def stop(number: int, asked: Specification, path: Path) -> None:
-    """A store of which a call of the simulator is interrupted."""
-    before, run = len(toy.runs), toy.Cart.run
-
-    def stopping(self: toy.Cart, *args: Any) -> Any:
-        if len(toy.runs) - before == number:
-            raise KeyboardInterrupt
-        return run(self, *args)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(toy.Cart, "run", stopping)
-        with pytest.raises(KeyboardInterrupt):
-            precompute(asked, path)
-
-
 def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None:
     summary = precompute(specification(), tmp_path / "store")
     store = open_store(tmp_path / "store", verify=True)
@@ -107,7 +92,16 @@ def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     assert speed[generation == 2].max() > speed[generation == 0].max() > 0.0
     objective = np.array(tried["objective"])
     assert objective[np.array(tried["row"]) >= 0].min() > np.median(objective)
-    stop(4, asked, tmp_path / "store")
+    before, run = len(toy.runs), toy.Cart.run
+
+    def stopping(self: toy.Cart, *args: Any) -> Any:
+        if len(toy.runs) - before == 4:
+            raise KeyboardInterrupt
+        return run(self, *args)
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(toy.Cart, "run", stopping)
+        precompute(asked, tmp_path / "store")
     assert len(list((tmp_path / "store").glob("search-gale-*"))) == 2
     precompute(asked, tmp_path / "store")
     assert content(tmp_path / "store") == content(tmp_path / "whole")

@@ -9,7 +9,6 @@ import os
 import signal
 import time
 from collections.abc import Callable, Sequence
-from itertools import count
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -28,6 +27,7 @@ from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result, Trajectory
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
+from tests.storage.fake import stopping
 
 TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who want to kill it
 SIGNAL = os.environ.get("FAKE_SIGNAL", "")  # "5:SIGKILL": sent to this process in its fifth call
@@ -90,15 +90,8 @@ def simulate(
 def stopped_in_call(
     number: int, error: type[BaseException] = KeyboardInterrupt
 ) -> Callable[..., Result]:
-    """`simulate`, but an error ends its call of that number, counted from 1."""
-    made = count(1)
-
-    def stopping(gains: ArrayLike, **options: Any) -> Result:
-        if next(made) == number:
-            raise error
-        return simulate(gains, **options)
-
-    return stopping
+    """`simulate`, but an error ends its call of that number, counted from 1, and later ones."""
+    return stopping(number - 1, simulate, error)
 
 
 def fill(path: Path, data: dict[str, Any]) -> None:

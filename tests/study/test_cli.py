@@ -51,9 +51,7 @@ def test_an_unknown_command_is_one_line_that_lists_them(capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize("name", REMOVED)
-def test_a_removed_command_names_its_replacement(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_removed_commands_name_others(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, check=lambda end: end.code == 2):
         main([name, "--config", "optimum-smooth"])
     instead, options = f"taichi-nmm {REMOVED[name]}", REMOVED[name].split()

@@ -80,9 +80,7 @@ def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], co
 
 
 @cases("unwritten-studies.toml", "command", "message")
-def test_what_no_study_has_written_is_named(
-    url: str, check: Callable[[], None], command: str, message: str
-) -> None:
+def test_unwritten_parts(url: str, check: Callable[[], None], command: str, message: str) -> None:
     before = edit(url, command)
     assert_refused(check, f"study toy/dog/run-000{message}")
     assert edit(url) == before
@@ -130,9 +128,7 @@ OF_SUMMARY = r"^(storage|study toy/summary: note): "
 
 
 @cases("damaged-comparisons.toml", "arm", "command")
-def test_a_comparison_writes_no_table_before_its_database_is_refused(
-    refuses_before_it_works: Refuses, arm: str, command: str
-) -> None:
+def test_no_table_after_a_refusal(refuses_before_it_works: Refuses, arm: str, command: str) -> None:
     message = {"dog": OF_DOG, "random": OF_SUMMARY}[arm]
     refuses_before_it_works(arm, lambda url: edit(url, command), message)
 

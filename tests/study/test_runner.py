@@ -231,9 +231,7 @@ def test_a_repetition_is_not_queued_twice(toy: Experiment, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("look", range(1, 9))
-def test_a_trial_that_ends_between_two_looks_is_counted(
-    toy: Experiment, look: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trial_of_the_others(toy: Experiment, look: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a crew, another process tells its trial right after some look of ours at the study."""
     storage, get_trials, looks = InMemoryStorage(), optuna.Study.get_trials, count(1)
     arm = find_arm("random")
@@ -271,9 +269,7 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None
     ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
     ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
 ])  # fmt: skip
-def test_another_configuration_is_refused_by_name(
-    change: dict[str, Any], message: str, toy: Experiment
-) -> None:
+def test_another_setting_is_named(change: dict[str, Any], message: str, toy: Experiment) -> None:
     storage = InMemoryStorage()
     run(toy, "dog", 2, storage)
     if "ground" in change:
@@ -284,9 +280,7 @@ def test_another_configuration_is_refused_by_name(
     assert len(run(replace(toy, **change), "random", 2, storage)) == 2  # another study
 
 
-def test_another_store_or_definition_of_the_arm_is_refused(
-    toy: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_store(toy: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     storage = InMemoryStorage()
     run(toy, "dog", 2, storage)
     fake_walker.write_store(tmp_path / "other", seed=4)

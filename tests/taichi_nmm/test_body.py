@@ -17,11 +17,9 @@ NAMES = ("mass_kg", "inertia_kgm2", "com_m")
 def test_segments_are_those_of_the_publication_in_order_and_weigh_80_kg() -> None:
     table = {s.name: (s.mass_kg, s.inertia_kgm2, s.length_m, s.com_m) for s in SEGMENTS}
     assert table == {
-        "hat": (53.5, 3.0, 0.80, 0.35),
-        "thigh": (8.5, 0.15, 0.50, 0.20),
-        "shank": (3.5, 0.05, 0.50, 0.20),
-        "foot": (1.25, 0.005, 0.20, 0.02),
-    }
+        "hat": (53.5, 3.0, 0.80, 0.35), "thigh": (8.5, 0.15, 0.50, 0.20),
+        "shank": (3.5, 0.05, 0.50, 0.20), "foot": (1.25, 0.005, 0.20, 0.02),
+    }  # fmt: skip
     assert [name.split("_")[0] for name in SEGMENT_NAMES] == [s.name for s in SEGMENTS]
     assert SEGMENT_NAMES[1:4] == ("thigh_l", "shank_l", "foot_l")
     assert SEGMENT_NAMES[4:] == ("thigh_r", "shank_r", "foot_r")

@@ -34,17 +34,14 @@ def states() -> list[Observation]:
         Observation(
             joint_rad=rng.uniform(-0.1, 0.4, (COUNT, 6)),
             joint_rate_radps=rng.uniform(-1, 1, (COUNT, 6)),
-            trunk_rad=rng.uniform(-0.1, 0.1, COUNT),
-            trunk_rate_radps=rng.uniform(-0.5, 0.5, COUNT),
-            contact=rng.random((COUNT, 2)) < 0.7,
-            load_n=rng.uniform(0, 900, (COUNT, 2)),
+            trunk_rad=rng.uniform(-0.1, 0.1, COUNT), trunk_rate_radps=rng.uniform(-0.5, 0.5, COUNT),
+            contact=rng.random((COUNT, 2)) < 0.7, load_n=rng.uniform(0, 900, (COUNT, 2)),
             leg_length_m=rng.uniform(0.8, 1.0, (COUNT, 2)),
             leg_angle_rad=rng.uniform(1.2, 1.9, (COUNT, 2)),
             com_ahead_m=rng.uniform(-0.3, 0.3, (COUNT, 2)),
             com_speed_mps=rng.uniform(0.5, 1.5, COUNT),
-        )
-        for _ in range(STEPS)
-    ]
+        ) for _ in range(STEPS)
+    ]  # fmt: skip
 
 
 def part(observation: Observation, rows: Any) -> Observation:

@@ -66,9 +66,7 @@ def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
         assert backend.lanes() == (width if wide and width else backend.LANES_CPU)
 
 
-def test_a_lane_a_turn_as_on_a_gpu(
-    whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lane_a_turn_as_on_gpus(whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch) -> None:
     assert backend.lanes_a_turn() == backend.lanes() > 1
     monkeypatch.setattr(backend, "lanes_a_turn", lambda: 1)
     assert rows(np.arange(200)).tobytes() == whole[:200].tobytes()

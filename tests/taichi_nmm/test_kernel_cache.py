@@ -8,14 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from taichi_nmm import kernel_cache
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel_cache import (
-    CACHE_VARIABLE,
-    COMPILER,
-    PREFIX,
-    require_kernel_cache,
-    settled_environment,
-)
+from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER, PREFIX, require_kernel_cache
 
 ROOT = Path(__file__).parents[2]
 WALK = ROOT / "tools" / "walk.py"
@@ -64,7 +59,7 @@ def test_variables_are_as_they_were_afterwards(monkeypatch: pytest.MonkeyPatch) 
     for name, value in ODD.items():
         monkeypatch.setenv(name, value)
     before = dict(os.environ)
-    with settled_environment():
+    with kernel_cache.settled_environment():
         assert not set(ODD) - {"LC_ALL", "LANG"} & set(os.environ)
         os.environ[f"{PREFIX}OF_TAICHI"] = "kept"
     assert os.environ.pop(f"{PREFIX}OF_TAICHI") == "kept"

@@ -10,9 +10,8 @@ from taichi_nmm.observation import WIDTHS, Observation
 
 
 def two_bodies() -> Observation:
-    return Observation(
-        **{name: np.zeros((2, width) if width else 2) for name, width in WIDTHS.items()}
-    )
+    shapes = {name: (2, width) if width else (2,) for name, width in WIDTHS.items()}
+    return Observation(**{name: np.zeros(shape) for name, shape in shapes.items()})
 
 
 def bad_values() -> list[tuple[str, object]]:

@@ -3,6 +3,7 @@
 import importlib.util
 import pickle
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -151,12 +152,11 @@ def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, mis
 
     monkeypatch.setattr(mujoco_engine, "find_spec", find_spec)
     says = r"^simulation\.engine: 'mujoco' .* 4\.0 or newer: pip install 'taichi-nmm\[mujoco\]'$"
-    with pytest.raises(InputError, match=says):
-        require_mujoco()
-    with pytest.raises(InputError, match=says):
-        taichi_nmm.simulate(PUBLISHED_GAINS, settings=Settings(engine="mujoco"))
-    with pytest.raises(InputError, match=says):
-        require_engine(Settings(engine="mujoco"))
+    settings = Settings(engine="mujoco")
+    simulate = partial(taichi_nmm.simulate, PUBLISHED_GAINS, settings=settings)
+    for call in (require_mujoco, simulate, partial(require_engine, settings)):
+        with pytest.raises(InputError, match=says):
+            call()
 
 
 def test_configurations_with_three_contacts() -> None:

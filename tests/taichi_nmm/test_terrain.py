@@ -99,11 +99,10 @@ def test_ramps_steepen_by_increments_and_stairs_step_at_runs(direction: str, sig
 
 
 HILL_ROWS = [(0.0, 0.0), (10.0, 1.0), (20.0, 0.5)]
+HEADS = ["", "x_m,height_m\n", " x , height \n", "# a hill\n\n  \nx,height\n", "\ufeff"]
 
 
-@pytest.mark.parametrize(
-    "head", ["", "x_m,height_m\n", " x , height \n", "# a hill\n\n  \nx,height\n", "\ufeff"]
-)
+@pytest.mark.parametrize("head", HEADS)
 @pytest.mark.parametrize("between", [",", ", ", " ", "\t", "  "])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "  # a note, or none\n", "\n\n   \n"])
 def test_headers_blanks_notes_of_a_file(tmp_path: Path, head: str, between: str, end: str) -> None:
@@ -136,11 +135,8 @@ def test_heights_have_bounds_and_fit_the_grid(tmp_path: Path, height_m: float) -
 @pytest.mark.parametrize("end", ["low", "high"])
 def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> None:
     hints = get_type_hints(KINDS[kind], include_extras=True)
-    options = {
-        name: getattr(get_args(hint)[1], end)
-        for name, hint in hints.items()
-        if get_origin(hint) is Annotated
-    }
+    bounded = {name: hint for name, hint in hints.items() if get_origin(hint) is Annotated}
+    options = {name: getattr(get_args(hint)[1], end) for name, hint in bounded.items()}
     steep = {"spacing_m": 0.1, "run_m": 0.1, "riser_m": 0.05, "flat_start_m": 0.0}
     for others in ({}, steep):
         chosen = options | {name: value for name, value in others.items() if name in options}

@@ -11,14 +11,14 @@ from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
 from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 
+DIGESTS = {101: "5e8565d00aa2dc6f", 103: "7dcc02119a2f7fec"}  # by the purpose of the draws
+
 
 @pytest.mark.parametrize(("settings", "processes"), [
     (Settings(arch="cpu"), 7), (Settings(engine="mujoco"), 7), (Settings(), 1),
 ])  # fmt: skip
-def test_a_process_a_core_where_no_gpu_computes(
-    settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """MuJoCo computes on the processor, even beside a GPU."""
+def test_a_core_each(settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no GPU computes: MuJoCo computes on the processor, even beside a GPU."""
     monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
     monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
     assert Walker(settings).processes(7) == processes
@@ -48,9 +48,7 @@ def test_contact_of_our_own_engine_is_refused_with_mujoco() -> None:
     assert Walker(Settings()).read_worlds(Table(tables)).ranges.contact_stiffness == (0.5, 2.0)
 
 
-@pytest.mark.parametrize(
-    ("purpose", "digest"), [(101, "5e8565d00aa2dc6f"), (103, "7dcc02119a2f7fec")]
-)
+@pytest.mark.parametrize(("purpose", "digest"), DIGESTS.items())
 def test_worlds_of_a_seed_are_those_of_0_2_0(purpose: int, digest: str) -> None:
     family = {
         "terrain": {"kind": "rough"}, "body": {"disturbance": 0.1},

@@ -221,15 +221,10 @@ IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")  # of study and trial, in the or
 
 
 def digest(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file, by its name within the folder, less times, dates and interruptions.
-
-    Every file counts, so what a killed process left behind is a difference.
-    """
-    return {
-        str(file.relative_to(folder)): hashlib.sha256(content(file)).hexdigest()
-        for file in sorted(folder.rglob("*"))
-        if file.is_file() and not file.name.endswith(OF_THE_DATABASE)
-    }
+    """SHA-256 of each file, also of what a killed process left, less times and interruptions."""
+    files = (file for file in sorted(folder.rglob("*")) if file.is_file())
+    kept = [file for file in files if not file.name.endswith(OF_THE_DATABASE)]
+    return {str(f.relative_to(folder)): hashlib.sha256(content(f)).hexdigest() for f in kept}
 
 
 def content(file: Path) -> bytes:
@@ -240,10 +235,8 @@ def content(file: Path) -> bytes:
         return repr(pq.read_table(file).drop_columns(PROPOSAL_TIME).to_pylist()).encode()
     if file.suffix == ".db":
         storage = optuna.storages.RDBStorage(file_url(file))
-        found = {
-            name: of_study(optuna.load_study(study_name=name, storage=storage))
-            for name in optuna.get_all_study_names(storage)
-        }
+        names = optuna.get_all_study_names(storage)
+        found = {n: of_study(optuna.load_study(study_name=n, storage=storage)) for n in names}
         storage.engine.dispose()
         return json.dumps(found, sort_keys=True).encode()
     return file.read_bytes()
@@ -271,10 +264,7 @@ def of_study(study: optuna.Study) -> dict[str, Any]:
 
 
 def kill(theatre: Theatre, commands: list[str], kills: int, seed: int) -> dict[str, list[int]]:
-    """Kill the commands by turns, so often in total.
-
-    Of each command: kills, those at a commit, folders, and folders that are bit-equal.
-    """
+    """Of each command: kills, those at a commit, folders, and folders that are bit-equal."""
     dice = random.Random(seed)
     wholes = {command: theatre.run(command) for command in commands}
     counts = {command: [0, 0, 0, 0] for command in commands}

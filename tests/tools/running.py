@@ -20,14 +20,12 @@ ROOT = Path(__file__).resolve().parents[2]
 PARTS = {"time_walks_worker", "checkout", "outside", "page"}  # of other tools
 TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - PARTS)
 sys.path.append(str(ROOT / "tools"))  # where a tool that is run finds checkout.py
+INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 WAIT_S = 300.0  # of a process, which may compile the simulator first
 
 
 def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
-    """Exit code of a command, or of tools/TOOL.py.
-
-    A command is imported anew, and so finds what is replaced.
-    """
+    """Exit code of a command, imported anew so that it finds what is replaced, or of a tool."""
     forget_commands()
     words = [*map(str, arguments)]
     command = tool.replace("_", "-")
@@ -49,23 +47,18 @@ FAKE = (ROOT / "tests" / "tools" / "fake_command.py",)
 def start(
     *words: object, program: Iterable[object] = FAKE, shell: str = "", **accidents: object
 ) -> subprocess.Popen[str]:
-    """A command in a process of its own; accidents are those of fake_command.py.
+    """A command in a process of its own, by default with the fake simulator.
 
-    Args:
-        words: command and options.
-        program: for Python; by default taichi-nmm with the fake simulator.
-        shell: redirections or a limit, in Bash.
-        accidents: in small letters, such as trial_s=0.1.
+    `shell` has redirections or a limit, in Bash; accidents are those of fake_command.py, in small
+    letters, such as trial_s=0.1.
     """
     line = [sys.executable, *map(str, (*program, *words))]
     return subprocess.Popen(
         ["bash", "-c", shell, "bash", *line] if shell else line,
         env=os.environ | {f"FAKE_{key.upper()}": str(value) for key, value in accidents.items()},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         start_new_session=True,  # a terminal's Ctrl-C reaches all of it
-    )
+    )  # fmt: skip
 
 
 class Done(NamedTuple):
@@ -106,9 +99,8 @@ def load_command(command: str) -> ModuleType:
 
 def load_tool(tool: str) -> ModuleType:
     """tools/TOOL.py as a module, not run."""
-    specification = importlib.util.spec_from_file_location(
-        f"tools_{tool}", ROOT / "tools" / f"{tool}.py"
-    )
+    file = ROOT / "tools" / f"{tool}.py"
+    specification = importlib.util.spec_from_file_location(f"tools_{tool}", file)
     assert specification is not None and specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)

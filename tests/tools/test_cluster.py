@@ -9,12 +9,11 @@ from subprocess import Popen
 
 import pytest
 
-from tests.tools.running import ROOT, WAIT_S, finish, start
+from tests.tools.running import INTERRUPTED, ROOT, WAIT_S, finish, start
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
 pytestmark = pytest.mark.slow
 
-INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 STORE = """
 samples = {samples}
 shard_rows = 8
@@ -51,11 +50,9 @@ def run(folder: Path, *words: object, code: int = 0) -> str:
 
 
 def tables(folder: Path) -> dict[str, bytes]:
-    return {
-        str(file.relative_to(folder)): file.read_bytes()
-        for file in sorted(folder.rglob("*.parquet"))
-        if file.name != "proposal_times.parquet" and file.parent.name != "arms"
-    }
+    files = [file for file in sorted(folder.rglob("*.parquet")) if file.parent.name != "arms"]
+    kept = [file for file in files if file.name != "proposal_times.parquet"]
+    return {str(file.relative_to(folder)): file.read_bytes() for file in kept}
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from study.experiment import compare
 from study.experiment.experiment import store_digest
 from tests.study import fake_walker
 from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import finish, start
+from tests.tools.running import INTERRUPTED, finish, start
 
 
 class Comparison(Command):
@@ -101,9 +101,7 @@ def test_a_password_is_not_printed(command: Comparison, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("kind", ["foreign", "configuration", "locked", "place"])
-def test_a_database_that_is_refused_leaves_no_folder(
-    kind: str, command: Comparison, database: sqlite3.Connection
-) -> None:
+def test_a_refused_database(kind: str, command: Comparison, database: sqlite3.Connection) -> None:
     place = command.folder / "toy.toml" if kind == "place" else command.folder
     one = {"arms": "random", "trials": 1, "storage": f"sqlite:///{place / 'studies.db'}"}
     if kind in ("configuration", "locked"):
@@ -120,9 +118,8 @@ def test_a_database_that_is_refused_leaves_no_folder(
 
 
 # Whom which signal ends, and the exit code and the line that the command ends with.
-RESUMES = "interrupted: finished work is kept; the same command resumes"
 ENDS: dict[str, tuple[signal.Signals, int, str]] = {
-    "all": (signal.SIGINT, 130, RESUMES),  # as a terminal does
+    "all": (signal.SIGINT, 130, INTERRUPTED),  # as a terminal does
     "a worker": (signal.SIGKILL, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
     "it": (signal.SIGKILL, -signal.SIGKILL, ""),
 }

@@ -1,7 +1,4 @@
-"""Commands in processes that a shell or a machine is unkind to: one line, or nothing amiss.
-
-Kills are in kills.py, Ctrl-C and missing packages in test_guard.py.
-"""
+"""Commands in processes that a shell or a machine is unkind to: one line, or nothing amiss."""
 
 import json
 import os
@@ -176,9 +173,7 @@ def test_a_umask_is_obeyed_and_few_open_files_are_enough(folder: Path, undisturb
     assert made and not any(path.stat().st_mode & 0o077 for path in made)
 
 
-def test_a_folder_that_is_being_filled_is_refused_and_its_copy_goes_on_as_the_first(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_being_filled_and_its_copy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with stopped(COMPARE):
         shutil.copytree(folder, folder / "copy")
         second = run(COMPARE)

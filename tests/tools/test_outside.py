@@ -14,17 +14,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from taichi_nmm.errors import InputError
 from tests.tools.running import load_tool, run_tool
 from tools import outside
-from tools.outside import (
-    ARMS,
-    GROUPS,
-    PROBLEMS,
-    Arm,
-    Batches,
-    Feature,
-    Run,
-    outside_problem,
-    rows_by_ranking,
-)
+from tools.outside import ARMS, PROBLEMS, Batches, Feature, Run, outside_problem, rows_by_ranking
 
 # Digests of names, parameters, features and cost. After a change, figures must be made again.
 DIGESTS = {
@@ -40,7 +30,8 @@ DIGESTS = {
 def test_a_file_has_the_pool_that_figures_were_made_with(name: str) -> None:
     problem = outside_problem(name)
     assert problem.name == name
-    (purpose,) = (word for word in ("tuning", "reported", "measured") if name in GROUPS[word])
+    purposes = ("tuning", "reported", "measured")
+    (purpose,) = (each for each in purposes if name in outside.GROUPS[each])
     assert problem.purpose == purpose
     assert 1000 <= len(problem) <= 4000 and 4 <= len(problem.space) <= 8
     assert problem.features.shape == (len(problem), len(problem.feature_meanings))
@@ -149,9 +140,7 @@ RUN_ARMS = [arm for arm in ARMS if not ARMS[arm].needs and ARMS[arm].knows(PROBL
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_keeps_what_people_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache, page = tmp_path / "cache", tmp_path / "docs" / "sampler-outside.md"
 
     def compare() -> dict[Path, int]:
@@ -198,10 +187,9 @@ def test_the_command_writes_a_page_and_keeps_runs_and_what_people_wrote(
     assert run.kept(tmp_path) is None
 
 
-def test_an_arm_without_its_package_is_left_out_with_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(ARMS, "gp", Arm("A Peer", "nothing", ARMS["random"].costs, needs="absent"))
+def test_left_out_arms(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    absent = outside.Arm("A Peer", "nothing", ARMS["random"].costs, needs="absent")
+    monkeypatch.setitem(ARMS, "gp", absent)
     left_out = "A Peer is left out: it needs absent (pip install absent)\n"
     for arms, said in ((["random", "gp"], left_out), (["random"], "")):
         assert (TOOL.runnable(arms), capsys.readouterr().err) == (["random"], said)

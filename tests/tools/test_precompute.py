@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from storage import open_store
+from tests.storage.fake import content
 from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import Done, finish, start
+from tests.tools.running import INTERRUPTED, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +20,6 @@ searched = ["theta_ref"]
 families.up = {settings = 2, terrain = {kind = "ramp"}}
 """
 SHARDS = 12
-INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 
 
 def run(command: Command, *more: str, **accidents: object) -> Done:
@@ -29,10 +29,6 @@ def run(command: Command, *more: str, **accidents: object) -> Done:
 
 def shards(out: Path) -> int:
     return len(list(out.glob("part-*.parquet")))
-
-
-def content(out: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in out.iterdir()}
 
 
 @pytest.fixture
@@ -60,9 +56,8 @@ def test_json_is_one_object(command: Command) -> None:
 
 
 def test_text_says_what_was_done_where(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
-    (command.folder / "store.toml").write_text(
-        CONFIG + "[robust]\nsettings = 2\n[robust.body]\ndisturbance = 0.1\n"
-    )
+    robust = "[robust]\nsettings = 2\nbody.disturbance = 0.1\n"
+    (command.folder / "store.toml").write_text(CONFIG + robust)
     monkeypatch.chdir(command.folder)
     assert command.run(out="") == 0
     assert "96 in 12 shards (96 computed now)" in command.tool.out

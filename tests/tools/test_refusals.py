@@ -1,8 +1,4 @@
-"""Input that cannot be used: one line that names it, exit code 2, and nothing written.
-
-tests/assets/refusals.toml has commands, their words and the beginning of the line. They are run in
-a folder with the files below.
-"""
+"""Input that cannot be used: one line that names it, exit code 2, and nothing written."""
 
 import json
 import re
@@ -38,6 +34,7 @@ BASE = {
     "compare_outside": "--out new --cache new",
 }  # fmt: skip
 
+# Commands, their words and the beginning of the line; they are run in a folder with the files.
 REFUSED: dict[str, dict[str, str]] = asset("refusals.toml")
 REFUSED["compare"][f"--runs {'9' * 5000}"] = "runs: '999"
 
@@ -65,14 +62,10 @@ def words_of(name: str, words: str) -> list[str]:
     return [name.partition(" of ")[0], *shlex.split(BASE.get(name, "")), *shlex.split(words)]
 
 
-@pytest.mark.parametrize(
-    ("name", "words", "line"),
-    [
-        pytest.param(name, words, line, id=f"{name} {words[:40]}")
-        for name, lines in REFUSED.items()
-        for words, line in lines.items()
-    ],
-)
+@pytest.mark.parametrize(("name", "words", "line"), [
+    pytest.param(name, words, line, id=f"{name} {words[:40]}")
+    for name, lines in REFUSED.items() for words, line in lines.items()
+])  # fmt: skip
 def test_refused_in_one_line(name: str, words: str, line: str, untouched: Path, tool: Tool) -> None:
     anywhere = ".*" if line.startswith("... ") else ""
     tool.refuses(anywhere + re.escape(line.removeprefix("... ")), *words_of(name, words))

@@ -125,22 +125,16 @@ def test_what_is_not_said_is_the_configs(command: Study, monkeypatch: pytest.Mon
     config = fake_walker.write_config(command.folder / "out")
     monkeypatch.chdir(command.folder)
     words = ("--config", config, "--arm", "dog", "--storage", command.url)
-    found = [
-        command.tool.json("study", *words, *more)
-        for more in ((), ("--run", 2), ("--run", 2, "--seed", 7, "--storage", "sqlite:///7.db"))
-    ]
-    assert [each["study"] for each in found] == [
-        "toy/dog/run-000", "toy/dog/run-002", "toy/dog/run-002",
-    ]  # fmt: skip
+    other = ("--run", 2, "--seed", 7, "--storage", "sqlite:///7.db")
+    found = [command.tool.json("study", *words, *more) for more in ((), ("--run", 2), other)]
+    assert [each["study"] for each in found] == [f"toy/dog/run-00{run}" for run in (0, 2, 2)]
     assert {each["trials"] for each in found} == {8}
     assert len({each["row"] for each in found}) > 1
     assert (Path("out") / "toy" / "dog-run-000-best.json").is_file()
     assert (Path("out") / "toy" / "dog-run-002-best.json").is_file()
 
 
-def test_a_database_locked_half_way_is_one_line_and_resumes(
-    command: Study, database: sqlite3.Connection, simulator: Simulator
-) -> None:
+def test_locked_midway(command: Study, database: sqlite3.Connection, simulator: Simulator) -> None:
     calls = count()
 
     def simulate_and_lock(*args: Any, **options: Any) -> Result:

@@ -119,9 +119,8 @@ def test_start_and_run_are_timed_apart() -> None:
 
 
 def test_checkouts_are_compared_by_median_turns() -> None:
-    line = load_tool("time_walks").turns_line(
-        "steady", [100.0, 300.0, 120.0], [200.0, 400.0, 240.0]
-    )
+    ours, theirs = [100.0, 300.0, 120.0], [200.0, 400.0, 240.0]
+    line = load_tool("time_walks").turns_line("steady", ours, theirs)
     assert line.split() == ["steady", "120.0", "240.0", "0.500"]
 
 

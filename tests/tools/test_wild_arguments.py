@@ -1,7 +1,4 @@
-"""What nobody means to type, in every option of every command: one line, exit code 2, no file.
-
-A command that took such a word would go on to its work, which is not there in these tests.
-"""
+"""What nobody means to type, in every option of every command: one line, exit code 2, no file."""
 
 from argparse import Action
 from collections.abc import Iterator

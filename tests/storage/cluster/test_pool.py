@@ -82,9 +82,7 @@ def test_calls_are_made_on_workers_and_what_fails_is_one_line(lent: Open, tmp_pa
         assert results(pool, units.die_once, [mark]) == {mark: "lives"}
 
 
-def test_a_killed_worker_loses_nothing_and_its_children_end(
-    lent: Open, shared_cluster: Cluster
-) -> None:
+def test_nothing_is_lost_with_a_killed_worker(lent: Open, shared_cluster: Cluster) -> None:
     with lent() as pool:
         found, killed = {}, []
         for number, (square, _) in pool.results(units.slow_square, deque(range(30))):
@@ -96,9 +94,7 @@ def test_a_killed_worker_loses_nothing_and_its_children_end(
         until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in killed))
 
 
-def test_workers_come_and_go(
-    cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_they_come_and_go(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """One that joins late gets work; after the last one has gone there is one line."""
     monkeypatch.setattr("storage.dask_session.WORKERLESS_S", 1.0)
     monkeypatch.setattr("storage.dask_session.WATCH_S", 0.2)
@@ -205,9 +201,7 @@ with connection.cluster_pool(asked, Path(sys.argv[2], "out"), Walker(Settings(ar
 """
 
 
-def test_a_killed_clients_calls_are_dropped(
-    shared_cluster: Cluster, lent: Open, tmp_path: Path
-) -> None:
+def test_calls_of_the_dead_are_dropped(shared_cluster: Cluster, lent: Open, tmp_path: Path) -> None:
     words = [sys.executable, "-c", CLIENT, shared_cluster.address, str(tmp_path)]
     client = subprocess.Popen(words, cwd=REPOSITORY)
     until(lambda: len(list(tmp_path.glob("*.begun"))) == 2)

@@ -23,11 +23,9 @@ from storage.databases.studies import open_studies
 from taichi_nmm.errors import InputError
 
 DISTRIBUTIONS = {
-    "gain": FloatDistribution(0.1, 8.0),
-    "scale": FloatDistribution(1e-4, 1.0, log=True),
-    "count": IntDistribution(1, 9, step=2),
-    "kind": CategoricalDistribution(("a", None, 3.5)),
-}
+    "gain": FloatDistribution(0.1, 8.0), "scale": FloatDistribution(1e-4, 1.0, log=True),
+    "count": IntDistribution(1, 9, step=2), "kind": CategoricalDistribution(("a", None, 3.5)),
+}  # fmt: skip
 STARTED = datetime(2026, 7, 1, 12, 30, 15, 250_000)
 
 

@@ -15,11 +15,9 @@ from taichi_nmm.errors import InputError
 from tests.storage.databases.conftest import Server
 from tests.storage.databases.test_bulk import STUDY
 from tests.study import fake_walker
-from tests.tools.running import run_tool
+from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 def test_what_the_server_refuses_is_told_in_one_line(url: str) -> None:

@@ -67,9 +67,7 @@ def best_note(study: optuna.Study) -> str:
     return str(get_note(optuna.trial.Trial(study, study.best_trial._trial_id)))
 
 
-def test_the_best_trial_is_simulated_from_its_start_registered_and_noted(
-    tmp_path: Path, url: str, fake: Fake
-) -> None:
+def test_the_best_trial_is_simulated_and_registered(tmp_path: Path, url: str, fake: Fake) -> None:
     study = make(url, tmp_path)
     (asked,) = fake.asked
     gains = [study.best_params[name] for name in TINY.names]
@@ -107,9 +105,7 @@ def test_what_is_there_is_kept(tmp_path: Path, url: str, fake: Fake) -> None:
     assert file.exists()
 
 
-def test_a_note_that_a_kill_left_out_is_made_up_for(
-    tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_note(tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -134,17 +130,13 @@ def test_whoever_diverged_at_once_has_no_picture(tmp_path: Path, url: str, fake:
     assert not list((tmp_path / "artifacts").iterdir())
 
 
-def test_a_place_in_which_nothing_can_be_written_is_one_line(
-    tmp_path: Path, url: str, fake: Fake
-) -> None:
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, url: str, fake: Fake) -> None:
     (tmp_path / "artifacts").touch()
     with refused("out: .* a place that can be written"):
         make(url, tmp_path)
 
 
-def test_the_real_simulator_repeats_the_trial(
-    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_real_one_repeats_it(tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
     walks: list[Any] = []
     monkeypatch.setattr(artifacts, "write_strip", lambda _, *made: walks.append(made))
     study = make(url, tmp_path)

@@ -54,9 +54,8 @@ def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
 
 # Walks that several arms try on one robot.
 
-SHARING = tuple(
-    (arm, run) for run in range(2) for arm in ("worlds", "bo-ranking", "ranking", "random")
-)
+ALIKE = ("worlds", "bo-ranking", "ranking", "random")
+SHARING = tuple((arm, run) for run in range(2) for arm in ALIKE)
 
 
 def different(table: pa.Table) -> int:

@@ -3,8 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
 from study.experiment.arms import ARMS, check_arms, find_arm, with_store
 from study.experiment.experiment import Experiment, candidates, check_store, store_path
 from tests.study import fake_walker
@@ -18,9 +16,6 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
     assert check_arms(replace(toy, stores={}), ("random", "cmaes-cold"), 100_000)
     found = check_arms(toy, ("dog", "random", "dog"), ROWS)
     assert found == (find_arm("dog"), find_arm("random"))
-
-
-def test_no_arms_are_refused(toy: Experiment) -> None:
     with refused("arms: 'none' .* one arm or more"):
         check_arms(toy, (), 8)
 
@@ -70,15 +65,10 @@ def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: P
     experiment = with_store(toy, ("random", "dog", "cmaes-warm"), tmp_path)
     assert experiment.stores == {**toy.stores, "flat": tmp_path} != toy.stores
     assert replace(experiment, stores=toy.stores) == toy
-
-
-@pytest.mark.parametrize(("names", "message"), [
-    (("random", "tpe"), "store: '.*' .* arms that read one store; random, tpe: none"),
-    (("dog", "worlds"), "store: '.*' .* arms that read one store; dog, worlds: flat and worlds"),
-    (("dog", "cat"), "arm: 'cat' "),
-])  # fmt: skip
-def test_a_store_for_arms_that_read_none_or_several(
-    names: tuple[str, ...], message: str, toy: Experiment, tmp_path: Path
-) -> None:
-    with refused(message):
-        with_store(toy, names, tmp_path)
+    one = "store: '.*' .* arms that read one store; "
+    for names, message in (
+        (("random", "tpe"), f"{one}random, tpe: none"), (("dog", "cat"), "arm: 'cat' "),
+        (("dog", "worlds"), f"{one}dog, worlds: flat and worlds"),
+    ):  # fmt: skip
+        with refused(message):
+            with_store(toy, names, tmp_path)

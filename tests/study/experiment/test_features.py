@@ -38,11 +38,9 @@ def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
     ("smooth", 1 / 101 + 0.3 / 121 + 0.001, 1 / 11 + 0.3 / 13 + 0.001), ("walking", 15.0, 288.0),
 ])  # fmt: skip
 def test_costs_in_worlds_are_those_of_a_trial(cost, walker, faller):
-    given = {
-        "survived_fraction": np.array([[1.0, 0.5, np.nan]]),
-        "mean_speed_mps": np.array([[1.2, 1.2, np.nan]]),
-        "cost_of_transport_jpkgpm": np.array([[5.0, 9.0, np.nan]]),
-    }
+    names = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
+    values = np.array([[1.0, 0.5, np.nan], [1.2, 1.2, np.nan], [5.0, 9.0, np.nan]])
+    given = dict(zip(names, values[:, None], strict=True))
     found = features.COSTS[cost](given, 20.0)  # who lasts 20 s is taken to last 100 s
     assert_allclose(found, [[walker, faller, np.nan]])
 

@@ -104,10 +104,9 @@ def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
     assert "until_walker" not in ours  # it is off: folders of before there was one go on
 
 
-@pytest.mark.parametrize(
-    "own",
-    [MujocoSettings(0.01), MujocoSettings(damping_ratio=0.5), MujocoSettings(limits="mujoco")],
-)
+@pytest.mark.parametrize("own", [
+    MujocoSettings(0.01), MujocoSettings(damping_ratio=0.5), MujocoSettings(limits="mujoco"),
+])  # fmt: skip
 def test_an_experiment_on_mujoco_says_so_and_with_which_version(own: MujocoSettings) -> None:
     assert "mujoco" not in json.dumps(document(TINY, ()))
     usual = changed(Settings, "engine", "mujoco")

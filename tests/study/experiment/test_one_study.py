@@ -16,9 +16,8 @@ def test_seeds_differ_by_experiment_arm_and_run(toy: Experiment) -> None:
     assert len({sampler_seed(*key) for key in keys}) == len(keys)
     assert sampler_seed(1, "dog", 0) == 17269321431632601577
     for arm in ("dog", "random", "cmaes-cold", "tpe"):
-        studies = [
-            OneStudy(replace(toy, seed=n), find_arm(arm), run) for n in (1, 2) for run in (0, 1)
-        ]
+        toys = [replace(toy, seed=seed) for seed in (1, 2)]
+        studies = [OneStudy(own, find_arm(arm), run) for own in toys for run in (0, 1)]
         assert len({tuple(study.ask()) for study in studies}) == 4
 
 

@@ -64,9 +64,8 @@ def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trial
     rows = trials.to_pandas()
     for run, own in rows.groupby("run"):
         world = experiment.rule.draw([stream(5, Purpose.WORLD, run)])
-        found, _ = run_points(
-            experiment.simulator, own[list(robot.PARAMETERS)].to_numpy(), world, 1, 9.0
-        )
+        points = own[list(robot.PARAMETERS)].to_numpy()
+        found, _ = run_points(experiment.simulator, points, world, 1, 9.0)
         speed, lasted = found[:, 0]["speed_mps"], found[:, 0]["survived_fraction"]
         cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
         assert own["cost"].tolist() == cost.tolist()
@@ -75,9 +74,7 @@ def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trial
     assert rows.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max() == 1
 
 
-def test_the_ranking_is_by_the_mean_over_the_worlds_and_peers_begin_with_it(
-    experiment: RobotExperiment, trials: Any
-) -> None:
+def test_the_ranking_is_by_the_mean_over_worlds(experiment: RobotExperiment, trials: Any) -> None:
     store = open_store(experiment.store)
     lasted, speed = (store.outcomes("gale", name) for name in ("survived_fraction", "speed_mps"))
     cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
@@ -118,9 +115,8 @@ def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
     assert whole.equals(trials)
     longer = compare_robots(read_robots(config, trials=7, runs=1), tmp_path, IN_PROCESS, SILENT)
     kept = longer.filter(pa.compute.less(longer["trial"], 6))
-    assert len(longer) == len(trials) + 4 and kept.select(["arm", "run"]).equals(
-        trials.select(["arm", "run"])
-    )
+    assert len(longer) == len(trials) + 4
+    assert kept.select(["arm", "run"]).equals(trials.select(["arm", "run"]))
     with pytest.raises(InputError, match=r"^seed: 6 .* 5, as .*robots\.json says; or another"):
         compare_robots(read_robots(config, seed=6), tmp_path, IN_PROCESS, SILENT)
 
@@ -135,9 +131,8 @@ def test_the_command_writes_a_report(
     results = RobotResults.of(read_robots(config), trials)
     lasted = trials.to_pandas().query("arm == 'ranking' and survived >= 1.0")
     assert results.arms["ranking"].walkers == lasted["run"].nunique()
-    assert (
-        f"| ranking | the ranking | {results.arms['ranking'].has_walker[:, 0].sum()} |" in printed
-    )
+    at_once = results.arms["ranking"].has_walker[:, 0].sum()
+    assert f"| ranking | the ranking | {at_once} |" in printed
     with pytest.raises(InputError, match=r"^folder: .* a comparison of the walker; on robots"):
         read_results(tmp_path / "out")
     for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
@@ -146,9 +141,7 @@ def test_the_command_writes_a_report(
 
 
 @pytest.mark.parametrize("arm", ["worlds", "ranking"])
-def test_a_live_study_has_the_trials_of_the_comparison(
-    arm: str, config: Path, trials: Any, tmp_path: Path
-) -> None:
+def test_a_live_study_has_these_trials(arm: str, config: Path, trials: Any, tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'live.db'}"
     words = ["--config", str(config), "--storage", url, "--run", "2", "--out", str(tmp_path)]
     for count in ("3", "6"):
@@ -184,9 +177,8 @@ def test_arms_that_need_pytorch_are_left_out_where_it_is_missing(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(robots, "find_spec", lambda name: None)
-    (every := config.with_name("every.toml")).write_text(
-        re.sub("arms = .*", "", config.read_text())
-    )
+    every = config.with_name("every.toml")
+    every.write_text(re.sub("arms = .*", "", config.read_text()))
     assert {*robots.ARMS} - {*read_robots(every).arms} == {*robots.NEED_TORCH}
     assert capsys.readouterr().err.startswith("GPSampler is left out: it needs PyTorch")
     with pytest.raises(InputError, match=r"^arm: 'gp' .* PyTorch installed"):

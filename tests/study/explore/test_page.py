@@ -107,14 +107,6 @@ def change(page: Any, name: str, attribute: str, value: Any) -> None:
     page.evaluate(f"{MODEL}('{name}').{attribute} = {json.dumps(value)}")
 
 
-def type_in(page: Any, name: str, text: str) -> None:
-    """What a person at the keyboard does: fields round and clip what a hand on a model does not."""
-    view = f"Bokeh.index.query((view) => view.model.name === '{name}')"
-    field = page.evaluate_handle(f"[...{view}][0].input_el").as_element()
-    field.fill(text)
-    field.press("Enter")
-
-
 def walks(page: Any, act: Any) -> None:
     """Do something, and wait until another walk is seen."""
     seen = page.evaluate(WALKS)
@@ -149,16 +141,6 @@ def click(page: Any, name: str, x: float, y: float) -> None:
     ends = [model(page, name, f"{axis}_range.{end}") for axis in "xy" for end in ("start", "end")]
     across, up = (x - ends[0]) / (ends[1] - ends[0]), (y - ends[2]) / (ends[3] - ends[2])
     page.mouse.click(left + across * width, top + (1.0 - up) * height)
-
-
-def point(page: Any, source: str, columns: tuple[str, str], key: str, value: int) -> list[float]:
-    """Two columns of a source where another one has this value."""
-    names = json.dumps(columns)
-    found: list[float] = page.evaluate(f"""(() => {{
-        const {{data}} = {MODEL}('{source}'), place = data.{key}.findIndex((one) => one === {value})
-        return {names}.map((name) => data[name][place])
-    }})()""")
-    return found
 
 
 def download(page: Any, name: str) -> bytes:
@@ -230,7 +212,9 @@ def test_a_click_walks(page: Any, store: Path) -> None:
     page.wait_for_timeout(300)
     assert page.screenshot(clip={"x": 720, "y": 180, "width": 740, "height": 400}) != first
     seen = page.evaluate(WALKS)
-    click(page, "cloud", *point(page, "rows", ("c0", "c1"), "row", 40))
+    rows = f"{MODEL}('rows').data"
+    place = page.evaluate(f"{rows}.row.findIndex((one) => one === 40)")
+    click(page, "cloud", *page.evaluate(f"[{rows}.c0[{place}], {rows}.c1[{place}]]"))
     page.wait_for_function(f"{WALKS} > {seen}")
     assert model(page, "row", "value") != 17
 
@@ -275,7 +259,11 @@ def test_out_of_bounds_is_said(page: Any, store: Path, field: str, text: str, sa
     change(page, "part", "active", 0)
     page.wait_for_function(f"{MODEL}('number-K_SOL') !== null")
     held = model(page, field, "value") or 0
-    type_in(page, field, text)
+    # At the keyboard: fields round and clip what a hand on a model does not.
+    view = f"Bokeh.index.query((view) => view.model.name === '{field}')"
+    box = page.evaluate_handle(f"[...{view}][0].input_el").as_element()
+    box.fill(text)
+    box.press("Enter")
     page.wait_for_function(f"{MODEL}('message').text.includes({json.dumps(said)})")
     page.wait_for_timeout(500)
     assert said in model(page, "message", "text")  # still
@@ -298,9 +286,8 @@ def test_two_gaits_on_one_ground(page: Any, store: Path) -> None:
     walks(page, lambda: page.get_by_text("keep it beside").click())
     walks(page, lambda: change(page, "start", "value", "reference"))
     walks(page, lambda: change(page, "ground", "value", "flat"))
-    page.wait_for_function(
-        f"{MODEL}('beside-frames').data.ground[0].every((z, i) => i % 2 == 0 || z === 0)"
-    )
+    ground = f"{MODEL}('beside-frames').data.ground[0]"
+    page.wait_for_function(f"{ground}.every((z, i) => i % 2 == 0 || z === 0)")
     words = page.locator(".bk-Div b").all_inner_texts()
     assert "reference" in words and "published" in words
     save(page, "beside")

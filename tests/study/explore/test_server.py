@@ -51,12 +51,15 @@ def status(address: str, path: str, headers: dict[str, str]) -> int:
     return found
 
 
-def test_it_listens_on_the_loopback_alone(address: str) -> None:
+def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -> None:
     assert urlsplit(address).hostname == "127.0.0.1"
     assert status(address, "/", {}) == 200
     port = urlsplit(address).port
     for name in ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}"):
         assert status(address, "/", {"Host": name}) == 200
+    # Other sites cannot embed the page.
+    for path in ("/autoload.js?bokeh-autoload-element=1", "/metadata", "/robots.txt", "/static"):
+        assert status(address, path, {}) == 404
 
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""])
@@ -92,13 +95,6 @@ def test_a_socket_without_a_page_s_token_finds_nothing(address: str, errors: Pat
     assert "Traceback" not in errors.read_text()
 
 
-@pytest.mark.parametrize(
-    "path", ["/autoload.js?bokeh-autoload-element=1", "/metadata", "/robots.txt", "/static"]
-)
-def test_other_sites_cannot_embed_the_page(address: str, path: str) -> None:
-    assert status(address, path, {}) == 404
-
-
 def start() -> tuple[Latest, list[Any], list[Any], list[Any], list[Any]]:
     """With calls that a test ends, what a tab does when it closes, results, and errors."""
     lists: list[list[Any]] = [[] for _ in range(4)]
@@ -108,9 +104,8 @@ def start() -> tuple[Latest, list[Any], list[Any], list[Any], list[Any]]:
         calls.append((Future[Any](), asked))
         return calls[-1][0]
 
-    at_once = SimpleNamespace(
-        on_session_destroyed=closed.append, add_next_tick_callback=lambda call: call()
-    )
+    at_once = SimpleNamespace(on_session_destroyed=closed.append)
+    at_once.add_next_tick_callback = lambda call: call()
     executor: Any = SimpleNamespace(submit=submit)
     return Latest(at_once, executor, done.append, failed.append), calls, closed, done, failed
 

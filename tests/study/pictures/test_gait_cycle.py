@@ -74,10 +74,8 @@ def shifted(shifts: dict[str, float], deviations: float = 0.0) -> cycle.Strides:
     for name, panel in PANELS.items():
         mean, sd = panel.at(PERCENT)
         curves[name] = np.tile(mean + shifts.get(name, 0.0) + deviations * sd, (COUNT, 1))
-    activation = np.zeros((7, COUNT, len(PERCENT)))
-    return cycle.Strides(
-        **curves, activation=activation, take_off_percent=np.zeros(0), duration_s=np.ones(COUNT)
-    )
+    curves["activation"] = np.zeros((7, COUNT, len(PERCENT)))
+    return cycle.Strides(**curves, take_off_percent=np.zeros(0), duration_s=np.ones(COUNT))
 
 
 def test_a_shift_is_its_own_distance() -> None:

@@ -5,11 +5,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from study.pictures.trajectory_files import (
-    require_trajectory_file,
-    trajectory_text,
-    write_trajectory,
-)
+from study.pictures import trajectory_files
+from study.pictures.trajectory_files import require_trajectory_file, trajectory_text
 from taichi_nmm.result import MUSCLES
 from tests.study import synthetic_gait
 from tests.study.conftest import refused
@@ -28,7 +25,7 @@ def read_storage(text: str) -> tuple[dict[str, str], Columns]:
 
 
 def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
-    write_trajectory(tmp_path / "walk.mot", WALK, "a walk")
+    trajectory_files.write_trajectory(tmp_path / "walk.mot", WALK, "a walk")
     text = (tmp_path / "walk.mot").read_text()
     keys, columns = read_storage(text)
     assert text.startswith("a walk\nversion=1\n") and keys["inDegrees"] == "yes"

@@ -10,15 +10,7 @@ from matplotlib.text import Annotation
 from study.experiment.arms import ARMS
 from study.pictures import style
 from study.report import figures
-from study.report.figures import (
-    LABEL_SPACING_PT,
-    End,
-    Look,
-    label_ends,
-    looks,
-    spread_out,
-    trial_axis,
-)
+from study.report.figures import End, Look, looks, spread_out
 from study.report.runs import Results, read_results
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
@@ -53,15 +45,15 @@ def test_places_that_do_not_fit_stay_apart_all_the_same() -> None:
 def test_labels_of_lines_with_one_end_do_not_overlap() -> None:
     figure = style.new_figure(6.0, 4.0)
     axes = figure.add_axes((0.1, 0.1, 0.6, 0.8))
-    trial_axis(axes, 100)
+    figures.trial_axis(axes, 100)
     look = Look("x", "#000000", "#000000", "solid", "o", False)
-    label_ends(axes, [End(1.0, look, f"arm {rank}", rank) for rank in range(14)], 100.0)
+    figures.label_ends(axes, [End(1.0, look, f"arm {rank}", rank) for rank in range(14)], 100.0)
     figure.canvas.draw()
     labels = [text for text in axes.texts if isinstance(text, Annotation)]
     assert len(labels) == 14
     boxes = sorted((label.get_window_extent().y0, label.get_text()) for label in labels)
     assert [text for _, text in boxes] == [f"arm {rank}" for rank in range(14)]
-    assert np.diff([y for y, _ in boxes]).min() >= LABEL_SPACING_PT * figure.dpi / 72 - 0.5
+    assert np.diff([y for y, _ in boxes]).min() >= figures.LABEL_SPACING_PT * figure.dpi / 72 - 0.5
 
 
 def test_every_run_has_a_dot_of_its_own() -> None:

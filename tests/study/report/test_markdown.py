@@ -79,9 +79,8 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
 
 
 def test_one_table_a_quantity_of_several_experiments() -> None:
-    first = counted(
-        arm("dog", [2] * 4, trials=10), arm("worlds-stairs", [1, 1, 1, 4], trials=10), name="a"
-    )
+    stairs = arm("worlds-stairs", [1, 1, 1, 4], trials=10)
+    first = counted(arm("dog", [2] * 4, trials=10), stairs, name="a")
     second = counted(arm("dog", [np.inf] * 4, trials=10), arm("tpe", [1] * 4, trials=10), name="b")
     text = overview_text([numbers(first), numbers(second)])
     tables = [rows(part) for part in text.split("\n\n") if part.startswith("|")]

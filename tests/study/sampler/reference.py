@@ -4,14 +4,12 @@ import warnings
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 
 from study.sampler import gp
-
-Floats = NDArray[np.float64]
+from tests.study.sampler.studies import Floats
 
 FORMS = gp.KERNELS | {"nearness": gp.NEARNESS}  # all that there are, by name
 

@@ -7,7 +7,9 @@ import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
 import optuna
+from numpy.typing import NDArray
 from optuna.exceptions import ExperimentalWarning
 from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import TrialState
@@ -15,6 +17,7 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler
 from tests.tools.running import ROOT
 
+Floats = NDArray[np.float64]
 Objective = Callable[[optuna.Trial], Any]
 
 
@@ -73,6 +76,10 @@ def kill(study: optuna.Study, number: int) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
         RetryHeartbeatStaleTrialCallback()(study, trial)
+
+
+def only_a(trial: optuna.Trial) -> float:
+    return trial.suggest_float("a", 0, 1)
 
 
 def bowl(trial: optuna.Trial) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 import optuna
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState, create_trial
 from scipy import stats
@@ -21,9 +20,7 @@ from study.sampler.diagnostics import RankCorrelation, residuals, residuals_of_c
 from study.sampler.gp import condition
 from study.sampler.transforms import Points
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import params_of, study_of
-
-Floats = NDArray[np.float64]
+from tests.study.sampler.studies import Floats, params_of, study_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:FeatureTable")  # features that are constant
 

@@ -1,7 +1,4 @@
-"""332 proposals of version 0.2.0, frozen: whoever rewrites the sampler keeps them.
-
-Another processor may round otherwise in the last places, so that numbers are compared to 1e-9.
-"""
+"""332 proposals of version 0.2.0, frozen: whoever rewrites the sampler keeps them."""
 
 import json
 import math
@@ -16,17 +13,14 @@ import optuna
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-)
+from optuna import distributions
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
+from tests.cases import ASSETS
 
 KERNELS = ("additive", "rbf", "rbf_ard", "euclidean")
-SPACE: dict[str, BaseDistribution] = {
+SPACE: dict[str, distributions.BaseDistribution] = {
     "a": FloatDistribution(-1.0, 1.0), "b": FloatDistribution(1e-3, 1e1, log=True),
     "c": IntDistribution(1, 9), "d": CategoricalDistribution(("x", "y", "z")),
 }  # fmt: skip
@@ -61,12 +55,9 @@ def failing(p: Proposal, number: int) -> float:
 def columns(n: int, seed: int) -> dict[str, list[Any]]:
     """Rows of the space."""
     rng = np.random.default_rng(seed)
-    return {
-        "a": np.round(rng.uniform(-1, 1, n), 6).tolist(),
-        "b": np.round(10 ** rng.uniform(-2.9, 0.9, n), 6).tolist(),
-        "c": [int(c) for c in rng.integers(1, 10, n)],
-        "d": [("x", "y", "z")[i] for i in rng.integers(0, 3, n)],
-    }
+    a, b = np.round(rng.uniform(-1, 1, n), 6), np.round(10 ** rng.uniform(-2.9, 0.9, n), 6)
+    c, d = rng.integers(1, 10, n).tolist(), [("x", "y", "z")[i] for i in rng.integers(0, 3, n)]
+    return {"a": a.tolist(), "b": b.tolist(), "c": c, "d": d}
 
 
 def features_of(points: np.ndarray) -> np.ndarray:
@@ -102,21 +93,15 @@ def file_table(n: int = 80) -> FeatureTable:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.parquet"
         pq.write_table(pa.table(content), path)
-        return FeatureTable.from_parquet(
-            path, features=FEATURES, parameters=tuple(rows), space=SPACE
-        )
+        of = {"features": FEATURES, "parameters": tuple(rows), "space": SPACE}
+        return FeatureTable.from_parquet(path, **of)
 
 
 def proposals(
-    sampler: optuna.samplers.BaseSampler,
-    trials: int,
-    cost: Cost = cost_of,
-    *,
-    limit: Cost | None = None,
-    enqueued: tuple[Proposal, ...] = (),
-    pending: int = 0,
+    sampler: optuna.samplers.BaseSampler, trials: int, cost: Cost = cost_of, *,
+    limit: Cost | None = None, enqueued: tuple[Proposal, ...] = (), pending: int = 0,
     maximise: bool = False,
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[dict[str, Any]]:  # fmt: skip
     """What a sampler proposes in a study, and the row that it noted."""
     study = optuna.create_study(sampler=sampler, direction="maximize" if maximise else "minimize")
     for params in enqueued:
@@ -190,9 +175,7 @@ def survival_rows() -> FeatureTable:
     return FeatureTable.from_arrays(rows, features, ("survival", "speed"), space=SPACE)
 
 
-GOLDEN = json.loads(
-    (Path(__file__).resolve().parents[2] / "assets" / "golden-proposals.json").read_text()
-)
+GOLDEN = json.loads((ASSETS / "golden-proposals.json").read_text())
 
 
 def test_every_case_is_frozen():
@@ -206,7 +189,7 @@ def test_proposals_are_those_of_0_2_0(name):
     assert len(frozen) == len(made)
     for number, (was, now) in enumerate(zip(frozen, made, strict=True)):
         assert now["row"] == was["row"], number
-        expected = {
+        expected = {  # another processor may round otherwise in the last places
             key: pytest.approx(value, rel=1e-9) if isinstance(value, float) else value
             for key, value in was["params"].items()
         }

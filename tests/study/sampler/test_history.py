@@ -199,11 +199,9 @@ def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning
 def test_a_logarithmic_scale_is_the_kernels_too(how, distribution):
     """As if the table had been given it."""
     name, suggest = OTHERWISE[how]
-    given = new_table(space={name: distribution})
-    found, expected = (
-        study_of(table, objective(name, suggest), 8, kernel="euclidean", seed=2)
-        for table in (TABLE, given)
-    )
+    tables, options = (TABLE, new_table(space={name: distribution})), {"kernel": "euclidean"}
+    cost = objective(name, suggest)
+    found, expected = (study_of(table, cost, 8, seed=2, **options) for table in tables)
     assert params_of(found) == params_of(expected)
     plain = study_of(TABLE, objective(name, AS_THE_TABLE[name]), 8, kernel="euclidean", seed=2)
     assert params_of(plain) != params_of(found)

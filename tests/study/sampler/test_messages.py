@@ -18,12 +18,11 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import bowl, rows_of, study_of
+from tests.study.sampler.studies import bowl, only_a, rows_of, study_of
 
 PAGE = Path(__file__).parents[3] / "docs" / "sampler.md"
-EXPLAINED = re.findall(
-    r"^\| (?:warning )?`([^`]+)`", PAGE.read_text().split("## Messages, and what to do")[1], re.M
-)
+MESSAGES = PAGE.read_text().split("## Messages, and what to do")[1]
+EXPLAINED = re.findall(r"^\| (?:warning )?`([^`]+)`", MESSAGES, re.M)
 
 PARAMETERS = {"a": [0.1, 0.5, 0.9], "b": [1.0, 2.0, 3.0]}
 FEATURES = [[0.0], [1.0], [4.0]]
@@ -39,10 +38,6 @@ def sampler(features: Any = None, **options: Any) -> FeatureKernelSampler:
     return FeatureKernelSampler(new_table() if features is None else features, seed=1, **options)
 
 
-def only_a(trial: optuna.Trial) -> float:
-    return trial.suggest_float("a", 0, 1)
-
-
 def a_within(low: float, high: float) -> Callable[[optuna.Trial], float]:
     return lambda trial: trial.suggest_float("a", low, high) + trial.suggest_float("b", 0, 5)
 
@@ -52,14 +47,6 @@ both = a_within(0, 1)
 
 def arrays(a: Any, **options: Any) -> FeatureTable:
     return FeatureTable.from_arrays({"a": a}, FEATURES, **options)
-
-
-def from_file() -> None:
-    FeatureTable.from_parquet("missing.parquet", parameters=["a"], features=["f"])
-
-
-def from_frame() -> None:
-    FeatureTable.from_dataframe(pd.DataFrame(PARAMETERS), parameters=["a"], features=["c"])
 
 
 def run(sampler: BaseSampler, objective: Any = both, trials: int = 5) -> optuna.Study:
@@ -91,8 +78,10 @@ CASES: dict[str, Callable[[], object]] = {
     "table.…: … allowed: a value; or None as a choice: space=…": lambda: arrays([1, None, 3]),
     "table.…: … allowed: one of (…)":
         lambda: arrays(["x", "y", "z"], space={"a": CategoricalDistribution(["x", "y"])}),
-    "column: … allowed: one of …": from_frame,
-    "…: … allowed: a Parquet file, or a folder of them, that exists": from_file,
+    "column: … allowed: one of …": lambda: FeatureTable.from_dataframe(
+        pd.DataFrame(PARAMETERS), parameters=["a"], features=["c"]),
+    "…: … allowed: a Parquet file, or a folder of them, that exists":
+        lambda: FeatureTable.from_parquet("missing.parquet", parameters=["a"], features=["f"]),
     "… rows that lack more than half of their features are not proposed":
         lambda: new_table([[0.0], [1.0], [np.nan]]),
     "… rows repeat the parameters of another and are not proposed": lambda: arrays([1.0, 1.0, 2.0]),
@@ -212,9 +201,8 @@ def test_extra_parameters_come_after_the_tables_or_are_named(table):
     with pytest.raises(InputError, match=r"extra_parameters=\['n'\]"):
         run(FeatureKernelSampler(table, seed=0), first)
     for objective, name, options in (first, "n", {"extra_parameters": ["n"]}), (last, "kind", {}):
-        study, again = (
-            run(FeatureKernelSampler(table, seed=0, **options), objective, 8) for _ in range(2)
-        )
+        samplers = (FeatureKernelSampler(table, seed=0, **options) for _ in range(2))
+        study, again = (run(sampler, objective, 8) for sampler in samplers)
         assert [trial.params for trial in study.trials] == [trial.params for trial in again.trials]
         assert len({trial.params[name] for trial in study.trials}) > 1
         assert len(set(rows_of(study))) == 8
@@ -291,7 +279,6 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
 @pytest.mark.parametrize(("features", "options", "message"), [
     (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
     (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
-    (None, {"kernel": "additive"}, "kernel: 'additive' .*no features"),
     (None, {"prior": "p"}, "prior"), (None, {"off_grid": 3}, "off_grid"),
     (None, {"feature_function": len}, "feature_function"),
 ])  # fmt: skip

@@ -2,11 +2,7 @@
 
 import numpy as np
 import pytest
-from optuna.testing.pytest_samplers import (
-    BasicSamplerTestCase,
-    RelativeSamplerTestCase,
-    SingleOnlySamplerTestCase,
-)
+from optuna.testing import pytest_samplers as suite
 
 from study import FeatureKernelSampler, FeatureTable
 
@@ -37,7 +33,9 @@ FORMS = {
 
 @pytest.mark.filterwarnings("ignore:.*the independent sampler takes over")
 @pytest.mark.filterwarnings("ignore:trials whose parameters are no row")
-class TestSampler(BasicSamplerTestCase, RelativeSamplerTestCase, SingleOnlySamplerTestCase):
+class TestSampler(
+    suite.BasicSamplerTestCase, suite.RelativeSamplerTestCase, suite.SingleOnlySamplerTestCase
+):
     """What Optuna asks of a sampler for one objective."""
 
     @pytest.fixture(params=FORMS)

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-from numpy.typing import NDArray
 from optuna.distributions import FloatDistribution
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -17,9 +16,7 @@ from study.sampler import acquisition
 from study.sampler.acquisition import Model
 from study.sampler.gp import ADDITIVE, KERNELS, NEARNESS
 from study.sampler.transforms import PATIENCE, PATIENCE_WITH_PRIOR, is_doubtful
-from tests.study.sampler.studies import bowl, rows_of, run_code, study_of
-
-Floats = NDArray[np.float64]
+from tests.study.sampler.studies import Floats, bowl, rows_of, run_code, study_of
 
 ROWS = 70
 

@@ -361,11 +361,9 @@ def test_extreme_features_tell_rows_apart(kernel):
 
 
 # What a sampler looks like at a prompt.
-SHOWN = FeatureTable.from_arrays(
-    {f"x{i}": np.linspace(0, 1, 600) for i in range(16)},
-    np.random.default_rng(0).random((600, 6)),
-    ["survival", *"bcdef"],
-)
+SIXTEEN = {f"x{i}": np.linspace(0, 1, 600) for i in range(16)}
+SIX = np.random.default_rng(0).random((600, 6))
+SHOWN = FeatureTable.from_arrays(SIXTEEN, SIX, ["survival", *"bcdef"])
 TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: survival, b, c, ...)"
 
 

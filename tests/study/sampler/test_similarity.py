@@ -56,10 +56,9 @@ def test_no_node_of_a_graph_stands_out_before_a_trial() -> None:
 
 
 def test_the_posterior_is_that_of_the_gram_matrix() -> None:
-    points = Points(Alike(factor_of_gram(GRAM)).columns, np.empty((300, 0)))
+    alike, limits = Alike(factor_of_gram(GRAM)), np.empty((9, 0))
+    points = Points(alike.columns, np.empty((300, 0)))
     seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
-    limits = np.empty((9, 0))
-    alike = Alike(factor_of_gram(GRAM))
     model = Model(SIMILARITY, None, 1, seen, COST[:9], limits, nobody, {}, alike)
     size, noise = np.exp(model.posterior.theta)
     y = log_excess(COST[:9], COST[:9])
@@ -98,35 +97,27 @@ def test_rows_may_have_names_and_a_study_is_examined() -> None:
     assert sampler.best(study).row == words.index(sampler.best(study).params["name"])
 
 
-@pytest.mark.parametrize(("gram", "match"), [
-    (np.ones((2, 3)), r"^table.gram.shape: \(2, 3\) .* \[n, n\]"),
-    ([["a"]], r"^table.gram: .* an array of numbers"),
-    (np.array([["a"]]), r"^table.gram: '<U1' .* numbers"),
-    ([[np.nan]], "^table.gram: 'not symmetric, or not finite' .* semidefinite"),
-    ([[1.0, 0.5], [0.2, 1.0]], "^table.gram: 'not symmetric, or not finite'"),
-    ([[1.0, 2.0], [2.0, 1.0]], "^table.gram: 'no variance that row 0 can have' .* semidefinite"),
-    ([[1.0, 0.0], [0.0, -1.0]], r"^table.gram\[1, same\]: -1.0 .* semidefinite"),
-    (np.zeros((2, 2)), "^table.gram"),
+GRAPH, KERNEL = FeatureTable.from_graph, FeatureTable.from_kernel
+
+
+@pytest.mark.parametrize(("make", "given", "match"), [
+    (KERNEL, np.ones((2, 3)), r"^table.gram.shape: \(2, 3\) .* \[n, n\]"),
+    (KERNEL, [["a"]], r"^table.gram: .* an array of numbers"),
+    (KERNEL, np.array([["a"]]), r"^table.gram: '<U1' .* numbers"),
+    (KERNEL, [[np.nan]], "^table.gram: 'not symmetric, or not finite' .* semidefinite"),
+    (KERNEL, [[1.0, 0.5], [0.2, 1.0]], "^table.gram: 'not symmetric, or not finite'"),
+    (KERNEL, [[1.0, 2.0], [2.0, 1.0]],
+     "^table.gram: 'no variance that row 0 can have' .* semidefinite"),
+    (KERNEL, [[1.0, 0.0], [0.0, -1.0]], r"^table.gram\[1, same\]: -1.0 .* semidefinite"),
+    (KERNEL, np.zeros((2, 2)), "^table.gram"),
+    (GRAPH, np.ones((2, 3)), r"^table.weights.shape: \(2, 3\)"),
+    (GRAPH, "road", "^table.weights: 'str' .* weights of edges"),
+    (GRAPH, -RING, "^table.weights: 'a negative or infinite weight'"),
+    (GRAPH, np.triu(RING), "^table.weights: 'not symmetric'"),
+    (lambda rows: KERNEL(GRAM, {"row": rows}), [1, 2, 3], r"^table.row.shape: \(3,\)"),
+    (lambda near: FeatureKernelSampler(KERNEL(GRAM), off_grid=near), 9,
+     r"^off_grid: 9 .* a similarity knows its rows alone"),
 ])  # fmt: skip
-def test_matrices_that_are_refused(gram: Any, match: str) -> None:
+def test_what_is_refused(make: Any, given: Any, match: str) -> None:
     with pytest.raises(InputError, match=match):
-        FeatureTable.from_kernel(gram)
-
-
-@pytest.mark.parametrize(("weights", "match"), [
-    (np.ones((2, 3)), r"^table.weights.shape: \(2, 3\)"),
-    ("road", "^table.weights: 'str' .* weights of edges"),
-    (-RING, "^table.weights: 'a negative or infinite weight'"),
-    (np.triu(RING), "^table.weights: 'not symmetric'"),
-])  # fmt: skip
-def test_graphs_that_are_refused(weights: Any, match: str) -> None:
-    with pytest.raises(InputError, match=match):
-        FeatureTable.from_graph(weights)
-
-
-def test_a_similarity_goes_with_its_rows_alone() -> None:
-    table = FeatureTable.from_kernel(GRAM)
-    with pytest.raises(InputError, match=r"^off_grid: 9 .* a similarity knows its rows alone"):
-        FeatureKernelSampler(table, seed=1, off_grid=9)
-    with pytest.raises(InputError, match=r"^table.row.shape: \(3,\)"):
-        FeatureTable.from_kernel(GRAM, {"row": [1, 2, 3]})
+        make(given)

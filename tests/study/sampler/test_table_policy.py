@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-from numpy.typing import NDArray
 from optuna.distributions import FloatDistribution
 from optuna.samplers import PartialFixedSampler
 from optuna.storages import JournalStorage
@@ -17,9 +16,8 @@ from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.history import read_history, row_of
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import kill, resumed, rows_of, study_of
+from tests.study.sampler.studies import Floats, kill, only_a, resumed, rows_of, study_of
 
-Floats = NDArray[np.float64]
 A = np.repeat([0.0, 0.5, 1.0], 6)
 B = np.tile(np.arange(6.0), 3)
 FEATURES = np.column_stack([A + B, A - B])
@@ -39,10 +37,6 @@ def compute(params: Floats) -> Floats:
 
 def both(trial: optuna.Trial) -> float:
     return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 5)
-
-
-def only_a(trial: optuna.Trial) -> float:
-    return trial.suggest_float("a", 0, 1)
 
 
 def run_quietly(study: optuna.Study, trials: int, objective: Any = both) -> None:
@@ -330,11 +324,8 @@ def test_a_trial_that_ends_early_says_nothing_and_one_that_is_refused_keeps_no_r
 # Trials off the table, of this study or an earlier one.
 NEAR = {"a": FloatDistribution(0, 1), "b": FloatDistribution(0.01, 100, log=True)}
 LINE = np.linspace(0, 1, 40)
-LINES = FeatureTable.from_arrays(
-    {"a": LINE, "b": np.random.default_rng(0).permutation(np.geomspace(0.01, 100, 40))},
-    LINE,
-    space=NEAR,
-)
+SHUFFLED = np.random.default_rng(0).permutation(np.geomspace(0.01, 100, 40))
+LINES = FeatureTable.from_arrays({"a": LINE, "b": SHUFFLED}, LINE, space=NEAR)
 
 
 def cost(trial: optuna.Trial) -> float:

@@ -11,7 +11,6 @@ import numpy as np
 import optuna
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 from scipy.stats import norm, rankdata
 
 from storage.precompute import precompute
@@ -21,8 +20,7 @@ from study.sampler.transforms import LARGEST, NormalScores, Standard, log_excess
 from taichi_nmm.errors import InputError
 from tests.storage import fake
 from tests.study.sampler import studies
-
-Floats = NDArray[np.float64]
+from tests.study.sampler.studies import Floats
 
 NAN, INF = np.nan, np.inf
 CLIFF = np.array([-1.0, 0.0, 2.0, 1e6, 2.0])

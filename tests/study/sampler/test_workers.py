@@ -45,10 +45,9 @@ def work(kind: str, folder: Path, trials: int) -> None:
     study.optimize(cost, n_trials=trials)
 
 
-@pytest.mark.parametrize(
-    ("kind", "workers"),
-    [("journal", 4), ("sqlite", 2), pytest.param("sqlite", 4, marks=pytest.mark.campaign)],
-)
+@pytest.mark.parametrize(("kind", "workers"), [
+    ("journal", 4), ("sqlite", 2), pytest.param("sqlite", 4, marks=pytest.mark.campaign),
+])  # fmt: skip
 def test_no_row_is_proposed_twice(kind, workers, tmp_path):
     trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 2
     optuna.create_study(study_name="s", storage=open_storage(kind, tmp_path))

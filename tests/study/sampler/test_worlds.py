@@ -1,6 +1,7 @@
 """Costs in worlds as a part of the model: against NumPy, and what the sampler makes of it."""
 
 import pickle
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -31,9 +32,9 @@ DIRECTIONS = {1.0: "minimize", -1.0: "maximize"}
 SPREAD = np.log(1.0 + (COSTS / COSTS.min() - 1.0) / 0.3)
 
 
-def table(outcomes: Any = COSTS, features: Any = None) -> FeatureTable:
-    columns = {"x": ROWS[:, 0], "y": 100.0 ** ROWS[:, 1]}
-    return FeatureTable.from_arrays(columns, features, outcomes=outcomes, space=SPACE)
+def table(outcomes: Any = COSTS, features: Any = None, better: Any = None) -> FeatureTable:
+    columns, given = {"x": ROWS[:, 0], "y": 100.0 ** ROWS[:, 1]}, {"outcomes": outcomes}
+    return FeatureTable.from_arrays(columns, features, **given, better=better, space=SPACE)
 
 
 def robot(trial: optuna.Trial, place: Any = (0.85, 0.75)) -> float:
@@ -63,17 +64,21 @@ def test_an_ensemble_is_the_mean_and_the_covariance_over_the_worlds() -> None:
     np.testing.assert_allclose(below.standard(COSTS - 1.0), expected, atol=1e-12)
 
 
+def after_nine_trials(phi: Any = ROWS[:, :0]) -> tuple[Ensemble, Points, Model]:
+    """Of the first rows, in a world like the third; phi are features beside the worlds."""
+    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
+    points = Points(np.hstack([phi, ensemble.columns]), ROWS)
+    seen, nobody, limits = points.take(np.arange(9)), points.take(np.arange(0)), np.empty((9, 0))
+    costs = COSTS[:9, 2] + 0.2
+    return ensemble, points, Model(WORLDS, None, 2, seen, costs, limits, nobody, {}, ensemble)
+
+
 @pytest.mark.parametrize("features", [0, 2])
 def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features: int) -> None:
     rng = np.random.default_rng(1)
-    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
     phi = rng.standard_normal((60, features))
-    points = Points(np.hstack([phi, ensemble.columns]), ROWS)
-    costs, nobody = COSTS[:9, 2] + 0.2, points.take(np.arange(0))
-    limits = np.empty((9, 0))
-    seen = points.take(np.arange(9))
-    model = Model(WORLDS, None, 2, seen, costs, limits, nobody, {}, ensemble)
-    posterior = model.posterior
+    ensemble, points, model = after_nine_trials(phi)
+    costs, posterior = model.costs, model.posterior
     *constants, noise = np.exp(posterior.theta)
     assert posterior.cost_sd == 1.0 and posterior.cost_mean == 0.0
     worlds, shift, *own, nearness, length = constants
@@ -205,65 +210,50 @@ def test_any_worlds_make_proposals(outcomes: Any) -> None:
     assert np.isfinite(FeatureKernelSampler(table(outcomes), seed=1).worth(study).values).all()
 
 
-@pytest.mark.parametrize(("outcomes", "match"), [
-    (np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0),
+X = {"x": ROWS[:, 0]}
+GAPS = np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0)
+
+
+@pytest.mark.parametrize(("make", "match"), [
+    (lambda: table(GAPS),
      r"^table.outcomes: 'gaps in all rows' .* a row with its cost in all worlds"),
-    (COSTS[:50], r"^table\.x\.shape: \(60,\) .* \(50,\)"),
-    ({}, r"^table.outcomes: 'none' .* one family"),
-    ({"a": COSTS, "b": COSTS[:9]}, r"^table.outcomes.b: '9 rows' .* 60, as the others"),
-    ({"a": [["x"]]}, r"^table.outcomes.a: 'list' .* numbers, \[n, w\]"),
-    (np.ones((60, 2, 2)), r"^table.outcomes.shape: \(60, 2, 2\) .* \[n, w\]"),
-    (np.empty((60, 0)), r"^table.outcomes.shape: \(60, 0\) .* \[n, w\]"),
+    (lambda: table(COSTS[:50]), r"^table\.x\.shape: \(60,\) .* \(50,\)"),
+    (lambda: table({}), r"^table.outcomes: 'none' .* one family"),
+    (lambda: table({"a": COSTS, "b": COSTS[:9]}),
+     r"^table.outcomes.b: '9 rows' .* 60, as the others"),
+    (lambda: table({"a": [["x"]]}), r"^table.outcomes.a: 'list' .* numbers, \[n, w\]"),
+    (lambda: table(np.ones((60, 2, 2))), r"^table.outcomes.shape: \(60, 2, 2\) .* \[n, w\]"),
+    (lambda: table(np.empty((60, 0))), r"^table.outcomes.shape: \(60, 0\) .* \[n, w\]"),
+    (lambda: FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS),
+     r"^table.outcomes: '60 rows' .* 59 rows, as the features"),
+    (lambda: FeatureTable.from_arrays(X), r"^table.features: 'none' .* outcomes, or both"),
+    (lambda: FeatureTable.from_arrays(X, outcomes=COSTS, better="more"),  # type: ignore[arg-type]
+     "^table.better: 'more' .* lower or higher"),
+    (lambda: FeatureTable.from_arrays(X, COSTS, better="higher"),
+     "^table.better: 'higher' .* none without outcomes"),
+    (lambda: FeatureKernelSampler(table(), prior="a"), "^prior: 'a' .* none beside outcomes"),
+    (lambda: FeatureKernelSampler(table(), feature_function=np.sin),
+     "^feature_function: 'given' .* none beside outcomes"),
+    (lambda: FeatureKernelSampler(table(), kernel="rbf"),
+     "^kernel: 'rbf' .* the table has no features"),
 ])  # fmt: skip
-def test_outcomes_that_are_refused(outcomes: Any, match: str) -> None:
+def test_what_is_refused(make: Callable[[], object], match: str) -> None:
     with pytest.raises(InputError, match=match):
-        table(outcomes)
-
-
-@pytest.mark.parametrize(("options", "match"), [
-    ({"prior": "a"}, "^prior: 'a' .* none beside outcomes"),
-    ({"feature_function": np.sin}, "^feature_function: 'given' .* none beside outcomes"),
-    ({"kernel": "rbf"}, "^kernel: 'rbf' .* the table has no features"),
-])  # fmt: skip
-def test_options_that_worlds_replace_are_refused(options: Any, match: str) -> None:
-    with pytest.raises(InputError, match=match):
-        FeatureKernelSampler(table(), seed=1, **options)
-
-
-def test_outcomes_of_other_rows_than_the_features_are_refused() -> None:
-    with pytest.raises(InputError, match=r"^table.outcomes: '60 rows' .* 59 rows, as the features"):
-        FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS)
-    with pytest.raises(InputError, match=r"^table.features: 'none' .* outcomes, or both"):
-        FeatureTable.from_arrays({"x": ROWS[:, 0]})
-
-
-def other_units(outcomes: Any, better: Any = "higher") -> FeatureTable:
-    columns = {"x": ROWS[:, 0], "y": 100.0 ** ROWS[:, 1]}
-    return FeatureTable.from_arrays(columns, outcomes=outcomes, better=better, space=SPACE)
+        make()
 
 
 def test_outcomes_in_other_units_tell_the_same_whatever_their_scale() -> None:
     shares = 1.0 / COSTS  # high ones are good
-    study = studied(FeatureKernelSampler(other_units(-COSTS), seed=1), 12)
-    again = studied(FeatureKernelSampler(other_units(COSTS - 50.0, "lower"), seed=1), 12)
+    study = studied(FeatureKernelSampler(table(-COSTS, better="higher"), seed=1), 12)
+    again = studied(FeatureKernelSampler(table(COSTS - 50.0, better="lower"), seed=1), 12)
     params = [trial.params for trial in study.trials]
-    np.testing.assert_allclose(
-        [list(each.values()) for each in params], [list(t.params.values()) for t in again.trials]
-    )
-    first = studied(FeatureKernelSampler(other_units(shares), seed=1), 1).trials[0]
+    both = params, [trial.params for trial in again.trials]
+    np.testing.assert_allclose(*([list(each.values()) for each in one] for one in both))
+    first = studied(FeatureKernelSampler(table(shares, better="higher"), seed=1), 1).trials[0]
     assert first.user_attrs["row"] == np.argmax(shares.mean(axis=1))
     assert study.best_value < np.sort(cost(ROWS, np.array([0.85, 0.75])))[1]
-    upwards = studied(FeatureKernelSampler(other_units(-COSTS), seed=1), 12, sign=-1.0)
+    upwards = studied(FeatureKernelSampler(table(-COSTS, better="higher"), seed=1), 12, sign=-1.0)
     assert [trial.params for trial in upwards.trials] == params
-
-
-@pytest.mark.parametrize(("given", "match"), [
-    ({"better": "more", "outcomes": COSTS}, "^table.better: 'more' .* lower or higher"),
-    ({"better": "higher", "features": COSTS}, "^table.better: 'higher' .* none without outcomes"),
-])  # fmt: skip
-def test_words_for_outcomes_that_are_refused(given: Any, match: str) -> None:
-    with pytest.raises(InputError, match=match):
-        FeatureTable.from_arrays({"x": ROWS[:, 0]}, **given)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -280,34 +270,26 @@ def test_until_a_trial_succeeds_the_likeliest_success_comes_next(sign: float) ->
 
 
 def test_the_chance_of_success_is_that_of_the_posterior() -> None:
-    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
-    points = Points(ensemble.columns, ROWS)
-    seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
-    costs, offered = COSTS[:9, 2] + 0.2, np.ones(60, dtype=bool)
-    model = Model(WORLDS, None, 2, seen, costs, np.empty((9, 0)), nobody, {}, ensemble)
+    ensemble, points, model = after_nine_trials()
+    offered = np.ones(60, dtype=bool)
     mean, variance = model.posterior.predict(points)
     away = ensemble.standard(np.array([0.15])) - mean - ensemble.mean
     chance = norm.logcdf(away / np.sqrt(variance))
     rng = np.random.default_rng(0)
     aimed, far = replace(model, success=0.15), replace(model, success=1e-3)
     assert chance.max() > np.log(0.01)
-    np.testing.assert_array_equal(
-        far.utility(points, offered, rng), model.utility(points, offered, rng)
-    )
     np.testing.assert_allclose(aimed.utility(points, offered, rng), chance, rtol=1e-6)
-    reached = replace(model, success=float(costs.min())).utility(points, offered, rng)
-    np.testing.assert_array_equal(reached, model.utility(points, offered, rng))
+    plain, reached = model.utility(points, offered, rng), float(model.costs.min())
+    for same in (far, replace(model, success=reached)):
+        np.testing.assert_array_equal(same.utility(points, offered, rng), plain)
 
 
 def test_after_two_successes_the_model_of_successes_says_what_one_costs() -> None:
-    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
-    points = Points(ensemble.columns, ROWS)
-    seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
-    costs, offered, rng = COSTS[:9, 2] + 0.2, np.ones(60, dtype=bool), np.random.default_rng(0)
-    model = Model(WORLDS, None, 2, seen, costs, np.empty((9, 0)), nobody, {}, ensemble)
+    ensemble, points, model = after_nine_trials()
+    costs, offered, rng = model.costs, np.ones(60, dtype=bool), np.random.default_rng(0)
     won = np.argsort(costs)[:3]
     success = float(costs[won].max())
-    successes = replace(model, trials=seen.take(np.sort(won)), costs=costs[np.sort(won)],
+    successes = replace(model, trials=points.take(np.sort(won)), costs=costs[np.sort(won)],
                         limits=np.empty((3, 0)))  # fmt: skip
     mean, variance = model.posterior.predict(points)
     away = ensemble.standard(np.array([success])) - mean - ensemble.mean
@@ -362,7 +344,7 @@ def measured(trial: optuna.Trial, rng: np.random.Generator) -> float:
 
 @pytest.mark.parametrize("sampler", [
     FeatureKernelSampler(table(), seed=1, off_grid=0),
-    FeatureKernelSampler(other_units(-COSTS), seed=1),
+    FeatureKernelSampler(table(-COSTS, better="higher"), seed=1),
     FeatureKernelSampler(table(None, COSTS), seed=1),
     FeatureKernelSampler(None, seed=1, space=SPACE),
 ], ids=["worlds", "other units", "features", "parameters"])  # fmt: skip

@@ -1,8 +1,4 @@
-"""Launching a kernel, the compiler of kernels, and wide registers.
-
-The compiler is Taichi 1.7.4 or, on Python 3.14, Quadrants 1.4.0. Nothing of it or of the registers
-changes where something is not as expected.
-"""
+"""Launching a kernel, the compiler of kernels, and wide registers."""
 
 import ctypes
 import os

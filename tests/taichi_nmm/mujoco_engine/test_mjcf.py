@@ -22,9 +22,8 @@ from taichi_nmm.world import WorldRanges
 GROUND = terrain.rough(4, flat_start_m=0.0)
 FRICTION = 0.7
 BODY = Bodies.disturbed([3])
-SETTINGS = Settings(
-    engine="mujoco", physics_step_s=0.5e-3, mujoco=MujocoSettings(0.005, damping_ratio=0.7)
-)
+CONTACT = MujocoSettings(0.005, damping_ratio=0.7)
+SETTINGS = Settings(engine="mujoco", physics_step_s=0.5e-3, mujoco=CONTACT)
 
 
 @pytest.fixture(scope="module")
