@@ -42,7 +42,10 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
     """
     if simulator is not None:
         filmable(simulator)
-    if path.suffix == ".toml" or is_folder(path) and any((path / name).exists() for name in (EXPERIMENT_NAME, RESULTS_NAME)):
+    compared = is_folder(path) and any(
+        (path / name).exists() for name in (EXPERIMENT_NAME, RESULTS_NAME)
+    )
+    if compared or path.suffix == ".toml":
         raise InputError("folder", str(path), OF_COMPARISONS)
     _store(path)
 
