@@ -249,6 +249,7 @@ class Store:
         """
         return self.all_outcomes(column, (family,))[family]
 
+    @checks.checked(column=checks.text, families=checks.each(checks.text))
     def all_outcomes(self, column: str, families: Sequence[str]) -> dict[str, NDArray[np.float32]]:
         """`outcomes` of several families, by name, from one look at the files."""
         names = {family: (outcome_name(family, column), evaluated_name(family))

@@ -156,6 +156,8 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "make_store": (partial(storage.make_store, samples=2), {
             "simulator": robot.Cart, "out": folder / "made", "workers": 1, "fresh": True}),
         "Store.outcomes": (opened.outcomes, {"family": "up", "column": "survived_fraction"}),
+        "Store.all_outcomes": (
+            opened.all_outcomes, {"column": "survived_fraction", "families": ("up",)}),
         "Controller.keep": (lambda rows: controller().keep(rows), {"rows": [0]}),
         "Controller.step": (lambda observation: controller().step(observation),
                             {"observation": taichi_nmm.Observation(**observation)}),

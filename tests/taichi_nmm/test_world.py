@@ -130,9 +130,7 @@ def test_single_muscles_are_weak_or_missing() -> None:
 def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
     worlds = read_world(Table({"muscles": {"SOL_left": 0, "TA_right": 0.5}})).draw([1])
     both = [
-        taichi_nmm.simulate(
-            PUBLISHED_GAINS, duration_s=1.0, worlds=w, record=[0], settings=engine
-        )
+        taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=1.0, worlds=w, record=[0], settings=engine)
         for w in (worlds, None)
     ]
     limp, healthy = (result.trajectories[0] for result in both)
