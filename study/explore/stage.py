@@ -16,7 +16,7 @@ from study.pictures.gait_cycle import (
     PERCENT,
     SOURCE,
     human_distances,
-    left_strides,
+    strides_of,
     subtitle,
 )
 from study.pictures.scene import BELOW_GROUND_M, VIEW_WIDTH_M
@@ -153,7 +153,7 @@ class Cycle:
 
     def show(self, walk: Walk) -> None:
         """The mean stride of a walk that has enough strides."""
-        strides = left_strides(finite(walk.trajectory), walk.experiment.weight_n(0))
+        strides = strides_of(finite(walk.trajectory), walk.experiment.weight_n(0))
         distances = human_distances(strides)
         self._words.text = f"{subtitle(strides)} Grey: {SOURCE}. Numbers: RMSE."
         for name, panel in PANELS.items():

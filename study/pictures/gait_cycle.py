@@ -1,6 +1,7 @@
 """Figure: the mean gait cycle of a walk, beside the ranges of people, and the distance from them.
 
-A walk is cut into strides of the left leg, each stretched to 0 to 100 %.
+A walk is cut into strides of the left leg, each stretched to 0 to 100 %, and into strides of the
+right leg, whose mean shows how far the two differ.
 
 Joint angles and ground forces of people follow the natural-cadence ensemble means and standard
 deviations of Winter (1991), muscle phases the electromyographic on and off times of Perry (1992):
@@ -22,11 +23,11 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from study.pictures import style
-from study.pictures.stick_figure import LEFT, finite
+from study.pictures.stick_figure import LEFT, RIGHT, finite
 from taichi_nmm.result import EVENT_KINDS, MUSCLES, Trajectory
 
-SOURCE = "human ± 1 sd, approximate, after Winter (1991)"
-EMG_SOURCE = "human EMG on, approximate, after Perry (1992)"
+SOURCE = "human ± 1 sd, approx. (Winter 1991)"
+EMG_SOURCE = "human EMG on, approx. (Perry 1992)"
 
 Array = NDArray[np.float64]
 
@@ -38,12 +39,12 @@ STRIKE, TAKE_OFF = EVENT_KINDS.index("strike"), EVENT_KINDS.index("takeoff")
 
 @dataclass(frozen=True, eq=False)
 class Strides:
-    """n strides of the left leg at `PERCENT` [p], in clinical signs."""
+    """n strides of a leg at `PERCENT` [p], in clinical signs."""
 
     hip_flexion_deg: Array  # [n, p], as the other angles
     knee_flexion_deg: Array
     dorsiflexion_deg: Array
-    vertical_bw: Array  # ground force on the left foot over body weight, [n, p]
+    vertical_bw: Array  # ground force on its foot over body weight, [n, p]
     forward_bw: Array
     activation: Array  # [7, n, p] in the order of `MUSCLES`
     take_off_percent: Array  # when the foot first leaves the ground, [k] of strides that have it
@@ -59,11 +60,12 @@ class Strides:
         return len(self) >= FEWEST_STRIDES
 
 
-def left_strides(trajectory: Trajectory, body_weight_n: float) -> Strides:
-    """All strides from left heel strike to left heel strike after the settling ones."""
-    strikes = _times(trajectory, STRIKE)[SETTLING_STRIDES:]
+def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -> Strides:
+    """All strides of a leg from heel strike to heel strike after the settling ones."""
+    strikes = _times(trajectory, side, STRIKE)[SETTLING_STRIDES:]
     starts, ends = strikes[:-1], strikes[1:]
-    joints = np.rad2deg(trajectory.joint_rad[:, :3])
+    joints = np.rad2deg(trajectory.joint_rad[:, 3 * side : 3 * side + 3])
+    activation = trajectory.activation[:, len(MUSCLES) * side :]
     # A force is the mean over the interval that ends at its sample: it belongs to the middle.
     half_interval_s = 0.5 * np.diff(trajectory.time_s[:2]).sum()
 
@@ -74,8 +76,8 @@ def left_strides(trajectory: Trajectory, body_weight_n: float) -> Strides:
             return np.zeros((0, len(PERCENT)))
         return np.interp(times + lag_s, trajectory.time_s, column)
 
-    force = trajectory.ground_force_n / body_weight_n
-    take_offs = _times(trajectory, TAKE_OFF)
+    force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2] / body_weight_n
+    take_offs = _times(trajectory, side, TAKE_OFF)
     first = np.append(take_offs, np.inf)[np.searchsorted(take_offs, starts, side="right")]
     return Strides(
         hip_flexion_deg=-cut(joints[:, 0]),
@@ -83,16 +85,16 @@ def left_strides(trajectory: Trajectory, body_weight_n: float) -> Strides:
         dorsiflexion_deg=-cut(joints[:, 2]),
         vertical_bw=cut(force[:, 1], half_interval_s),
         forward_bw=cut(force[:, 0], half_interval_s),
-        activation=np.array([cut(trajectory.activation[:, m]) for m in range(len(MUSCLES))]),
+        activation=np.array([cut(activation[:, m]) for m in range(len(MUSCLES))]),
         take_off_percent=(100.0 * (first - starts) / (ends - starts))[first < ends],
         duration_s=ends - starts,
     )
 
 
-def _times(trajectory: Trajectory, kind: int) -> Array:
-    """Times of the left foot's events of a kind, in order, [k]."""
+def _times(trajectory: Trajectory, side: int, kind: int) -> Array:
+    """Times of a foot's events of a kind, in order, [k]."""
     events = trajectory.events
-    wanted = (events["side"] == LEFT) & (events["kind"] == kind)
+    wanted = (events["side"] == side) & (events["kind"] == kind)
     return np.sort(events["time_s"][wanted])
 
 
@@ -134,7 +136,8 @@ def write_gait_cycle(
 ) -> Path:
     """Draw the strides of the left leg, from heel strike to heel strike, mean +- 1 sd.
 
-    Of a walk with too few whole strides, the picture has the human ranges alone, and a line on why.
+    A thin line is the mean of the right leg, from its own heel strike. Of a walk with too few whole
+    strides, the picture has the human ranges alone, and a line on why.
 
     Args:
         path: of the PNG.
@@ -145,7 +148,8 @@ def write_gait_cycle(
     Raises:
         InputError: the file cannot be written.
     """
-    strides = left_strides(finite(trajectory), body_weight_n)
+    whole = finite(trajectory)
+    strides, right = (strides_of(whole, body_weight_n, side) for side in (LEFT, RIGHT))
     figure = style.new_figure(*SIZE_IN)
     grid = figure.subplots(4, 3, gridspec_kw=GRID)
     places = iter(grid.flat)
@@ -153,12 +157,15 @@ def write_gait_cycle(
         mean, sd = panel.at(PERCENT)
         axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0)
         axes.plot(PERCENT, mean, color=style.FAINT, linewidth=1.0, linestyle="--")
+        _draw_right(axes, getattr(right, name), right)
         _draw_model(axes, getattr(strides, name), strides, panel.title, panel.unit)
         _scale(axes, panel, getattr(strides, name))
     for (muscle, words), axes in zip(PEOPLE["muscles"].items(), places, strict=False):
         for start, end in EMG_ON_PERCENT[muscle]:
             axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
-        curves = strides.activation[MUSCLES.index(muscle)]
+        number = MUSCLES.index(muscle)
+        curves = strides.activation[number]
+        _draw_right(axes, right.activation[number], right)
         _draw_model(axes, curves, strides, f"{muscle}, {words}", "activation (1)")
         axes.set(ylim=(0.0, 1.05), yticks=[0.0, 0.5, 1.0])
     for axes in grid[-1]:
@@ -182,6 +189,11 @@ def _draw_model(axes: Axes, curves: Array, strides: Strides, title: str, unit: s
     axes.axhline(0.0, color=style.FAINT, linewidth=0.6, zorder=0.8)
 
 
+def _draw_right(axes: Axes, curves: Array, strides: Strides) -> None:
+    if strides.enough:
+        axes.plot(PERCENT, curves.mean(axis=0), color=style.OTHER_LEG, linewidth=1.1)
+
+
 def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
     """Set the axis, alike for different gaits.
 
@@ -200,8 +212,9 @@ def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
 
 def _caption(figure: Figure, strides: Strides, title: str) -> None:
     model = [
-        Line2D([], [], color=style.MODEL, linewidth=1.6, label="model ± 1 sd"),
-        Line2D([], [], color=style.MODEL, linewidth=0.9, linestyle=":", label="model toe-off"),
+        Line2D([], [], color=style.MODEL, linewidth=1.6, label="left leg ± 1 sd"),
+        Line2D([], [], color=style.OTHER_LEG, linewidth=1.1, label="right leg"),
+        Line2D([], [], color=style.MODEL, linewidth=0.9, linestyle=":", label="left toe-off"),
     ]
     handles = [
         *(model if strides.enough else []),
@@ -211,7 +224,7 @@ def _caption(figure: Figure, strides: Strides, title: str) -> None:
     figure.text(0.012, 0.978, title, fontsize=style.TITLE_PT, color=style.INK, va="top")
     figure.text(0.012, 0.953, subtitle(strides), fontsize=style.TEXT_PT, color=style.INK, va="top")
     figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.004, 0.94), ncols=4,
+        handles=handles, loc="upper left", bbox_to_anchor=(0.004, 0.94), ncols=5,
         frameon=False, fontsize=style.SMALL_PT, columnspacing=1.4, handlelength=1.8,
     )  # fmt: skip
 

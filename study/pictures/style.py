@@ -22,6 +22,7 @@ FAINT = "#8A9099"  # of what stands back, such as spines and peers
 GRID = "#E3E6EA"
 GROUND = "#CFC8BC"
 MODEL = BLUE
+OTHER_LEG = VERMILION
 HUMAN = "#9AA0A8"
 EMG = "#F3D9A4"
 FAR_LIMB = "#DDE1E6"

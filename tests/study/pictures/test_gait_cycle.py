@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 from study.pictures import gait_cycle as cycle
 from study.pictures import write_gait_cycle
-from study.pictures.gait_cycle import PANELS, PERCENT, human_distances, left_strides, subtitle
+from study.pictures.gait_cycle import PANELS, PERCENT, human_distances, strides_of, subtitle
 from study.pictures.style import PNG_DPI
 from taichi_nmm.result import MUSCLES, Trajectory
 from tests.study import synthetic_gait
@@ -41,8 +41,9 @@ def test_human_ranges_have_the_landmarks_of_walking() -> None:
     assert all(0 <= on < off <= 100 for on, off in spans)
 
 
-def test_strides_are_cut_at_left_heel_strikes_in_clinical_signs() -> None:
-    strides = left_strides(WALK, BODY_WEIGHT_N)
+@pytest.mark.parametrize("side", [0, 1])
+def test_strides_are_cut_at_heel_strikes_in_clinical_signs(side: int) -> None:
+    strides = strides_of(WALK, BODY_WEIGHT_N, side)
     assert len(strides) == 3 and strides.enough
     np.testing.assert_allclose(strides.duration_s, STRIDE_S)
     inner = slice(5, -5)  # the synthetic walk has a corner at the strike
@@ -57,15 +58,15 @@ def test_strides_are_cut_at_left_heel_strikes_in_clinical_signs() -> None:
 
 
 def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval() -> None:
-    strides = left_strides(WALK, BODY_WEIGHT_N)
+    strides = strides_of(WALK, BODY_WEIGHT_N)
     half_interval = 100.0 * 0.005 / STRIDE_S
     expected = PANELS["vertical_bw"].at(np.minimum(PERCENT + half_interval, 100.0))[0]
     np.testing.assert_allclose(strides.vertical_bw.mean(axis=0)[5:-5], expected[5:-5], atol=0.01)
     assert strides.forward_bw.min() < -0.1 and strides.forward_bw.max() > 0.15
-    strides = left_strides(GLIMPSE, BODY_WEIGHT_N)
+    strides = strides_of(GLIMPSE, BODY_WEIGHT_N)
     assert len(strides) == 0 and not strides.enough
     assert subtitle(strides).startswith("0 whole strides after settling: too few")
-    assert "3 strides" in subtitle(left_strides(WALK, BODY_WEIGHT_N))
+    assert "3 strides" in subtitle(strides_of(WALK, BODY_WEIGHT_N))
 
 
 def shifted(shifts: dict[str, float], deviations: float = 0.0) -> cycle.Strides:
