@@ -129,7 +129,8 @@ def doors() -> Iterator[None]:
 
     import taichi_nmm.simulator
     from storage import pool
-    from study.commands import dashboard, explore
+    from study import loopback
+    from study.commands import explore
 
     def reached(*_: object, **__: object) -> None:
         raise Reached
@@ -148,7 +149,7 @@ def doors() -> Iterator[None]:
         for owner, name, instead in (
             (taichi_nmm.simulator, "_start", reached),
             (pool, "Processes", reached),
-            (dashboard.Server, "serve_forever", reached),
+            (loopback.Server, "serve_forever", reached),
             (explore, "Processes", mock.MagicMock()),
             (explore, "serve", fill),
             (Figure, "savefig", savefig),

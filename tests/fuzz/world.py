@@ -47,6 +47,7 @@ COMMANDS: dict[str, Words] = {
     "dashboard": ("dashboard", "compared", "--port", "0"),
     "explore": ("explore", "store", "--port", "0", "--no-browser"),
     "bench": ("bench", "next", "--bench", "walk.toml"),
+    "bench of forms": ("bench", "serve", "--bench", "walk.toml", "--port", "0"),
     "bench of trials": ("bench", "import", "trials.csv", "--bench", "walk.toml"),
     "walk": ("walk", "--config", "toy.toml", *STILL),
     "walk on a table": ("walk", "--config", "hill.csv.toml", *STILL),
