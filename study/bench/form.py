@@ -48,8 +48,8 @@ def application(bench: Bench, address: str = HOST) -> tuple[Application, str]:
         given = request.get_cookie(cookie) or (request.path == "/" and request.query.token) or ""
         if not secrets.compare_digest(given.encode() if token else b"", token.encode()):
             bottle.abort(403, "open the link that the command has printed")
-        origin = request.get_header("Origin")
-        if origin not in (None, f"http://{request.get_header('Host')}"):
+        host, origin = request.get_header("Host"), request.get_header("Origin")
+        if origin is not None and origin.partition("://")[2] != host:  # https behind a proxy
             bottle.abort(403, "only the page itself may make entries")
 
     @contextmanager
@@ -64,7 +64,10 @@ def application(bench: Bench, address: str = HOST) -> tuple[Application, str]:
             bottle.response.set_cookie(cookie, token, **kept)
             return bottle.redirect("/")
         with operated():
-            return page(bench, bottle.request.query.entry)
+            try:
+                return page(bench, bottle.request.query.entry)
+            except InputError as error:  # the database cannot be read now
+                return bottle.abort(503, str(error))
 
     def name_operator() -> Any:
         name = bottle.request.forms.getunicode("operator", "").strip()[:LONGEST_NAME]

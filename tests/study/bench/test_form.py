@@ -75,6 +75,20 @@ def test_entries_by_hand_and_one_line_for_what_is_wrong(serve: Serve) -> None:
     assert ask(f"{address}/undo", {"entry": 1}, Origin="http://evil.example")[0] == 403
 
 
+def test_a_database_that_cannot_be_read_is_one_line(
+    serve: Serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    address, _, bench = serve(HOST)
+    locked = InputError("storage", "walk.db", "a database that no other program holds")
+    monkeypatch.setattr(bench, "look", lambda: raised(locked))
+    status, text = ask(address)
+    assert status == 503 and "storage: &#039;walk.db&#039;" in text
+
+
+def raised(error: Exception) -> None:
+    raise error
+
+
 def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
     address, token, bench = serve("0.0.0.0")
     for end in ("", "/?token=x", "/?token=", f"/next?token={token}"):
