@@ -102,7 +102,9 @@ class Packs:
         which = np.arange(len(flat)) if which is None else which
         packs = -(-len(which) // self.lanes)
         folded = np.empty((packs, flat.shape[1], self.lanes), dtype=flat.dtype)
-        places = np.minimum(np.arange(packs * self.lanes), len(which) - 1).reshape(packs, -1)
+        places = np.minimum(np.arange(packs * self.lanes), len(which) - 1).reshape(
+            packs, self.lanes
+        )
         for first in range(0, packs, PACKS_A_COPY):
             some = slice(first, first + PACKS_A_COPY)
             folded[some] = flat[which[places[some]]].transpose(0, 2, 1)
