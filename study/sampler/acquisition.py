@@ -1,7 +1,7 @@
 """How good each candidate is: expected improvement, kept limits, and the model behind both."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -61,8 +61,7 @@ class Model:
         """How good each of m candidates is, [m]; minus infinity where not offered or not examined.
 
         The log of the expected improvement times the probability that all limits are kept; until a
-        trial has succeeded, of the probability of success times that, while any has a chance; after
-        two have, of the improvement to be expected of a success times both probabilities.
+        trial has succeeded, of the probability of success times that, while any has a chance.
 
         Args:
             points: the candidates.
@@ -89,20 +88,6 @@ class Model:
         posterior = self._after(self.trials, y, standardised=self._in_costs is None)
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
-
-    @cached_property
-    def successful(self) -> Mask:
-        """Finished trials that kept all their limits and succeeded, [n]."""
-        return self.feasible & (self.costs <= (-np.inf if self.success is None else self.success))
-
-    @cached_property
-    def of_success(self) -> "Model | None":
-        """What a success costs: the model after the successes alone; None before there are two."""
-        won = self.successful
-        if won.sum() < 2 or won.all():
-            return None
-        trials, limits = self.trials.take(won), self.limits[won]
-        return replace(self, trials=trials, costs=self.costs[won], limits=limits, success=None)
 
     @cached_property
     def limit_posteriors(self) -> list[Posterior]:
@@ -230,23 +215,14 @@ class Model:
         mean, variance = self.posterior.predict(visible)
         cost = self.cost()
         mean += self.expected(points, cost)
-        sd, best = np.sqrt(variance), float(cost[feasible].min())
-        if self.success is None:
-            return log_expected_improvement(mean, sd, best) + kept
-        (goal,) = self.standard(np.array([self.success]), self.costs)
-        chance = log_kept(mean - goal, variance) + kept
-        if not self.successful.any():
+        if self.success is not None and self.costs[feasible].min() > self.success:
+            (goal,) = self.standard(np.array([self.success]), self.costs)
+            chance = log_kept(mean - goal, variance) + kept
             # Rows come first, and decide for the points off the table too.
             if self.__dict__.setdefault("_in_sight", bool(chance.max() >= LEAST_LOG_CHANCE)):
                 return chance
-        elif (model := self.of_success) is not None:
-            # Failures, which cost far more, would hide how successes differ. Where no success is
-            # near, the doubt is that of all trials, as far as successes differ among themselves.
-            own = model.cost()
-            mean = model.posterior.mean(visible) + model.expected(points, own)
-            sd = np.minimum(sd / (cost[self.successful].std() or 1.0), 1.0) * (own.std() or 1.0)
-            return log_expected_improvement(mean, sd, float(own.min())) + chance
-        return log_expected_improvement(mean, sd, best) + kept
+        best = float(cost[feasible].min())
+        return log_expected_improvement(mean, np.sqrt(variance), best) + kept
 
 
 def last_refit(trials: int) -> int:

@@ -12,7 +12,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import Model, log_expected_improvement
+from study.sampler.acquisition import Model
 from study.sampler.gp import WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
@@ -282,25 +282,6 @@ def test_the_chance_of_success_is_that_of_the_posterior() -> None:
     plain, reached = model.utility(points, offered, rng), float(model.costs.min())
     for same in (far, replace(model, success=reached)):
         np.testing.assert_array_equal(same.utility(points, offered, rng), plain)
-
-
-def test_after_two_successes_the_model_of_successes_says_what_one_costs() -> None:
-    ensemble, points, model = after_nine_trials()
-    costs, offered, rng = model.costs, np.ones(60, dtype=bool), np.random.default_rng(0)
-    won = np.argsort(costs)[:3]
-    success = float(costs[won].max())
-    successes = replace(model, trials=points.take(np.sort(won)), costs=costs[np.sort(won)],
-                        limits=np.empty((3, 0)))  # fmt: skip
-    mean, variance = model.posterior.predict(points)
-    away = ensemble.standard(np.array([success])) - mean - ensemble.mean
-    chance = norm.logcdf(away / np.sqrt(variance))
-    own = ensemble.standard(costs[won])
-    mean = successes.posterior.predict(points)[0] + ensemble.mean
-    sd = np.minimum(np.sqrt(variance), own.std())
-    improvement = log_expected_improvement(mean, sd, float(own.min()))
-    aimed = replace(model, success=success).utility(points, offered, rng)
-    np.testing.assert_allclose(aimed, improvement + chance, rtol=1e-3)
-    assert not np.allclose(aimed, model.utility(points, offered, rng) + chance, rtol=1e-3)
 
 
 def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_worlds() -> None:
