@@ -27,8 +27,9 @@ from optuna.study import StudyDirection
 
 from storage.databases.studies import shown_url
 from storage.databases.urls import file_url
+from storage.simulator import SURVIVED
 from storage.tables import read_any
-from study.experiment.features import COSTS, world_table
+from study.experiment.features import COSTS, Cost, world_table
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
@@ -66,6 +67,21 @@ class Goal:
         checks.number(0.0, self.duration_s)("seconds", seconds)
         first, last = self.failed
         return first + (last - first) * seconds / self.duration_s
+
+    def in_worlds(self, column: str) -> Cost:
+        """Values by a column of a store; runs that fell are failures, by how far they came.
+
+        None that lasted is worse than a failure at the end. Without `failed` the column is taken.
+        """
+
+        def values(given: Mapping[str, Floats], horizon_s: float) -> Floats:
+            if self.failed is None:
+                return given[column]
+            (first, last), lasted = self.failed, given[SURVIVED]
+            paid = (np.maximum if self.maximise else np.minimum)(given[column], last)
+            return np.asarray(np.where(lasted >= 1.0, paid, first + (last - first) * lasted))
+
+        return values
 
 
 @dataclass(frozen=True)
@@ -125,7 +141,7 @@ class Plan:
         table = Table(self.candidates.unread, "candidates", self.candidates.folder)
         prior = table.text("prior", "") or None
         with warnings.catch_warnings(action="ignore", category=UserWarning):  # of rows left out
-            found = _of_store(table) if "store" in table.unread else _of_file(table)
+            found = _of_store(table, self.goal) if "store" in table.unread else _of_file(table)
         table.done()
         if prior is not None and prior.removeprefix("-") not in found.rows.feature_names:
             names = ", ".join(found.rows.feature_names) or "none: there are no features"
@@ -233,15 +249,15 @@ def _better(table: Table) -> Better | None:
     return cast(Better, given) if given != "costs" else None
 
 
-def _of_store(table: Table) -> FeatureTable:
+def _of_store(table: Table, goal: Goal) -> FeatureTable:
     """The rows of a store: with features, or else in the worlds of its families."""
     path, features = table.folder / table.text("store"), table.texts("features")
     cost = table.text("cost", "smooth")
     better = _better(table)
     if features:
         return FeatureTable.from_parquet(path, features=features)
-    costs = COSTS.get(cost, lambda given, horizon_s: given[cost])  # or a column of the store
-    rows = world_table(path, costs).rows
+    in_values = goal if better is None else replace(goal, failed=None)
+    rows = world_table(path, COSTS.get(cost, in_values.in_worlds(cost))).rows  # or a column
     assert rows.worlds is not None
     worlds = replace(rows.worlds, better=better)
     return FeatureTable(replace(rows, worlds=worlds))

@@ -1,11 +1,12 @@
-"""The bench with the walker for a machine, whose ground changes after some trials.
+"""The bench with a simulated robot for a machine, whose ground changes after some trials.
 
     python -m tests.study.bench.rehearsal --robots 20 --seed 3301 --after risers
+    python -m tests.study.bench.rehearsal --before walker2d-robots --after walker2d-robots-uphill
 
 On each robot the bench goes on in a new context; beside it one that is begun anew, and one that
 carries on as if nothing had changed. Prints the median of the least cost after 1, 3 and 10 trials
-on the new ground, and on how many robots the context is ahead of the others. Needs the store
-out/store-worlds (`taichi-nmm precompute --config store-worlds`).
+on the new ground, and on how many robots the context is ahead of the others. Needs the store of
+the configuration, out/store-worlds or out/walker2d (`taichi-nmm precompute --config store-worlds`).
 
 The bench with contexts is entered from three computers in turn, each of which opens it anew, and
 with mistakes: trials that break off, wrong numbers that are corrected, trials that are undone. In
@@ -15,6 +16,9 @@ the end a quiet bench must have proposed the same for the same results.
 import argparse
 import shutil
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +26,8 @@ import optuna
 
 from study.bench.bench import Bench
 from study.bench.journal import Trial
-from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.experiment import Experiment, read_experiment, store_path
+from study.experiment.robots import RobotExperiment, Runs, is_of_robots, read_robots
 from study.experiment.trials import costs, finite, simulate_trials
 from study.options import config_path
 from study.report.numbers import wilcoxon
@@ -34,30 +39,70 @@ TOML = """
 name = "rehearsal"
 [candidates]
 store = "{store}"
+cost = "{cost}"
 [goal]
 success = {success}
+{failed}
 """
 
 
-def run(bench: Bench, experiment: Experiment, robot: int, trials: int) -> list[float]:
-    """Costs of the next trials on a robot of an experiment."""
-    found = []
-    for _ in range(trials):
-        (trial,) = bench.next()
-        found.append(tried(experiment, robot, trial))
-        bench.record(trial.number, found[-1])
-    return found
+@dataclass(frozen=True)
+class Machine:
+    """Robots on one kind of ground, and the file of a bench for them."""
+
+    toml: str
+    cost: Callable[[int, Trial], float]  # of a trial on a robot
+
+    @classmethod
+    def of(cls, config: str, seed: int) -> "Machine":
+        """The robots of a configuration of `compare`."""
+        path = config_path(config)
+        if is_of_robots(path):
+            robots = read_robots(path, seed, "worlds")
+            fell, most_s = robots.fell_cost, robots.duration_s
+            ends = f"failed_at_once = {2 * fell}\nfailed_at_end = {fell}\nduration_s = {most_s}"
+            toml = TOML.format(
+                store=robots.store.absolute(), cost=robots.cost, success=fell, failed=ends
+            )
+            return cls(toml, partial(cost_of_robot, robots))
+        walkers = read_experiment(path, None, seed).on_one_thread()
+        store = store_path(walkers, "worlds").absolute()
+        success = walkers.success
+        toml = TOML.format(store=store, cost=walkers.cost, success=success, failed="")
+        return cls(toml, partial(cost_of_walker, walkers))
 
 
-def tried(experiment: Experiment, robot: int, trial: Trial) -> float:
-    """The cost that a trial shows."""
+def cost_of_walker(experiment: Experiment, robot: int, trial: Trial) -> float:
+    """What a trial of our walker costs."""
     gains = np.array([[trial.params[name] for name in experiment.names]])
     rows = finite(simulate_trials(experiment, [robot], gains).rows)
     return float(costs(rows, experiment.cost)[0])
 
 
+@lru_cache(maxsize=2)
+def runs_of(experiment: RobotExperiment, robot: int) -> Runs:
+    """The runs of a robot, on the ground of an experiment."""
+    return Runs(experiment, robot)
+
+
+def cost_of_robot(experiment: RobotExperiment, robot: int, trial: Trial) -> float:
+    """What a trial of another robot costs."""
+    point = np.array([[trial.params[name] for name in experiment.names]])
+    return float(experiment.costs(runs_of(experiment, robot).rows(point))[0])
+
+
+def run(bench: Bench, machine: Machine, robot: int, trials: int) -> list[float]:
+    """Costs of the next trials on a robot."""
+    found = []
+    for _ in range(trials):
+        (trial,) = bench.next()
+        found.append(machine.cost(robot, trial))
+        bench.record(trial.number, found[-1])
+    return found
+
+
 def clumsily(
-    path: Path, experiment: Experiment, robot: int, trials: int, rng: np.random.Generator
+    path: Path, machine: Machine, robot: int, trials: int, rng: np.random.Generator
 ) -> list[float]:
     """The same from three computers, with mistakes that are put right."""
     found = []
@@ -70,7 +115,7 @@ def clumsily(
         if rng.random() < MISTAKE:
             bench.add([(trial.params, 1e3, {}, "another machine's")])
             bench.undo()
-        found.append(tried(experiment, robot, trial))
+        found.append(machine.cost(robot, trial))
         wrong = rng.random() < MISTAKE
         bench.record(trial.number, 1e3 * found[-1] if wrong else found[-1])
         if wrong:
@@ -89,13 +134,12 @@ def assert_same_as_quiet(clumsy: Path, quiet: Path) -> None:
         bench.record(asked.number, trial.value)
 
 
-def rehearse(folder: Path, robot: int, before: Experiment, after: Experiment) -> np.ndarray:
+def rehearse(folder: Path, robot: int, before: Machine, after: Machine) -> np.ndarray:
     """Least costs after some trials on the new ground, [ways, len(AFTER)]."""
-    store, rng = Path("out/store-worlds").absolute(), np.random.default_rng(robot)
+    rng = np.random.default_rng(robot)
     for way in (*WAYS[:2], "quiet"):
         (folder / way).mkdir(parents=True)
-        text = TOML.format(store=store, success=before.success)
-        (folder / way / "bench.toml").write_text(text)
+        (folder / way / "bench.toml").write_text(before.toml)
     path = folder / "context" / "bench.toml"
     first = Bench.new(path)
     clumsily(path, before, robot, TRIALS, rng)
@@ -116,10 +160,7 @@ def main() -> None:
     parser.add_argument("--after", default="risers")
     args = parser.parse_args()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    before, after = (
-        read_experiment(config_path(name), None, args.seed).on_one_thread()
-        for name in (args.before, args.after)
-    )
+    before, after = (Machine.of(name, args.seed) for name in (args.before, args.after))
     found = []
     with tempfile.TemporaryDirectory() as folder:
         for robot in range(args.robots):

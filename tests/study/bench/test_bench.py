@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,6 +15,7 @@ from optuna.trial import TrialState
 
 from study.bench import journal
 from study.bench.bench import Bench
+from study.bench.plan import Goal
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
 from tests.study.bench import robot
@@ -113,6 +115,19 @@ def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(bench: Benc
     (trial,) = bench.next()
     assert "all limits kept" in trial.why and "No trial has kept all limits yet" in trial.why
     assert shown(bench).trials[0].constraints == {"torque at most": 10.0}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["costs", "values"])
+def test_simulated_runs_that_fell_are_worth_what_failures_are(sign: float) -> None:
+    goal = Goal("J/m", sign < 0, None, (sign * 6.0, sign * 3.0), 30.0)
+    given = {
+        "effort": sign * np.array([[0.4, 0.1, 0.2, 5.0]]),
+        "survived_fraction": np.array([[1.0, 0.0, 0.5, 1.0]]),
+    }
+    found = goal.in_worlds("effort")(given, 10.0)
+    assert found.tolist() == (sign * np.array([[0.4, 6.0, 4.5, 3.0]])).tolist()
+    plain = replace(goal, failed=None).in_worlds("effort")(given, 10.0)
+    assert plain.tolist() == given["effort"].tolist()
 
 
 def test_a_repeat_is_pooled_and_the_least_sure_one_is_recommended(bench: Bench) -> None:
