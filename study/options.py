@@ -192,6 +192,8 @@ def bench(options: Options) -> None:
     options.add_argument("--operator", metavar="NAME", help="default: the user and the machine")
     what = "of the page of `serve`, for others too, by the link that is printed; default: loopback"
     options.add_argument("--listen", metavar="ADDRESS", help=what)
+    what = "films candidates of a simulator of your own on that page"
+    options.add_argument("--simulator", metavar="FILE:NAME", help=what)
     options.port(8090)
 
 

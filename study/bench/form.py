@@ -8,6 +8,7 @@ token, which is printed once. Requests take turns.
 import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -16,12 +17,13 @@ from urllib.parse import quote, unquote
 import bottle
 
 from study.bench.bench import Bench
+from study.bench.films import Films
 from study.loopback import HOST, Application, guarded
 from taichi_nmm.errors import InputError
 
 PAGE = bottle.SimpleTemplate(Path(__file__).with_suffix(".html").read_text(encoding="utf-8"))
 PROTECTION = [
-    ("Content-Security-Policy", "default-src 'none'; style-src 'unsafe-inline'; "
+    ("Content-Security-Policy", "default-src 'none'; style-src 'unsafe-inline'; media-src 'self'; "
                                 "form-action 'self'; frame-ancestors 'none'"),
     ("X-Content-Type-Options", "nosniff"), ("Referrer-Policy", "same-origin"),
     ("Cache-Control", "no-store"),
@@ -31,12 +33,15 @@ SHOWN_ENTRIES, LONGEST_NAME, MOST_DIGITS = 20, 60, 9
 Fields = Mapping[str, str]
 
 
-def application(bench: Bench, address: str = HOST) -> tuple[Application, str]:
+def application(
+    bench: Bench, address: str = HOST, films: Films | None = None
+) -> tuple[Application, str]:
     """A WSGI application with a bench's page, and the token that it asks for ("": none).
 
     Args:
         bench: that was begun.
         address: where it is served.
+        films: of its candidates; None: they cannot be filmed.
     """
     app, turn, own = bottle.Bottle(), threading.Lock(), bench.operator
     token = "" if address == HOST else secrets.token_urlsafe(16)
@@ -65,9 +70,20 @@ def application(bench: Bench, address: str = HOST) -> tuple[Application, str]:
             return bottle.redirect("/")
         with operated():
             try:
-                return page(bench, bottle.request.query.entry)
+                return page(bench, bottle.request.query.entry, filmed=films is not None)
             except InputError as error:  # the database cannot be read now
                 return bottle.abort(503, str(error))
+
+    def film(trial: int) -> Any:
+        with operated():
+            known = bench.look().trials
+        if films is None or trial not in known:
+            return bottle.abort(404, "no such film")
+        try:
+            path = films.of(known[trial].params)
+        except (InputError, BrokenExecutor) as error:
+            return bottle.abort(503, str(error))
+        return bottle.static_file(path.name, str(path.parent), mimetype="video/mp4")
 
     def name_operator() -> Any:
         name = bottle.request.forms.getunicode("operator", "").strip()[:LONGEST_NAME]
@@ -86,11 +102,12 @@ def application(bench: Bench, address: str = HOST) -> tuple[Application, str]:
                 ENTRIES[action](bench, given)
             except InputError as error:
                 bottle.response.status = 400
-                return page(bench, error=str(error), given=given)
+                return page(bench, error=str(error), given=given, filmed=films is not None)
             return bottle.redirect(f"/?entry={bench.entries[-1].number}")
 
     app.add_hook("before_request", require_token)
     app.get("/", callback=show)
+    app.get("/film/<trial:int>", callback=film)
     app.post("/operator", callback=name_operator)
     app.post("/<action>", callback=enter)
 
@@ -103,7 +120,10 @@ def application(bench: Bench, address: str = HOST) -> tuple[Application, str]:
     return (answer if token else guarded(answer, None)), token
 
 
-def page(bench: Bench, entry: str = "", error: str = "", given: Fields | None = None) -> str:
+def page(
+    bench: Bench, entry: str = "", error: str = "", given: Fields | None = None,
+    filmed: bool = False,
+) -> str:  # fmt: skip
     """The page after an entry of this number, or with an error and what was typed."""
     state, told = bench.look(), list[str]()
     if entry.isdecimal() and int(entry[:MOST_DIGITS]) < len(bench.entries):
@@ -113,7 +133,7 @@ def page(bench: Bench, entry: str = "", error: str = "", given: Fields | None = 
     trials = list(state.trials.values())
     return str(PAGE.render(
         plan=bench.plan, context=state.context, operator=bench.operator, told=" ".join(told),
-        error=error, given=given or {}, shown=shown, undone=state.undone,
+        error=error, given=given or {}, shown=shown, undone=state.undone, filmed=filmed,
         pending=[trial for trial in trials if trial.value is None],
         finished=[trial for trial in reversed(trials) if trial.value is not None],
         entries=bench.entries[: -SHOWN_ENTRIES - 1 : -1],

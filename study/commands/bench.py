@@ -21,6 +21,7 @@ import csv
 import json
 import socket
 import sys
+import tempfile
 from argparse import Namespace
 from collections.abc import Callable
 from contextlib import suppress
@@ -32,6 +33,7 @@ import numpy as np
 import optuna
 
 from storage.commit import commit_text
+from storage.processes import Processes
 from study.bench.bench import Bench
 from study.bench.journal import Trial
 from study.bench.plan import read_columns
@@ -229,16 +231,19 @@ def other(bench: Bench, args: Namespace) -> None:
 
 def serve(bench: Bench, args: Namespace) -> None:
     """Serve the page with forms until Ctrl-C."""
+    from study.bench.films import Films, filming_of
     from study.bench.form import application
 
-    address = args.listen or HOST
-    app, token = application(bench, address)
-    with wsgi_server(app, address, args.port) as server:
-        host = socket.gethostname() if address == EVERYWHERE else address
-        link = f"/?token={token}" if token else "/"
-        print(f"bench       http://{host}:{server.server_port}{link}  (Ctrl-C ends it)", flush=True)
-        with suppress(KeyboardInterrupt):
-            server.serve_forever()
+    address, filming = args.listen or HOST, filming_of(bench, args.simulator)
+    with tempfile.TemporaryDirectory() as folder, Processes(1) as makers:
+        films = None if filming is None else Films(filming, makers, Path(folder))
+        app, token = application(bench, address, films)
+        with wsgi_server(app, address, args.port) as server:
+            host = socket.gethostname() if address == EVERYWHERE else address
+            link = f"http://{host}:{server.server_port}/{f'?token={token}' if token else ''}"
+            print(f"bench       {link}  (Ctrl-C ends it)", flush=True)
+            with suppress(KeyboardInterrupt):
+                server.serve_forever()
 
 
 def number(args: Namespace) -> int:

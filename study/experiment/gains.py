@@ -74,7 +74,7 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
 def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:
     """The point at a place among a store's rows, called by the number of its row."""
     values = store.table(store.gain_names).slice(place, 1).to_pylist()[0]
-    return _named_gains(f"{store.path.name}-row-{row}", values)
+    return named_gains(f"{store.path.name}-row-{row}", values)
 
 
 def gains_of_trial(trial: str, where: str) -> NamedGains:
@@ -92,7 +92,7 @@ def gains_of_trial(trial: str, where: str) -> NamedGains:
         values = _of_folder(Path(where), trial)
     else:
         values = _of_database(where, study, int(number))
-    return _named_gains(trial.replace("/", "-"), values)
+    return named_gains(trial.replace("/", "-"), values)
 
 
 def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
     return trials[number].params
 
 
-def _named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
+def named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
     """Gains among other values; low-level gains that are not there have their defaults."""
     both = {parameter.name: parameter.default for parameter in LOW_LEVEL_GAINS}
     both |= {key: values[key] for key in (*GAIN_NAMES, *LOW_LEVEL_NAMES) if key in values}

@@ -15,10 +15,11 @@ from storage.store import Store, open_store
 from study.experiment.folder import EXPERIMENT_NAME, RESULTS_NAME
 from study.experiment.gains import gains_at, gains_of_source
 from study.explore.downloads import file_of_selection
-from study.explore.robot_view import RobotView, filmable
+from study.explore.robot_view import RobotView
 from study.explore.server import Message
 from study.explore.store_view import StoreView
 from study.explore.walk_view import WalkView
+from study.pictures.movie import filmable
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder
 

@@ -6,11 +6,7 @@ is one of MuJoCo: a store is data, and names code that is never looked for.
 
 import base64
 import html
-import os
-import tempfile
 from concurrent.futures import Executor
-from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 from bokeh.document import Document
@@ -19,7 +15,7 @@ from bokeh.models import Button, Div, Select
 
 from storage.store import Store
 from study.explore.server import Latest, Message, Saver
-from taichi_nmm.errors import InputError
+from study.pictures.movie import filmed
 
 BASE = "base setting"
 DURATIONS_S = (5.0, 10.0, 20.0)
@@ -120,40 +116,3 @@ def numbers_text(store: Store, place: int) -> str:
     parts = ["".join(shown[first : first + third]) for first in range(0, len(shown), third)]
     tables = "".join(f"<table style='font-size:11px'>{part}</table>" for part in parts)
     return f"<div style='display:flex;gap:24px;align-items:flex-start'>{tables}</div>"
-
-
-def filmed(simulator: str, point: dict[str, Any], world: dict[str, float], seconds: float) -> bytes:
-    """An MP4 of a run; in a process of its own, since MuJoCo reads how to draw when it is loaded.
-
-    The point has the numbers of a store: whole numbers as floats, a choice as its number.
-
-    Raises:
-        InputError: a simulator that cannot be filmed, of other parameters, or no OpenGL.
-    """
-    if not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    from study.pictures.movie import film_run
-    from study.pictures.scene import SMALL
-
-    robot = filmable(simulator)
-    if set(point) != set(robot.space):
-        raise InputError("simulator", simulator, f"one with the parameters {', '.join(point)}")
-    point = {name: robot.space[name].to_external_repr(value) for name, value in point.items()}
-    with tempfile.TemporaryDirectory() as folder:
-        path = film_run(Path(folder) / "run.mp4", robot, point, world, seconds, film=SMALL)
-        return path.read_bytes()
-
-
-def filmable(name: str) -> Any:
-    """The simulator of MuJoCo with this name.
-
-    Raises:
-        InputError: none, or one of another kind.
-    """
-    from storage.mujoco_simulator import MujocoSimulator
-    from storage.simulator import find_simulator
-
-    robot = find_simulator(name)
-    if not isinstance(robot, MujocoSimulator):
-        raise InputError("simulator", name, "a MujocoSimulator: others have nothing to film")
-    return robot

@@ -1,6 +1,8 @@
 """Films of walkers: H.264 in MP4, made by the ffmpeg that comes with imageio-ffmpeg."""
 
+import os
 import subprocess
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -9,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from storage.commit import commit
-from study.pictures.scene import LARGE, Film, frames
+from storage.simulator import find_simulator
+from study.pictures.scene import LARGE, SMALL, Film, frames
 from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
@@ -83,6 +86,39 @@ def film_run(
     times_s = np.arange(0.0, len(states) * simulator.control_step_s, 1.0 / film.rate_hz)
     shown = [states[int(time_s / simulator.control_step_s)] for time_s in times_s]
     return _write(path, encoder, _drawn(model, shown, film), film)
+
+
+def filmed(simulator: str, point: dict[str, Any], world: dict[str, float], seconds: float) -> bytes:
+    """An MP4 of a run; in a process of its own, since MuJoCo reads how to draw when it is loaded.
+
+    The point has the numbers of a store: whole numbers as floats, a choice as its number.
+
+    Raises:
+        InputError: a simulator that cannot be filmed, of other parameters, or no OpenGL.
+    """
+    if not os.environ.get("DISPLAY"):
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    robot = filmable(simulator)
+    if set(point) != set(robot.space):
+        raise InputError("simulator", simulator, f"one with the parameters {', '.join(point)}")
+    point = {name: robot.space[name].to_external_repr(value) for name, value in point.items()}
+    with tempfile.TemporaryDirectory() as folder:
+        path = film_run(Path(folder) / "run.mp4", robot, point, world, seconds, film=SMALL)
+        return path.read_bytes()
+
+
+def filmable(name: str) -> Any:
+    """The simulator of MuJoCo with this name.
+
+    Raises:
+        InputError: none, or one of another kind.
+    """
+    from storage.mujoco_simulator import MujocoSimulator
+
+    robot = find_simulator(name)
+    if not isinstance(robot, MujocoSimulator):
+        raise InputError("simulator", name, "a MujocoSimulator: others have nothing to film")
+    return robot
 
 
 def _drawn(model: Any, states: list[Any], film: Film) -> Iterator[bytes]:

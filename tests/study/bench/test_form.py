@@ -4,18 +4,24 @@ import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import bottle
 import pytest
 
+from storage import make_store
+from storage.processes import Processes
 from study.bench.bench import Bench
+from study.bench.films import Films, filming_of, of_walker
 from study.bench.form import application
 from study.loopback import HOST, wsgi_server
 from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import GAIN_NAMES, load_gains
 from tests.browser import opened_page, save
+from tests.storage import rail
 from tests.study.bench import robot
 
 Serve = Callable[[str], tuple[str, str, Bench]]
@@ -28,7 +34,8 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
     def start(address: str) -> tuple[str, str, Bench]:
         bench = Bench.new(robot.write(tmp_path), "me")
-        app, token = application(bench, address)
+        films = Films(filmed, ThreadPoolExecutor(1), tmp_path)
+        app, token = application(bench, address, films)
         servers.append(wsgi_server(app, HOST, 0))
         threading.Thread(target=servers[-1].serve_forever).start()
         return f"http://{HOST}:{servers[-1].server_port}", token, bench
@@ -37,6 +44,17 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
     for server in servers:
         server.shutdown()
         server.server_close()
+
+
+def filmed(params: Mapping[str, Any]) -> bytes:
+    """A film of a simulator that refuses every second trial."""
+    FILMED.append(params)
+    if len(FILMED) == 2:
+        raise InputError("film", "OpenGL", "a screen")
+    return b"a film of a walker"
+
+
+FILMED: list[Mapping[str, Any]] = []
 
 
 def ask(url: str, form: dict[str, Any] | None = None, **headers: str) -> tuple[int, str]:
@@ -75,6 +93,20 @@ def test_entries_by_hand_and_one_line_for_what_is_wrong(serve: Serve) -> None:
     assert ask(f"{address}/undo", {"entry": 1}, Origin="http://evil.example")[0] == 403
 
 
+def test_candidates_are_filmed_once_when_they_are_asked_for(serve: Serve) -> None:
+    address, _, bench = serve(HOST)
+    FILMED.clear()
+    ask(f"{address}/next", {"batch": 2})
+    assert '<video src="/film/1"' in ask(address)[1] and not FILMED
+    film = f"{address}/film/0"
+    assert ask(film) == ask(film) == (200, "a film of a walker") and len(FILMED) == 1
+    assert ask(film, Range="bytes=2-5") == (206, "film")  # as a phone asks
+    assert [bench.look().trials[0].params] == FILMED
+    status, text = ask(f"{address}/film/1")
+    assert status == 503 and "film: &#039;OpenGL&#039;" in text
+    assert ask(f"{address}/film/1")[0] == 200 and ask(f"{address}/film/2")[0] == 404
+
+
 def test_a_database_that_cannot_be_read_is_one_line(
     serve: Serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,6 +130,38 @@ def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
     assert ask(f"{address}/?token={token}")[0] == 200
     with pytest.raises(InputError, match=r"^listen: '203.0.113.1'.* an address of this machine"):
         wsgi_server(application(bench, "203.0.113.1")[0], "203.0.113.1", 0)
+
+
+def bench_of(store: Path) -> Bench:
+    """A bench over the rows of a store."""
+    path = store.with_name("stored.toml")
+    path.write_text(f'[candidates]\nstore = "{store.name}"\nfeatures = ["survived_fraction"]\n')
+    return Bench.new(path)
+
+
+def test_what_can_be_filmed(store: Path, tmp_path: Path) -> None:
+    own = Bench.new(robot.write(tmp_path))
+    assert filming_of(own, None) is None and filming_of(bench_of(store), None) is of_walker
+    for simulator, allowed in (("robot.py:Cart", "a MujocoSimulator"), ("rail.py:Rail", "damping")):
+        with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
+            filming_of(own, f"tests/storage/{simulator}")
+
+
+@pytest.mark.slow
+def test_films_of_both_engines(tmp_path: Path) -> None:
+    reference = dict(zip(GAIN_NAMES, load_gains("reference").tolist(), strict=True))
+    assert of_walker(reference)[4:8] == b"ftyp"
+    store = make_store(rail.Rail, tmp_path / "rail", workers=1, samples=8)
+    bench = bench_of(store.path)
+    filming = filming_of(bench, "tests/storage/rail.py:Rail")
+    (trial,) = bench.next()
+    with Processes(1) as makers:
+        try:
+            film = makers.submit(filming, trial.params).result()
+        except InputError as error:
+            assert "OpenGL" in str(error)
+        else:
+            assert film[4:8] == b"ftyp"
 
 
 @pytest.mark.slow
