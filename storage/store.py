@@ -215,9 +215,9 @@ class Store:
         for name, kind in zip(table.column_names, table.schema.types, strict=True):
             column = table[name].combine_chunks()
             if pa.types.is_fixed_size_list(kind):
-                arrays[name] = column.flatten().to_numpy().reshape(len(table), kind.list_size)
+                arrays[name] = _plain(column.flatten()).reshape(len(table), kind.list_size)
             else:
-                values = column.to_numpy(zero_copy_only=False)
+                values = _plain(column)
                 arrays[name] = values.astype(np.str_) if values.dtype == object else values
         kinds = [(name, values.dtype, values.shape[1:]) for name, values in arrays.items()]
         rows = np.empty(len(table), kinds)
@@ -268,7 +268,8 @@ class Store:
     def gains(self) -> NDArray[np.float64]:
         """The points, [n, 16 + k], in the order of `gain_names`."""
         table = self.table(self.gain_names)
-        return np.column_stack([table[name].to_numpy() for name in self.gain_names])
+        columns = [_plain(table[name].combine_chunks()) for name in self.gain_names]
+        return np.column_stack(columns)
 
     def require_bounds(self) -> None:
         """Refuse a store whose points were drawn from other bounds than those of this version.
@@ -290,6 +291,18 @@ class Store:
 
 
 @checks.checked(path=checks.path, verify=checks.flag, unfinished=checks.flag)
+def _plain(column: pa.Array) -> NDArray[Any]:
+    """A column as an array, [n].
+
+    By DLPack where that does: `to_numpy` loads pandas, which takes longer than to read a store.
+    """
+    if pa.types.is_boolean(column.type) and not column.null_count:
+        return _plain(column.cast(pa.uint8())).astype(np.bool_)
+    if pa.types.is_primitive(column.type) and not column.null_count:
+        return np.from_dlpack(column)
+    return np.asarray(column.to_numpy(zero_copy_only=False))
+
+
 def open_store(path: str | Path, verify: bool = False, unfinished: bool = False) -> Store:
     """Open a store's folder, a single shard, or a merged file.
 
