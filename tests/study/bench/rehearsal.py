@@ -18,7 +18,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +64,7 @@ class Machine:
             toml = TOML.format(
                 store=robots.store.absolute(), cost=robots.cost, success=fell, failed=ends
             )
-            return cls(toml, partial(cost_of_robot, robots))
+            return cls(toml, partial(cost_of_robot, robots, cache(partial(Runs, robots))))
         walkers = read_experiment(path, None, seed).on_one_thread()
         store = store_path(walkers, "worlds").absolute()
         success = walkers.success
@@ -79,16 +79,12 @@ def cost_of_walker(experiment: Experiment, robot: int, trial: Trial) -> float:
     return float(costs(rows, experiment.cost)[0])
 
 
-@lru_cache(maxsize=2)
-def runs_of(experiment: RobotExperiment, robot: int) -> Runs:
-    """The runs of a robot, on the ground of an experiment."""
-    return Runs(experiment, robot)
-
-
-def cost_of_robot(experiment: RobotExperiment, robot: int, trial: Trial) -> float:
+def cost_of_robot(
+    experiment: RobotExperiment, runs_of: Callable[[int], Runs], robot: int, trial: Trial
+) -> float:
     """What a trial of another robot costs."""
     point = np.array([[trial.params[name] for name in experiment.names]])
-    return float(experiment.costs(runs_of(experiment, robot).rows(point))[0])
+    return float(experiment.costs(runs_of(robot).rows(point))[0])
 
 
 def run(bench: Bench, machine: Machine, robot: int, trials: int) -> list[float]:
