@@ -290,7 +290,6 @@ class Store:
                 raise InputError(f"store.gains.{name}", stored.get(name), allowed)
 
 
-@checks.checked(path=checks.path, verify=checks.flag, unfinished=checks.flag)
 def _plain(column: pa.Array) -> NDArray[Any]:
     """A column as an array, [n].
 
@@ -303,6 +302,7 @@ def _plain(column: pa.Array) -> NDArray[Any]:
     return np.asarray(column.to_numpy(zero_copy_only=False))
 
 
+@checks.checked(path=checks.path, verify=checks.flag, unfinished=checks.flag)
 def open_store(path: str | Path, verify: bool = False, unfinished: bool = False) -> Store:
     """Open a store's folder, a single shard, or a merged file.
 

@@ -21,7 +21,7 @@ import study
 import taichi_nmm
 from storage.precompute import precompute
 from storage.simulator import Simulator
-from study.experiment.features import smooth_costs
+from study.experiment.objective import Objective
 from taichi_nmm import terrain
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import PUBLISHED_GAINS
@@ -141,7 +141,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         (study.FeatureTable.from_graph, {"weights": np.ones((2, 2)), "parameters": None,
                                          "hops": 2.0}),
         (study.FeatureTable.from_parquet, {"path": folder / "frame.parquet"} | named),
-        (study.world_table, {"path": store, "cost": smooth_costs}),
+        (study.world_table, {"path": store, "cost": Objective().in_worlds}),
         (terrain.blocks, rough | {"riser_m": 0.1}),
         (terrain.from_file, {"path": folder / "hill.csv"}),
         (terrain.ramp, {"increment": 0.1, "segment_m": 20.0, "largest_slope": 0.2,

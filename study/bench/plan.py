@@ -29,7 +29,8 @@ from storage.databases.studies import shown_url
 from storage.databases.urls import file_url
 from storage.simulator import SURVIVED
 from storage.tables import read_any
-from study.experiment.features import COSTS, Cost, world_table
+from study.experiment.features import Cost, world_table
+from study.experiment.objective import PRINTED, Objective
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
@@ -257,7 +258,8 @@ def _of_store(table: Table, goal: Goal) -> FeatureTable:
     if features:
         return FeatureTable.from_parquet(path, features=features)
     in_values = goal if better is None else replace(goal, failed=None)
-    rows = world_table(path, COSTS.get(cost, in_values.in_worlds(cost))).rows  # or a column
+    costs = Objective(cost).in_worlds if cost in PRINTED else in_values.in_worlds(cost)
+    rows = world_table(path, costs).rows
     assert rows.worlds is not None
     worlds = replace(rows.worlds, better=better)
     return FeatureTable(replace(rows, worlds=worlds))

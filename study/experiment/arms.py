@@ -13,8 +13,9 @@ from optuna.samplers import BaseSampler, TPESampler
 
 from storage.store import open_store
 from study.experiment import samplers
-from study.experiment.experiment import SUCCESS_SPEED_MPS, Experiment, candidates, check_store
+from study.experiment.experiment import Experiment, candidates, check_store
 from study.experiment.features import IN_WORLDS, RANKING, WORLDS, definition_of
+from study.experiment.objective import SUCCESS_SPEED_MPS
 from study.experiment.samplers import Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler

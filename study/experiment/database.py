@@ -33,7 +33,7 @@ from study.experiment.experiment import Experiment, study_name, summary_name
 from study.experiment.folder import LIVE_ATTRIBUTE, as_if_gone_on, by_study, fingerprint
 from study.experiment.live_study import require_notes, require_written
 from study.experiment.one_study import note_worth
-from study.experiment.trials import ATTRIBUTES, metric_name
+from study.experiment.trials import ATTRIBUTES
 from study.sampler.history import ROW_ATTRIBUTE
 from taichi_nmm.errors import InputError
 
@@ -64,7 +64,7 @@ def export(
         note = summarise(experiment.name, shown, final, study_ids(storage))
         from optuna_dashboard import save_note  # a second, once a minute
 
-        name, metric = summary_name(experiment.name), metric_name(experiment.cost)
+        name, metric = summary_name(experiment.name), experiment.objective.metric
         with read_errors(url):
             study = optuna.create_study(storage=storage, study_name=name, load_if_exists=True)
             name_metric(study, metric)
@@ -140,7 +140,7 @@ def _new_studies(
             )
             for row in rows.slice(first).to_pylist()
         ]
-        first, metric = min(first, len(rows)), metric_name(experiment.cost)
+        first, metric = min(first, len(rows)), experiment.objective.metric
         known = {"experiment": experiment.name, "arm": arm, "run": run,
                  CONFIG_ATTRIBUTE: fingerprint(experiment)}  # fmt: skip
         yield FinishedStudy(name, new, first=first, user_attrs=known, metric=metric)

@@ -12,12 +12,13 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from optuna.distributions import FloatDistribution
 
+from storage.simulator import SURVIVED
 from storage.store import MANIFEST_NAME, Manifest, Store, open_store
 from storage.tables import file_hash
 from study.experiment.features import check_feature, feature_table
+from study.experiment.objective import Objective, read_objective
 from study.sampler.draws import Purpose, stream
 from study.sampler.table import FeatureTable
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
@@ -25,19 +26,17 @@ from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, Parameter, searched_parameters
-from taichi_nmm.result import RESULT_DTYPE, smooth_cost, walking_cost
+from taichi_nmm.result import RESULT_DTYPE
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
 
-COST_FUNCTIONS = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
-SUCCESS_SPEED_MPS = 1.0  # people walk at 1.3; with 1.1, up a ramp, first walkers come later
-WALKING_SUCCESS = 150.0  # walking_cost: who falls pays 300 less the distance, who lasts below 130
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
 SEARCHABLE = ("theta_ref",)  # low-level gains that have a column in the results
+PAID = tuple(name for name in RESULT_DTYPE.names or () if name not in ("end_reason", SURVIVED))
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Experiment:
     name: str  # a study is called name/arm/run-NNN
     seed: int  # of bodies, grounds and samplers: run r draws from (seed, purpose, r)
     searched: tuple[str, ...]  # low-level gains that are searched beside the 16 gains
-    cost: str  # "smooth" or "walking", the paper's two
+    objective: Objective
     conditions: Conditions
     until_walker: bool = False  # a study ends with its first walker, where others have all trials
     # The rest decides nothing: it may grow, or its content is known by digest (`as_written`).
@@ -77,16 +76,8 @@ class Experiment:
 
     @property
     def success(self) -> float:
-        """The cost of a trial that has succeeded: of a walk to the end.
-
-        With the smooth cost of a fast one, since a slow one costs more than a late fall.
-        """
-        if self.cost == "walking":
-            return WALKING_SUCCESS
-        walk, duration_s = np.zeros(1, RESULT_DTYPE), self.conditions.duration_s
-        walk["duration_s"], walk["mean_speed_mps"] = duration_s, SUCCESS_SPEED_MPS
-        walk["distance_m"] = SUCCESS_SPEED_MPS * duration_s
-        return float(smooth_cost(walk)[0])
+        """The cost of a trial that has succeeded."""
+        return self.objective.success(self.conditions.duration_s)
 
     def body(self, run: int) -> Bodies:
         """The one body of a run."""
@@ -167,7 +158,7 @@ def experiment_of(
         name=read_name(table, name),
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
         searched=table.texts("searched", SEARCHABLE),
-        cost=objective.text("cost", "smooth", tuple(COST_FUNCTIONS)),
+        objective=read_objective(objective, PAID),
         conditions=read_conditions(table, arch),
         until_walker=table.boolean("until_walker", False),
         runs=table.integer("runs", 50, 1, MOST_RUNS),
@@ -196,7 +187,7 @@ def as_written(experiment: Experiment) -> dict[str, Any]:
         "name": experiment.name,
         "seed": experiment.seed,
         "searched": list(experiment.searched),
-        "objective": {"cost": experiment.cost},
+        "objective": experiment.objective.document(),
         **experiment.conditions.as_written(),
         **switches,
     }
@@ -214,14 +205,15 @@ def candidates(experiment: Experiment, store: str, feature: str) -> FeatureTable
         written_ns = written.stat().st_mtime_ns
     except OSError:
         written_ns = 0  # opening the store tells what is missing
-    return _candidates(path, written_ns, feature, experiment.parameters, experiment.cost)
+    return _candidates(path, written_ns, feature, experiment.parameters, experiment.objective)
 
 
 @lru_cache(maxsize=16)
 def _candidates(
-    path: Path, _written_ns: int, feature: str, parameters: tuple[Parameter, ...], cost: str
-) -> FeatureTable:
-    return feature_table(open_store(path), feature, search_space(parameters), cost)
+    path: Path, _written_ns: int, feature: str, parameters: tuple[Parameter, ...],
+    objective: Objective,
+) -> FeatureTable:  # fmt: skip
+    return feature_table(open_store(path), feature, search_space(parameters), objective)
 
 
 def store_path(experiment: Experiment, store: str) -> Path:
@@ -253,7 +245,7 @@ def check_store(experiment: Experiment, store: str, feature: str) -> Store:
         allowed = f"a store of {' and '.join(('the 16 gains', *experiment.searched))}"
         raise InputError(f"stores.{store}", found, allowed)
     opened.require_bounds()
-    check_feature(feature, opened)
+    check_feature(feature, opened, experiment.objective)
     return opened
 
 

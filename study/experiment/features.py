@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from storage.store import Store, open_store
+from storage.store import Store, open_store, outcome_name
+from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.errors import InputError
-from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost, walking_cost
 
 Floats = NDArray[np.float64]
 
@@ -31,25 +31,25 @@ def definition_of(feature: str) -> Any:
     return [feature, f"cost of a trial of {TRIAL_S:g} s"] if feature in IN_WORLDS else feature
 
 
-def check_feature(feature: str, store: Store) -> None:
+def check_feature(feature: str, store: Store, objective: Objective) -> None:
     """Refuse a store without a column of the feature by an InputError that names both."""
     if feature in IN_WORLDS:
-        outcomes_of(store, smooth_costs)
+        outcomes_of(store, objective.in_worlds)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
 
 def feature_table(
-    store: Store, feature: str, space: Mapping[str, BaseDistribution], cost: str
+    store: Store, feature: str, space: Mapping[str, BaseDistribution], objective: Objective
 ) -> FeatureTable:
     """The rows of a store as candidates; those that no world ran are not proposed.
 
-    `space` has the columns that studies suggest, with distributions. `cost` is that of a trial.
+    `space` has the columns that studies suggest, with distributions.
     """
     if feature == WORLDS:
-        return table_of_worlds(store, COSTS[cost], space)
+        return table_of_worlds(store, objective.in_worlds, space)
     if feature == RANKING:
-        rows = table_of_worlds(store, COSTS[cost]).rows
+        rows = table_of_worlds(store, objective.in_worlds).rows
         values = np.full(len(rows), np.nan)
         values[rows.numbers] = -rows.ensemble(maximise=False).columns[:, -1]
     else:
@@ -89,39 +89,6 @@ class Given(dict[str, Floats]):
         return self[column]
 
 
-TRIAL_DTYPE = np.dtype([
-    (name, RESULT_DTYPE[name])  # what costs depend on
-    for name in ("end_reason", "duration_s", "distance_m", "mean_speed_mps",
-                 "cost_of_transport_jpkgpm")
-])  # fmt: skip
-
-
-def smooth_costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
-    """The walker's smooth cost of a trial of 100 s: who lasts to the horizon is taken to go on."""
-    return smooth_cost(_trials(given, horizon_s))
-
-
-def walking_costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
-    """The walker's non-smooth cost of a trial of 100 s, likewise."""
-    rows = _trials(given, horizon_s)
-    rows["cost_of_transport_jpkgpm"] = given["cost_of_transport_jpkgpm"]
-    return walking_cost(rows)
-
-
-def _trials(given: Mapping[str, Floats], horizon_s: float) -> NDArray[np.void]:
-    """Trials as the simulator would give them, of what worlds gave, [n, w]."""
-    lasted, speed = given["survived_fraction"], given["mean_speed_mps"]
-    seconds = np.where(lasted >= 1.0, TRIAL_S, lasted * horizon_s)
-    rows = np.zeros(lasted.shape, TRIAL_DTYPE)
-    rows["end_reason"] = np.where(lasted >= 1.0, COMPLETED, FELL)
-    rows["duration_s"], rows["distance_m"] = seconds, speed * seconds
-    rows["mean_speed_mps"] = speed
-    return rows
-
-
-COSTS: dict[str, Cost] = {"smooth": smooth_costs, "walking": walking_costs}  # of experiments
-
-
 def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     """Costs [n, w] of the rows in the worlds of each family, by name; NaN: no family ran a row.
 
@@ -131,7 +98,7 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     if not store.families:
         raise InputError("store", str(store.path), "a store with families of worlds")
     known = store.specification.get("families", {})
-    read = cache(lambda column: store.all_outcomes(column, store.families))
+    read = cache(partial(_in_families, store))
     found: dict[str, Floats] = {}
     for family in sorted(store.families, key=lambda name: "after" in known.get(name, {})):
         settings = store.specification["robust"] if family == "robust" else known[family]
@@ -146,20 +113,27 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     return found
 
 
-@checks.checked(path=checks.path, cost=checks.function)
-def world_table(path: str | Path, cost: Cost = smooth_costs) -> FeatureTable:
+def _in_families(store: Store, column: str) -> dict[str, NDArray[Any]]:
+    """A column [n, w] by family; where no world has kept it, as it was in the base setting."""
+    if any(outcome_name(family, column) in store.columns for family in store.families):
+        return store.all_outcomes(column, store.families)
+    return dict.fromkeys(store.families, store.numpy([column])[column][:, None])
+
+
+@checks.checked(path=checks.path, cost=checks.optional(checks.function))
+def world_table(path: str | Path, cost: Cost | None = None) -> FeatureTable:
     """The rows of a store as candidates, with what a trial costs in each of its worlds.
 
     Args:
         path: of a store with families; rows that no family ran are not proposed.
-        cost: of a trial; by default the walker's smooth cost.
+        cost: of a trial; None is the walker's smooth cost.
 
     Raises:
         InputError: no store, or one without families or with other bounds, or a column is missing.
     """
     store = open_store(path)
     store.require_bounds()
-    return table_of_worlds(store, cost)
+    return table_of_worlds(store, cost or Objective().in_worlds)
 
 
 def table_of_worlds(

@@ -32,9 +32,7 @@ from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStud
 from study.experiment.trials import (
     ATTRIBUTES,
     attributes,
-    costs,
     finite,
-    metric_name,
     simulate_trials,
 )
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
@@ -131,7 +129,7 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
     )
     if LIVE_ATTRIBUTE not in study.user_attrs:
         study.set_user_attr(LIVE_ATTRIBUTE, identity)
-    name_metric(study, metric_name(experiment.cost))
+    name_metric(study, experiment.objective.metric)
     return study
 
 
@@ -189,7 +187,7 @@ def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
 def _simulated(experiment: Experiment, one: LiveStudy, gains: list[float]) -> FrozenTrial:
     """Try what was asked for, and tell."""
     rows = finite(simulate_trials(experiment, [one.run], np.array([gains])).rows)
-    return one.tell(float(costs(rows, experiment.cost)[0]), rows, attributes(rows))
+    return one.tell(float(experiment.objective.costs(rows)[0]), rows, attributes(rows))
 
 
 def running(study: optuna.Study) -> list[FrozenTrial]:

@@ -8,7 +8,7 @@ Optuna's samplers, which begin with nothing or with the ranking's first rows.
 
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -35,6 +35,7 @@ from study.experiment.compare import work_through
 from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, read_name, store_digest, study_name
 from study.experiment.features import table_of_worlds
 from study.experiment.folder import LIVE_ATTRIBUTE, ROBOTS_NAME, by_study, in_order, versions
+from study.experiment.objective import Objective, read_objective
 from study.experiment.samplers import FIRST_ROWS
 from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
@@ -95,8 +96,7 @@ class RobotExperiment:
     rule: WorldRule  # of the robots' worlds
     store: Path
     duration_s: float  # of a trial
-    cost: str  # column that is minimised among runs that last
-    fell_cost: float  # of a run that falls at its end, and the most of any that lasts
+    objective: Objective
     noise: float  # of a measured cost, relative, standard deviation of its logarithm
     runs: int  # robots
     trials: int  # of each arm on each robot
@@ -107,8 +107,8 @@ class RobotExperiment:
         """All that decides a trial, as JSON values; robots, trials and arms may grow."""
         first = self.rule.draw([stream(self.seed, Purpose.WORLD, 0)])
         return {
-            **{name: getattr(self, name) for name in
-               ("name", "seed", "duration_s", "cost", "fell_cost", "noise")},
+            **{name: getattr(self, name) for name in ("name", "seed", "duration_s", "noise")},
+            **self.objective.document(),
             "simulator": self.simulator.name,
             "code_version": self.simulator.code_version,
             "versions": versions(*PACKAGES, *self.simulator.packages),
@@ -131,14 +131,7 @@ class RobotExperiment:
 
     def costs(self, rows: NDArray[np.void]) -> Floats:
         """Costs of the simulator's rows, [n]."""
-        lasted, paid = (rows[name] for name in (self.simulator.survived, self.cost))
-        return costs_of(lasted.astype(np.float64), paid.astype(np.float64), self.fell_cost)
-
-
-def costs_of(survived: Floats, paid: Floats, fell_cost: float) -> Floats:
-    """Costs of runs: who falls early costs twice `fell_cost`, who lasts what was paid."""
-    lasting = np.minimum(paid, fell_cost)
-    return np.asarray(np.where(survived >= 1.0, lasting, fell_cost * (2.0 - survived)))
+        return self.objective.costs(rows)
 
 
 def is_of_robots(path: Path) -> bool:
@@ -168,7 +161,7 @@ def read_robots(
     table = read_toml(path)
     simulator = read_simulator(table, None)
     simulation, objective = table.table("simulation"), table.table("objective")
-    costs = [name for name in simulator.scores if name != simulator.survived]
+    paid = [name for name in simulator.scores if name != simulator.survived]
 
     def number(given: int | None, *configured: Any) -> int:
         own = table.integer(*configured)
@@ -181,8 +174,7 @@ def read_robots(
         rule=simulator.read_worlds(table),
         store=Path(table.text("store")),
         duration_s=simulation.number("duration_s", low=SHORTEST_TRIAL_S, high=LONGEST_TRIAL_S),
-        cost=objective.text("cost", choices=(*costs, simulator.survived)),
-        fell_cost=objective.number("fell_cost", low=1e-9),
+        objective=read_objective(objective, paid, simulator.survived),
         noise=objective.number("noise", 0.0, 0.0, 1.0),
         runs=number(runs, "runs", 50, 1, MOST_RUNS),
         trials=number(trials, "trials", 30, 1, MOST_TRIALS),
@@ -358,7 +350,7 @@ def _study(
     """The study of an arm on a robot, which begins with the rows that the arm is given."""
     table = candidates(experiment)
     chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
-    sampler = chosen.new_sampler(table, seed, experiment.fell_cost)
+    sampler = chosen.new_sampler(table, seed, experiment.objective.fell_cost)
     study = optuna.create_study(
         storage=storage, sampler=sampler, study_name=name, load_if_exists=True
     )
@@ -391,16 +383,12 @@ def candidates(experiment: RobotExperiment) -> FeatureTable:
     Raises:
         InputError: a store without families, or that has not kept the cost in each world.
     """
-    survived = experiment.simulator.survived
-    return _candidates(experiment.store, survived, experiment.cost, experiment.fell_cost)
+    return _candidates(experiment.store, experiment.objective)
 
 
 @lru_cache(maxsize=4)
-def _candidates(path: Path, survived: str, cost: str, fell_cost: float) -> FeatureTable:
-    def costs(given: Mapping[str, Floats], horizon_s: float) -> Floats:
-        return costs_of(given[survived], given[cost], fell_cost)
-
-    return table_of_worlds(open_store(path), costs)
+def _candidates(path: Path, objective: Objective) -> FeatureTable:
+    return table_of_worlds(open_store(path), objective.in_worlds)
 
 
 def _in_order(kept: list[pa.Table]) -> pa.Table:

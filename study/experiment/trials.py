@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
-from study.experiment.experiment import COST_FUNCTIONS, Experiment
+from study.experiment.experiment import Experiment
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import GAINS, split_points
@@ -75,16 +75,6 @@ def walked(rows: NDArray[np.void]) -> NDArray[np.bool_]:
 def fell(rows: NDArray[np.void]) -> NDArray[np.bool_]:
     """Which result rows did not last to the end (fallen or diverged), bool [n]."""
     return np.asarray(rows["end_reason"] != COMPLETED)
-
-
-def costs(rows: NDArray[np.void], cost: str) -> NDArray[np.float64]:
-    """The named cost ("smooth" or "walking") of result rows, finite, [n]."""
-    return COST_FUNCTIONS[cost](rows)
-
-
-def metric_name(cost: str) -> str:
-    """The name of a cost in a study: that of its function in `taichi_nmm`."""
-    return COST_FUNCTIONS[cost].__name__
 
 
 def finite(rows: NDArray[np.void]) -> NDArray[np.void]:

@@ -44,13 +44,13 @@ class RobotResults:
 
     def markdown(self) -> str:
         """The report."""
-        known = self.experiment
+        known, fell_cost = self.experiment, self.experiment.objective.fell_cost
         return "\n\n".join([
             f"# {known.name}",
             f"{known.runs} robots of {known.simulator.name}, {known.trials} trials of"
             f" {known.duration_s:g} s on each, seed {known.seed}. A robot's world is drawn from the"
-            f" ranges of the configuration. A run that lasts costs its {known.cost}, at most"
-            f" {known.fell_cost:g}; one that ends early costs more, up to {2 * known.fell_cost:g}."
+            f" ranges of the configuration. A run that lasts costs its {known.objective.cost},"
+            f" at most {fell_cost:g}; one that ends early costs more, up to {2 * fell_cost:g}."
             f" Samplers are told costs with {100 * known.noise:g} % noise; the tables are without.",
             self._walkers(),
             self._costs(),

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.tables import read_any
-from study.experiment.experiment import COST_FUNCTIONS, NAME_PATTERN, store_digest
+from study.experiment.experiment import NAME_PATTERN, store_digest
 from study.experiment.folder import (
     EXPERIMENT_NAME,
     RESULTS_NAME,
@@ -30,6 +30,7 @@ from study.experiment.folder import (
     table_files,
     without_gaps,
 )
+from study.experiment.objective import PRINTED, WEIGHTED
 from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
@@ -195,7 +196,7 @@ FORM: dict[str, dict[str, Check]] = {
         "simulation": OBJECT, "objective": OBJECT, "versions": OBJECT, "body": OBJECT,
         "terrain": OBJECT, "ground": OBJECT, "until_walker": flag,
         "searched": each(text), "stores": by_name(text),
-        "objective.cost": word(*COST_FUNCTIONS), "simulation.duration_s": NUMBER,
+        "objective.cost": word(*PRINTED, WEIGHTED), "simulation.duration_s": NUMBER,
     },
     RUN_NAME: {"sessions": each(OBJECT)},
 }  # fmt: skip

@@ -25,6 +25,7 @@ from study.experiment.arms import ARMS, find_arm
 from study.experiment.compare import Request, compare
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.live_study import open_study, run_study
+from study.experiment.objective import Objective
 from study.experiment.one_study import OneStudy, sampler_seed
 from study.experiment.samplers import Task
 from study.experiment.trials import ATTRIBUTES, simulate_trials
@@ -82,7 +83,7 @@ def test_trials_say_what_happened(toy: Experiment, arm: str) -> None:
 def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> None:
     costs = {"smooth": taichi_nmm.smooth_cost, "walking": taichi_nmm.walking_cost}
     for cost, function in costs.items():
-        experiment = replace(toy, cost=cost)
+        experiment = replace(toy, objective=Objective(cost))
         (trial,) = run(experiment, "random", 1, InMemoryStorage(), 2)
         gains = fake_walker.gain_rows(list(trial.params.values()))
         assert trial.value == function(simulate_trials(experiment, [2], gains).rows)[0]
@@ -98,7 +99,8 @@ def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:
         study = optuna.load_study(study_name=name, storage=storage)
         assert study.metric_names == [metric]
         study.set_metric_names(["mine"])
-    walking = run_study(replace(toy, cost="walking"), find_arm("random"), 0, 1, InMemoryStorage())
+    paper = replace(toy, objective=Objective("walking"))
+    walking = run_study(paper, find_arm("random"), 0, 1, InMemoryStorage())
     assert walking.metric_names == ["walking_cost"]
 
 

@@ -8,6 +8,7 @@ import pyarrow as pa
 
 from study.experiment.experiment import Experiment
 from study.experiment.folder import RESULT_SCHEMA
+from study.experiment.objective import Objective
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
 from taichi_nmm.settings import Settings
@@ -24,7 +25,7 @@ def experiment(**changes: Any) -> Experiment:
     }  # fmt: skip
     conditions |= {name: changes.pop(name) for name in conditions if name in changes}
     fields: dict[str, Any] = {
-        "name": "tiny", "seed": 7, "searched": (), "cost": "smooth",
+        "name": "tiny", "seed": 7, "searched": (), "objective": Objective(),
         "conditions": Conditions(**conditions), "runs": 2, "trials": 3, "arms": ARMS,
     }  # fmt: skip
     return Experiment(**(fields | changes))

@@ -37,7 +37,7 @@ def edited(tmp_path: Path, old: str, new: str) -> Path:
 
 def test_rough8_is_the_papers_rough_ground() -> None:
     experiment = read_experiment(ROUGH8, arch="cpu")
-    assert (experiment.name, experiment.cost) == ("rough8", "smooth")
+    assert (experiment.name, experiment.objective.cost) == ("rough8", "smooth")
     assert experiment.conditions.duration_s == 100.0 and experiment.names == GAIN_NAMES
     assert experiment.conditions.settings.arch == "cpu"  # of the command
     body, ground = experiment.body(0), experiment.terrain(0)

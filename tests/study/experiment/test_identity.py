@@ -11,6 +11,7 @@ from storage.tables import difference
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.folder import document, fingerprint, versions
+from study.experiment.objective import Objective
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER
@@ -26,7 +27,7 @@ TINY = experiment()
 # place, whether it decides trials; that it then does, or does not, is tested.
 DECIDING: dict[type, dict[str, Any]] = {
     Experiment: {
-        "name": "other", "seed": 8, "searched": ("theta_ref",), "cost": "walking",
+        "name": "other", "seed": 8, "searched": ("theta_ref",), "objective": Objective("walking"),
         "until_walker": True,
     },
     Conditions: {
@@ -146,12 +147,17 @@ def test_an_experiment_that_was_read_back_draws_alike(kind: str, seed: int, tmp_
     (tmp_path / "ground.csv").write_text("0,0\n3,0.1\n60,0\n")
     file = {"file": str(tmp_path / "ground.csv")} if kind == "file" else {}
     ground = read_ground(Table({"kind": kind, **file}, "terrain"))
-    changes = {"ground": ground, "searched": ("theta_ref",), "cost": "walking", "duration_s": 1.5}
+    changes = {
+        "ground": ground,
+        "searched": ("theta_ref",),
+        "objective": Objective("walking"),
+        "duration_s": 1.5,
+    }
     ours = experiment(seed=seed, **changes)
     read = read_back(ours)
     machine = replace(read.conditions.settings, arch="cpu")  # of which tables say nothing
     assert replace(read.conditions, settings=machine) == ours.conditions
-    for name in ("name", "seed", "searched", "cost", "parameters"):
+    for name in ("name", "seed", "searched", "objective", "parameters"):
         assert getattr(read, name) == getattr(ours, name)
     for run in (0, 7):
         assert read.body(run).mass_kg.tobytes() == ours.body(run).mass_kg.tobytes()

@@ -7,7 +7,8 @@ import pytest
 
 from study.experiment import trials
 from study.experiment.experiment import Experiment
-from study.experiment.trials import costs, simulate_trials
+from study.experiment.objective import Objective
+from study.experiment.trials import simulate_trials
 from study.sampler.draws import Purpose, stream
 from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
@@ -32,7 +33,7 @@ def test_a_walker_that_diverged_has_a_finite_cost() -> None:
     clean = trials.finite(rows)
     assert np.isnan(rows["distance_m"][0])  # the caller's rows are as they were
     for cost in ("smooth", "walking"):
-        values = costs(clean, cost)
+        values = Objective(cost).costs(clean)
         assert np.isfinite(values).all()
         assert values[0] == values[1]
 

@@ -1,0 +1,98 @@
+"""What a trial costs: weighted terms beside the paper's two costs, of rows and of worlds."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from study.experiment.arms import ARMS
+from study.experiment.experiment import PAID, as_written, candidates, check_store, experiment_of
+from study.experiment.objective import Objective, Term, read_objective
+from taichi_nmm.config import Table
+from taichi_nmm.result import RESULT_DTYPE
+from tests.study import fake_walker
+from tests.study.conftest import refused
+
+TERMS = {
+    "cost_of_transport_jpkgpm": 2.0,
+    "mean_speed_mps": {"weight": 100.0, "target": 0.8, "tolerance": 0.05},
+}
+TABLE = {"cost": "weighted", "fell_cost": 50.0, "terms": TERMS}
+AT_08 = read_objective(Table(TABLE, "objective"), PAID)
+
+
+@pytest.mark.parametrize(("cost", "walker", "faller"), [
+    ("smooth", 1 / 101 + 0.3 / 121 + 0.001, 1 / 11 + 0.3 / 13 + 0.001), ("walking", 15.0, 288.0),
+])  # fmt: skip
+def test_costs_in_worlds_are_those_of_a_trial(cost: str, walker: float, faller: float) -> None:
+    names = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
+    values = np.array([[1.0, 0.5, np.nan], [1.2, 1.2, np.nan], [5.0, 9.0, np.nan]])
+    given = dict(zip(names, values[:, None], strict=True))
+    found = Objective(cost).in_worlds(given, 20.0)  # who lasts 20 s is taken to last 100 s
+    assert_allclose(found, [[walker, faller, np.nan]])
+
+
+def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
+    rows = np.zeros(5, RESULT_DTYPE)
+    rows["survived_fraction"] = 1.0, 1.0, 1.0, 0.75, 0.0
+    rows["mean_speed_mps"] = 0.84, 0.7, 2.0, 0.8, 0.8
+    rows["cost_of_transport_jpkgpm"] = 4.0
+    expected = [8.0, 8.0 + 100.0 * 0.05, 50.0, 50.0 * 1.25, 100.0]  # the third costs 123: no more
+    assert_allclose(AT_08.costs(rows), expected)
+    given = {name: rows[name][:, None] for name in rows.dtype.names or ()}
+    assert_allclose(AT_08.in_worlds(given, 5.0)[:, 0], expected)
+    assert AT_08.success(100.0) == 50.0 and AT_08.metric == "weighted_cost"
+
+
+def test_it_is_read_back_from_what_it_writes(tmp_path: Path, fake_simulator: None) -> None:
+    assert AT_08.document() == TABLE and AT_08.terms[0] == Term("cost_of_transport_jpkgpm", 2.0)
+    experiment = replace(fake_walker.experiment(tmp_path), objective=AT_08)
+    written = as_written(experiment)
+    again = experiment_of(Table(written), "")
+    assert again.objective == AT_08 and as_written(again) == written
+    column = read_objective(Table({"cost": "effort", "fell_cost": 9.0}), ("effort",), "lasted")
+    assert column == Objective("effort", (Term("effort", 1.0),), 9.0, "lasted")
+    assert column.document() == {"cost": "effort", "fell_cost": 9.0}
+
+
+@pytest.mark.parametrize(("changed", "message"), [
+    ({"cost": "best"}, r"^objective\.cost: 'best' .* smooth or walking or weighted"),
+    ({"fell_cost": 0.0}, r"^objective\.fell_cost: 0\.0"),
+    ({"terms": {}}, r"^objective\.terms: 'nothing to pay for'"),
+    ({"terms": {"mean_speed_mps": 0.0}}, r"^objective\.terms: 'nothing to pay for'"),
+    ({"terms": {"speed": 1.0}}, r"^objective\.terms\.speed: .* one of duration_s"),
+    ({"terms": {"end_reason": 1.0}}, r"^objective\.terms\.end_reason"),
+    ({"terms": {"mean_speed_mps": "fast"}}, r"^objective\.terms\.mean_speed_mps: 'fast'"),
+    ({"terms": {"mean_speed_mps": {"weight": 1.0}}}, r"mean_speed_mps\.target: 'missing'"),
+    ({"terms": {"mean_speed_mps": TERMS["mean_speed_mps"] | {"aim": 1}}},  # type: ignore[operator]
+     r"^objective\.terms\.mean_speed_mps\.aim: 1"),
+    ({"terms": {"mean_speed_mps": {"weight": 1.0, "target": 1.0, "tolerance": -1.0}}},
+     r"^objective\.terms\.mean_speed_mps\.tolerance: -1\.0"),
+    ({"cost": "smooth"}, r"^objective\.fell_cost: 50\.0 .* only the keys cost"),
+])  # fmt: skip
+def test_bad_objectives_are_refused(changed: dict[str, Any], message: str) -> None:
+    table = Table(TABLE | changed, "objective")
+    with refused(message):
+        read_objective(table, PAID)
+        table.done()
+
+
+def test_worlds_count_in_the_units_of_the_objective(fake_simulator: None, tmp_path: Path) -> None:
+    """What no world has kept is taken from level ground."""
+    experiment, feature = fake_walker.experiment(tmp_path), ARMS["worlds"].feature
+    level = Objective("weighted", (Term("activation_sol_mean", 1.0),), 30.0)
+    objectives = {"smooth": Objective(), "walking": Objective("walking"), "at": AT_08, "sol": level}
+    costs, rows = {}, None
+    for name, objective in objectives.items():
+        one = replace(experiment, objective=objective)
+        store = check_store(one, "worlds", feature)
+        rows = candidates(one, "worlds", feature).rows
+        assert rows.worlds is not None
+        costs[name] = rows.worlds.costs
+    assert np.nanmax(costs["smooth"]) < 2.0 < 200.0 < np.nanmax(costs["walking"]) <= 300.0
+    assert 50.0 < np.nanmax(costs["at"]) <= 100.0
+    own, lasting = store.numpy(["activation_sol_mean"])["activation_sol_mean"], costs["sol"] < 30.0
+    assert lasting.any() and (costs["sol"] == own[:, None])[lasting].all()
