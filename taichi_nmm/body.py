@@ -6,12 +6,13 @@ Source: Geyer & Herr 2010, as in the walker T (80 kg, 1.80 m); disturbances: Ant
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_nmm import checks
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
 GRAVITY_MPS2 = 9.81
@@ -42,7 +43,14 @@ SEGMENT_NAMES: tuple[str, ...] = (
     "hat", "thigh_l", "shank_l", "foot_l", "thigh_r", "shank_r", "foot_r",
 )  # fmt: skip
 
+SIDES = ("left", "right")
+OF_A_LEG = ("thigh", "shank", "foot")
+FACTOR_NAMES = ("hat", *(f"{name}_{side}" for side in SIDES for name in OF_A_LEG))
+
 LARGEST_DISTURBANCE = 0.15  # of mass and inertia; of half the length for the centre of mass
+MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
+FACTORS = (0.05, 20.0)  # of a configuration, of masses and inertias
+AS_NOMINAL = (1.0,) * len(SEGMENTS)
 
 
 class Rows:
@@ -127,3 +135,58 @@ class Bodies(Rows):
             nominal.inertia_kgm2 * (1.0 + draws[:, 1]),
             nominal.com_m + draws[:, 2] * half_length,
         )
+
+
+@dataclass(frozen=True)
+class Build:
+    """What bodies are drawn around: factors of the nominal segments, and a largest disturbance."""
+
+    disturbance: float = 0.0  # as in `Bodies.disturbed`
+    mass: tuple[float, ...] = AS_NOMINAL  # in the order of `SEGMENT_NAMES`
+    inertia: tuple[float, ...] = AS_NOMINAL
+
+    def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Bodies:
+        """One body a seed."""
+        drawn = Bodies.disturbed(seeds, self.disturbance)
+        return Bodies(drawn.mass_kg * self.mass, drawn.inertia_kgm2 * self.inertia, drawn.com_m)
+
+    def document(self) -> dict[str, Any]:
+        """The table [body]; factors only where they are not those that are read without them."""
+        document: dict[str, Any] = {"disturbance": self.disturbance}
+        if self.mass != AS_NOMINAL:
+            document["mass"] = dict(zip(FACTOR_NAMES, self.mass, strict=True))
+        if self.inertia != self.mass:
+            document["inertia"] = dict(zip(FACTOR_NAMES, self.inertia, strict=True))
+        return document
+
+
+def read_body(table: Table) -> Build:
+    """The table [body]: `disturbance` (0.15 in the paper), and factors of masses and inertias.
+
+    [body.mass] and [body.inertia] have them by segment (`hat`, `thigh`, `shank`, `foot`), by
+    segment and side (`shank_left`), or for `all`. An inertia that is not named grows with its mass.
+    Lengths are those of the model. Reads every key.
+
+    Raises:
+        InputError: naming the key.
+    """
+    disturbance = table.number("disturbance", 0.0, 0.0, MOST_DISTURBANCE)
+    mass = _read_factors(table.table("mass"), AS_NOMINAL)
+    build = Build(disturbance, mass, _read_factors(table.table("inertia"), mass))
+    table.done()
+    return build
+
+
+def _read_factors(table: Table, otherwise: tuple[float, ...]) -> tuple[float, ...]:
+    """Factors of all segments; `otherwise` those that are not named."""
+    named = {
+        name: table.number(name, low=FACTORS[0], high=FACTORS[1])
+        for name in ("all", *OF_A_LEG, *FACTOR_NAMES)
+        if name in table.unread
+    }
+    table.done()
+    factors = []
+    for name, factor in zip(FACTOR_NAMES, otherwise, strict=True):
+        wider = (name, name.partition("_")[0], "all")  # the narrowest that is named counts
+        factors.append(next((named[each] for each in wider if each in named), factor))
+    return tuple(factors)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
+from taichi_nmm.body import Build, read_body
 from taichi_nmm.config import Table
 from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, read_ground
@@ -10,7 +11,6 @@ from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 
 SHORTEST_TRIAL_S, LONGEST_TRIAL_S = 0.1, 1000.0
 TRIAL_S = 100.0  # where a configuration names none
-MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Conditions:
 
     duration_s: float  # how long a walker may walk
     settings: Settings  # how the simulation is integrated, and on which machine
-    disturbance: float  # largest relative disturbance of a body, as in `Bodies.disturbed`
+    build: Build  # what bodies are drawn around
     ground: Ground  # kind of terrain, with its options
     world_ranges: WorldRanges = NOMINAL  # the ranges that a walker's world is drawn from
 
@@ -39,7 +39,7 @@ class Conditions:
         world = self.world_ranges.document()
         return {
             "simulation": self.simulation_document(),
-            "body": {"disturbance": self.disturbance},
+            "body": self.build.document(),
             "terrain": {"kind": self.ground.kind, **self.ground.options},
             **({"world": world} if world else {}),
         }
@@ -60,7 +60,7 @@ def read_conditions(table: Table, arch: str | None = None) -> Conditions:
     return Conditions(
         duration_s=duration_s,
         settings=settings,
-        disturbance=read_disturbance(table.table("body")),
+        build=read_body(table.table("body")),
         ground=read_ground(table.table("terrain")),
         world_ranges=read_world(table.table("world"), settings.engine),
     )
@@ -90,10 +90,3 @@ def read_settings(table: Table, arch: str | None = None) -> Settings:
         arch=arch or configured,
         **own,
     )
-
-
-def read_disturbance(table: Table) -> float:
-    """The table [body]: largest relative disturbance, 0.15 in the paper. Reads every key."""
-    disturbance = table.number("disturbance", 0.0, 0.0, MOST_DISTURBANCE)
-    table.done()
-    return disturbance

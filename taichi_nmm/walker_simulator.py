@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import taichi_nmm
-from taichi_nmm.body import Bodies
-from taichi_nmm.conditions import read_disturbance, read_settings
+from taichi_nmm.body import Bodies, Build, read_body
+from taichi_nmm.conditions import read_settings
 from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER, require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -66,7 +66,7 @@ class DrawnWorlds:
 class WalkerWorlds:
     """The tables [body], [terrain] and [world], from which worlds are drawn."""
 
-    disturbance: float  # largest relative disturbance of a body
+    build: Build  # what bodies are drawn around
     ground: Ground  # kind of terrain with its options
     ranges: WorldRanges  # of contact, muscles and nerves
 
@@ -82,7 +82,7 @@ class WalkerWorlds:
             ]
 
         return DrawnWorlds(
-            Bodies.disturbed(streams(0), self.disturbance),
+            self.build.draw(streams(0)),
             tuple(map(self.ground.draw, streams(1))),
             self.ranges.draw(streams(2)),
         )
@@ -94,7 +94,7 @@ class WalkerWorlds:
         bodies = array_digest(*vars(worlds.bodies).values())
         document: dict[str, Any] = {
             "terrain": terrain_document(worlds.terrains),
-            "body": {"disturbance": self.disturbance, "sha256": bodies},
+            "body": self.build.document() | {"sha256": bodies},
         }
         if ranges := self.ranges.document():  # else no key: it is newer than many stores
             document["world"] = ranges | {"sha256": array_digest(*drawn)}
@@ -152,10 +152,10 @@ class Walker:
 
     def read_worlds(self, table: Table) -> WalkerWorlds:
         """The tables [body], [terrain] and [world]. Reads every key of them."""
-        disturbance = read_disturbance(table.table("body"))
+        build = read_body(table.table("body"))
         ground = read_ground(table.table("terrain"))
         ranges = read_world(table.table("world"), self.settings.engine)
-        return WalkerWorlds(disturbance, ground, ranges)
+        return WalkerWorlds(build, ground, ranges)
 
     def run(
         self,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm import checks
-from taichi_nmm.body import Rows
+from taichi_nmm.body import SIDES, Rows
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
@@ -36,7 +36,6 @@ LIMITS: dict[str, Range] = {
     "overall_strength": (0.1, 10.0),
     "catch_ns": (0.0, 50.0),
 }
-SIDES = ("left", "right")  # of a muscle: SOL_left
 HEALTHY = (1.0,) * MUSCLE_COUNT
 
 

@@ -81,8 +81,7 @@ class Experiment:
 
     def body(self, run: int) -> Bodies:
         """The one body of a run."""
-        seed = stream(self.seed, Purpose.BODY, run)
-        return Bodies.disturbed([seed], self.conditions.disturbance)
+        return self.conditions.build.draw([stream(self.seed, Purpose.BODY, run)])
 
     def world(self, run: int) -> Worlds:
         """The one world of a run."""

@@ -9,6 +9,7 @@ import pytest
 
 from storage.specification import read_specification
 from storage.tables import difference, document_hash
+from taichi_nmm.body import Build
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from tests.cases import asset
@@ -35,7 +36,8 @@ def test_shipped_configs_are_valid() -> None:
     assert [family.name for family in families] == ["blocks", "down", "rough", "up"]
     for each in families:
         assert len(each.worlds.bodies) == len(each.worlds.terrains) == 4
-        assert (each.min_survival_s, each.horizon_s, each.rule.disturbance) == (5.0, 20.0, 0.15)
+        assert (each.min_survival_s, each.horizon_s) == (5.0, 20.0)
+        assert each.rule.build == Build(0.15)
     for family, sign in ((families[1], -1), (families[3], 1)):
         slopes = np.diff(family.worlds.terrains[0].height_m) / 0.05 * sign
         assert slopes.max() == pytest.approx(0.20) and slopes.min() == 0.0

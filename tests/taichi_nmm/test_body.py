@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from taichi_nmm import body
-from taichi_nmm.body import SEGMENT_NAMES, SEGMENTS, Bodies
+from taichi_nmm.body import SEGMENT_NAMES, SEGMENTS, Bodies, Build, read_body
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
 LENGTH_M = np.array([segment.length_m for segment in SEGMENTS])
@@ -96,3 +97,31 @@ def test_arrays_of_no_use_are_named(names: tuple[str, ...], value: Any, message:
     # But a centre of mass may lie behind its joint.
     behind = nominal_but(0, 3, -0.01)
     assert Bodies(**{**vars(Bodies.nominal(2)), "com_m": behind}).com_m[0, 3] == -0.01
+
+
+def test_a_build_of_other_masses_is_drawn_and_read_back() -> None:
+    """The narrowest name counts; an inertia that is not named grows with its mass."""
+    mass = {"all": 1.2, "shank": 1.1, "foot_left": 0.5}
+    build = read_body(Table({"disturbance": 0.1, "mass": mass, "inertia": {"hat": 2.0}}, "body"))
+    assert build.mass == (1.2, 1.2, 1.1, 0.5, 1.2, 1.1, 1.2)
+    assert build.inertia == (2.0, *build.mass[1:])
+    drawn, plain = build.draw([5]), Bodies.disturbed([5], 0.1)
+    np.testing.assert_allclose(drawn.mass_kg / plain.mass_kg, [build.mass])
+    np.testing.assert_allclose(drawn.inertia_kgm2 / plain.inertia_kgm2, [build.inertia])
+    np.testing.assert_array_equal(drawn.com_m, plain.com_m)
+    for each in (build, Build(), Build(0.1, build.mass, build.mass), Build(inertia=build.mass)):
+        assert read_body(Table(each.document(), "body")) == each
+    assert Build(0.15).document() == {"disturbance": 0.15}  # what is not said changes no digest
+
+
+@pytest.mark.parametrize(("table", "message"), [
+    ({"mass": {"arm": 1.0}}, r"^body\.mass\.arm: 1\.0 .* only the keys "),
+    ({"mass": {"hat_left": 1.0}}, r"^body\.mass\.hat_left"),
+    ({"mass": {"hat": 0.0}}, r"^body\.mass\.hat: 0\.0 .* from 0\.05 to 20$"),
+    ({"inertia": {"foot": "big"}}, r"^body\.inertia\.foot: 'big'"),
+    ({"mass": 80}, r"^body\.mass: 80 .* a table"),
+    ({"length": {"all": 2.0}}, r"^body\.length"),
+])  # fmt: skip
+def test_builds_that_the_model_does_not_have_are_refused(table: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        read_body(Table(table, "body"))

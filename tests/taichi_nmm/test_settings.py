@@ -11,7 +11,8 @@ import pytest
 
 import taichi_nmm
 from taichi_nmm import mujoco_engine
-from taichi_nmm.conditions import Conditions, read_conditions, read_disturbance, read_settings
+from taichi_nmm.body import Build, read_body
+from taichi_nmm.conditions import Conditions, read_conditions, read_settings
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -78,7 +79,7 @@ def test_settings_out_of_range_are_named(field: str, value: object) -> None:
 
 def test_tables_become_conditions_and_missing_ones_nominal() -> None:
     settings = Settings(0.5e-3, 0.03, "float64", "cpu")
-    expected = Conditions(20.0, settings, 0.15, Ground("rough", {"amplitude_m": 0.03}))
+    expected = Conditions(20.0, settings, Build(0.15), Ground("rough", {"amplitude_m": 0.03}))
     assert read(ALL) == expected
     assert pickle.loads(pickle.dumps(expected)) == expected
     assert hash(read(ALL)) == hash(expected)
@@ -107,10 +108,10 @@ def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
 
 
 def test_the_body_table_may_be_read_alone() -> None:
-    assert read_disturbance(Table({"disturbance": 0.15}, "body")) == 0.15
-    assert read_disturbance(Table({}, "body")) == 0.0
+    assert read_body(Table({"disturbance": 0.15}, "body")).disturbance == 0.15
+    assert read_body(Table({}, "body")) == Build()
     with pytest.raises(InputError, match=r"^body\.disturbance: 0\.95 .* a number from 0 to 0\.9$"):
-        read_disturbance(Table({"disturbance": 0.95}, "body"))
+        read_body(Table({"disturbance": 0.95}, "body"))
 
 
 @pytest.mark.parametrize("value", [0.0, -0.02, NAN, INF, -INF, "soft"])

@@ -9,6 +9,7 @@ import pyarrow as pa
 from study.experiment.experiment import Experiment
 from study.experiment.folder import RESULT_SCHEMA
 from study.experiment.objective import Objective
+from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
 from taichi_nmm.settings import Settings
@@ -20,7 +21,7 @@ ARMS = ("dog", "random")
 def experiment(**changes: Any) -> Experiment:
     """Rough ground, disturbed bodies, two runs of three trials; `changes` may be of conditions."""
     conditions: dict[str, Any] = {
-        "duration_s": 2.0, "settings": Settings(arch="cpu"), "disturbance": 0.1,
+        "duration_s": 2.0, "settings": Settings(arch="cpu"), "build": Build(0.1),
         "ground": Ground("rough", {"amplitude_m": 0.02}),
     }  # fmt: skip
     conditions |= {name: changes.pop(name) for name in conditions if name in changes}

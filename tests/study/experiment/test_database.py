@@ -16,6 +16,7 @@ from study.experiment.experiment import Experiment
 from study.experiment.folder import as_if_gone_on, fingerprint
 from study.experiment.objective import Objective
 from study.report.markdown import dashboard_summary
+from taichi_nmm.body import Build
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Ground
@@ -134,7 +135,7 @@ def test_a_long_note_comes_back_whole(url: str) -> None:
 def test_another_configuration_is_refused_and_nothing_written(url: str) -> None:
     put(url, results(TINY, trials=1), final=False)
     changes: tuple[dict[str, Any], ...] = (
-        {"seed": 8}, {"objective": Objective("walking")}, {"disturbance": 0.2},
+        {"seed": 8}, {"objective": Objective("walking")}, {"build": Build(0.2)},
         {"searched": ("theta_ref",)},
         {"ground": Ground("flat")}, {"duration_s": 3.0},
     )  # fmt: skip

@@ -88,7 +88,7 @@ def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) ->
     drawn = conditions.ground.kind in ("rough", "blocks")
     assert (first.height_m.tobytes() != last.height_m.tobytes()) == drawn
     other = experiment.body(0).mass_kg != experiment.body(49).mass_kg
-    assert other.all() if conditions.disturbance else not other.any()
+    assert other.all() if conditions.build.disturbance else not other.any()
 
 
 @pytest.mark.parametrize("file", PUBLISHED, ids=lambda file: file.stem)
@@ -100,13 +100,14 @@ def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file
     assert experiment.until_walker == (elsewhere or hardly_any)
     trials = {"rough8-smooth": 100, "rough6-walking": 60}.get(file.stem, 40)
     trials = 100 if file.stem.startswith("stairs-up") else trials
-    assert (experiment.runs, experiment.trials) == (50, trials)
-    assert experiment.conditions.disturbance > 0
+    at_speed = file.stem.startswith("speed-")
+    assert (experiment.runs, experiment.trials) == ((20, 50) if at_speed else (50, trials))
+    assert experiment.conditions.build.disturbance > 0
 
 
 def test_no_two_experiments_share_a_seed() -> None:
-    """But those that are about the same robots and grounds on another engine's three contacts."""
-    contacts = re.compile(r"^(mujoco-.+)-(soft|middle|hard)$")
+    """But those that are about the same robots: on another engine's contacts, at other speeds."""
+    contacts = re.compile(r"^(mujoco-.+|speed)-(soft|middle|hard|\d\d|\d\d-rough)$")
     seeds = {contacts.sub(r"\1", file.stem): read_experiment(file).seed for file in EXPERIMENTS}
     assert len(set(seeds.values())) == len(seeds) > 0
     for file in EXPERIMENTS:

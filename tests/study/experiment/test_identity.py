@@ -12,6 +12,7 @@ from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.folder import document, fingerprint, versions
 from study.experiment.objective import Objective
+from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER
@@ -31,7 +32,7 @@ DECIDING: dict[type, dict[str, Any]] = {
         "until_walker": True,
     },
     Conditions: {
-        "duration_s": 3.0, "disturbance": 0.2, "ground": Ground("rough"),
+        "duration_s": 3.0, "build": Build(0.2), "ground": Ground("rough"),
         "world_ranges": WorldRanges(friction=(0.5, 0.5)),
     },
     Settings: {
