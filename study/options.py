@@ -286,7 +286,9 @@ def walk(options: Options) -> None:
         "--gains", metavar="NAME|FILE", help="reference (default), published, FILE.json"
     )
     options.add_argument("--row", type=int, metavar="N", help="a row of --store")
-    options.path("--store", "a store, for --row")
+    what = "the row of --store that walks at this speed with the least energy"
+    options.add_argument("--speed", type=float, metavar="MPS", help=what)
+    options.path("--store", "a store, for --row or --speed")
     options.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial of --storage")
     options.add_argument(
         "--storage", metavar="URL|DIR", help="a study database, or a comparison's folder"

@@ -2,14 +2,16 @@
 
     taichi-nmm walk --gains reference --config flat --out out/walk/reference
     taichi-nmm walk --store out/store --row 17
+    taichi-nmm walk --store out/store --speed 0.8
     taichi-nmm walk --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
         --config rough8-smooth --run 7
 
 writes strip.png, gait_cycle.png and movie.mp4 to the folder --out. Gains are a name (reference,
-published), a JSON file of gains, a row of a store, or a finished trial of a study database or of a
-comparison. With --engine mujoco, MuJoCo moves the body; with --engine both, strips.png shows both
-walks, one above the other. --mjcf writes MuJoCo's model and its ground for MuJoCo's own viewer;
---trajectory writes all samples. Exit codes: 0, 2 bad input, 130 interrupted.
+published), a JSON file of gains, a row of a store (or, with --speed, the one that walks so fast
+with the least energy), or a finished trial of a study database or of a comparison. With --engine
+mujoco, MuJoCo moves the body; with --engine both, strips.png shows both walks, one above the other.
+--mjcf writes MuJoCo's model and its ground for MuJoCo's own viewer; --trajectory writes all
+samples. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import json
@@ -31,6 +33,7 @@ from study.experiment.gains import (
     gains_of_source,
     gains_of_trial,
     recorded_walk,
+    row_at_speed,
 )
 from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES
@@ -49,18 +52,23 @@ from taichi_nmm.walker_simulator import require_engine
 
 ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad")
 LONGEST_MOVIE_S = 120.0
+CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name the controller
 REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected")
 
 
 def find_gains(args: Namespace) -> NamedGains:
     """The controller that the options name."""
-    for one, other in (("row", "store"), ("trial", "storage")):
-        if (getattr(args, one) is None) != (getattr(args, other) is None):
-            missing = one if getattr(args, one) is None else other
-            raise InputError(missing, None, f"a value: --{one} and --{other} belong together")
-    given = [name for name in ("gains", "row", "trial") if getattr(args, name) is not None]
+    given = [name for name in CHOICES if getattr(args, name) is not None]
     if len(given) > 1:
         raise InputError(given[1], getattr(args, given[1]), f"none beside --{given[0]}")
+    for where, kinds in (("store", ("row", "speed")), ("storage", ("trial",))):
+        is_needed = given[0] in kinds if given else False
+        if is_needed == (getattr(args, where) is None):
+            missing, kind = (where, given[0]) if is_needed else (kinds[0], kinds[0])
+            raise InputError(missing, None, f"a value: --{kind} and --{where} belong together")
+    if args.speed is not None:
+        checks.number(0.0)("speed", args.speed)
+        return gains_of_row(args.store, row_at_speed(args.store, args.speed))
     if args.row is not None:
         return gains_of_row(args.store, args.row)
     if args.trial is not None:

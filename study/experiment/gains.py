@@ -13,7 +13,7 @@ from optuna.trial import TrialState
 
 import storage
 import taichi_nmm
-from storage.simulator import known_simulator
+from storage.simulator import SURVIVED, known_simulator
 from study.experiment.experiment import Experiment
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
@@ -28,6 +28,7 @@ from taichi_nmm.reading import is_folder, reading
 
 NUMBER = re.compile(r"\d{1,100}")  # Python refuses to read thousands of digits
 TRIAL = re.compile(rf"([^/]*)/([^/]*)/(?:run-)?({NUMBER.pattern})/({NUMBER.pattern})")
+SPEED_TOLERANCE_MPS = 0.05
 TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/12"
 
 
@@ -69,6 +70,34 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
     if not 0 <= row < len(opened):
         raise InputError("row", row, f"0 to {len(opened) - 1}, the rows of {store}")
     return gains_at(opened, row, row)
+
+
+def row_at_speed(store: Path, speed_mps: float) -> int:
+    """The row of a store that walks at a speed with the least energy per metre.
+
+    It lasts in all worlds of the family that runs longest (without families, on level ground), and
+    its mean speed there is within `SPEED_TOLERANCE_MPS`.
+
+    Raises:
+        InputError: no such store, or no such row.
+    """
+    opened = storage.open_store(store)
+    known_simulator(opened.specification)
+    names = (SURVIVED, "mean_speed_mps", "cost_of_transport_jpkgpm")
+    if opened.families:
+        known = {"robust": opened.specification["robust"], **opened.specification["families"]}
+        longest = max(opened.families, key=lambda family: known[family]["horizon_s"])
+        lasted, speeds, energies = (opened.outcomes(longest, name) for name in names)
+    else:
+        rows = opened.numpy(names)
+        lasted, speeds, energies = (rows[name][:, None] for name in names)
+    lasts, speed, energy = (lasted >= 1.0).all(axis=1), speeds.mean(axis=1), energies.mean(axis=1)
+    near = lasts & (np.abs(speed - speed_mps) <= SPEED_TOLERANCE_MPS)
+    if not near.any():
+        ends = (speed[lasts].min(), speed[lasts].max()) if lasts.any() else (0.0, 0.0)
+        allowed = f"near that of a row of {store} that lasts: {ends[0]:.2f} to {ends[1]:.2f}"
+        raise InputError("speed", speed_mps, allowed)
+    return int(np.where(near, energy, np.inf).argmin())
 
 
 def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:

@@ -83,7 +83,7 @@ def test_tables_become_conditions_and_missing_ones_nominal() -> None:
     assert read(ALL) == expected
     assert pickle.loads(pickle.dumps(expected)) == expected
     assert hash(read(ALL)) == hash(expected)
-    assert read({}) == Conditions(100.0, Settings(), 0.0, Ground())
+    assert read({}) == Conditions(100.0, Settings(), Build(), Ground())
 
 
 def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file() -> None:

@@ -15,7 +15,14 @@ from storage.databases.studies import open_studies
 from storage.store import open_store
 from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
-from study.experiment.gains import gains_of_row, gains_of_source, gains_of_trial
+from study.experiment.experiment import Experiment
+from study.experiment.gains import (
+    SPEED_TOLERANCE_MPS,
+    gains_of_row,
+    gains_of_source,
+    gains_of_trial,
+    row_at_speed,
+)
 from study.experiment.live_study import run_study
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_all_gains
 from tests.study import fake_walker
@@ -146,3 +153,21 @@ def test_a_table_without_a_column_or_without_any(here: Path, tmp_path: Path, lac
         path.write_text("no table")
     with refused(rf".*trials\.parquet.*{lacking}"):
         gains_of_trial("toy/dog/run-001/1", str(tmp_path / "out"))
+
+
+def test_the_row_of_a_speed_is_the_one_of_least_energy(store: Path, toy: Experiment) -> None:
+    """On level ground; in a store with families, in all worlds of the one that runs longest."""
+    names = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
+    lasted, speed, energy = (open_store(store).numpy([name])[name] for name in names)
+    wanted = float(np.median(speed[lasted >= 1.0]))
+    row = row_at_speed(store, wanted)
+    near = (lasted >= 1.0) & (np.abs(speed - wanted) <= SPEED_TOLERANCE_MPS)
+    assert near[row] and energy[row] == energy[near].min() and near.sum() > 1
+    with refused(r"^speed: 9\.0 .* a row of .* that lasts: \d\.\d\d to "):
+        row_at_speed(store, 9.0)
+    robust = open_store(toy.stores["worlds"])
+    kept = robust.outcomes("robust", "survived_fraction") >= 1.0
+    speeds = robust.outcomes("robust", "mean_speed_mps").mean(axis=1)
+    wanted = float(np.median(speeds[kept.all(axis=1)]))
+    row = row_at_speed(toy.stores["worlds"], wanted)
+    assert kept[row].all() and abs(speeds[row] - wanted) <= SPEED_TOLERANCE_MPS
