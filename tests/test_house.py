@@ -31,7 +31,9 @@ ALLOWED = {
     "study": PACKAGES,
     "study.experiment": ("study.experiment", "study.sampler", "study.pictures", "storage",
                          "taichi_nmm"),
-    "study.experiment.features": ("study.sampler", "storage", "taichi_nmm"),
+    "study.experiment.features": ("study.experiment.objective", "study.sampler", "storage",
+                                  "taichi_nmm"),
+    "study.experiment.objective": ("storage", "taichi_nmm"),
     "study.commands": PACKAGES,  # the top, which nobody but the door imports
     # For anybody: of the walker's package, only what says no to a user.
     "study.sampler": ("study.sampler", "storage.store", "storage.tables", "taichi_nmm.checks",
