@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_nmm import checks
+from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import json_document
 
@@ -52,9 +53,11 @@ def _number(text: str) -> float:
 GAINS: tuple[Parameter, ...] = _group("searched")
 """The 16 searched gains, in the order of a row of `gains`."""
 
+DEVICE: tuple[Parameter, ...] = _group("device")  # exoskeleton: `kernel.device`
+
 # Not searched by the paper, but of the same form, so that a later study can search them.
-LOW_LEVEL_GAINS: tuple[Parameter, ...] = _group("fixed")
-"""The 8 fixed gains, in the order of a row of `low_level_gains`."""
+LOW_LEVEL_GAINS: tuple[Parameter, ...] = (*_group("fixed"), *DEVICE)
+"""The 8 fixed gains and the 4 numbers of a device, in the order of a row of `low_level_gains`."""
 
 GAIN_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in GAINS)
 """Names of the searched gains, [16]."""
@@ -89,19 +92,42 @@ def searched_parameters(names: Sequence[str]) -> tuple[Parameter, ...]:
     return tuple(parameter for parameter in LOW_LEVEL_GAINS if parameter.name in names)
 
 
+def read_fixed(table: Table) -> tuple[float, ...]:
+    """The key `fixed_gains` of a configuration: the 16 gains if none of them is searched, or none.
+
+    They are a source of `load_gains`, or a table of gains by name.
+
+    Raises:
+        InputError: another value, or nothing is left to search.
+    """
+    if "fixed_gains" not in table.unread:
+        return ()
+    if isinstance(table.unread["fixed_gains"], dict):
+        given = table.table("fixed_gains")
+        values = {name: given.number(name) for name in list(given.unread)}
+        fixed = check_gains(values, field="fixed_gains")
+    else:
+        fixed = load_gains(table.text("fixed_gains"))
+    if not table.unread.get("searched"):
+        raise InputError("searched", "nothing", "some low-level gains, where all gains are fixed")
+    return tuple(fixed.tolist())
+
+
 def split_points(
-    points: NDArray[np.float64], searched: tuple[Parameter, ...]
+    points: NDArray[np.float64], searched: tuple[Parameter, ...], fixed: tuple[float, ...] = ()
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points as arguments of `taichi_nmm.simulate`: gains [n, 16] and low-level gains [n, 8].
+    """Points as arguments of `taichi_nmm.simulate`: gains [n, 16] and low-level gains [n, 12].
 
     Args:
-        points: [n, 16 + k].
+        points: [n, 16 + k], or [n, k] where the gains are fixed.
         searched: the k low-level gains in the last columns; the others keep their defaults.
+        fixed: the 16 gains, or none.
     """
     low_level = np.tile([parameter.default for parameter in LOW_LEVEL_GAINS], (len(points), 1))
-    for column, parameter in enumerate(searched, start=len(GAINS)):
+    gains = np.tile(fixed, (len(points), 1)) if fixed else points[:, : len(GAINS)]
+    for column, parameter in enumerate(searched, start=points.shape[1] - len(searched)):
         low_level[:, LOW_LEVEL_NAMES.index(parameter.name)] = points[:, column]
-    return points[:, : len(GAINS)], low_level
+    return gains, low_level
 
 
 def gain_rows(
@@ -172,7 +198,7 @@ def load_gains(source: str) -> NDArray[np.float64]:
 
 @checks.checked(source=checks.path)
 def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gains [16] and low-level gains [8], from a source of `load_gains`.
+    """Gains [16] and low-level gains [12], from a source of `load_gains`.
 
     Here a file may name some of `LOW_LEVEL_GAINS` too; those it does not name have their defaults.
 

@@ -20,11 +20,14 @@ from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER, require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import (
+    DEVICE,
+    GAIN_NAMES,
     GAINS,
     LOW_LEVEL_GAINS,
     PUBLISHED_GAINS,
     Parameter,
     lower_bounds,
+    read_fixed,
     searched_parameters,
     split_points,
     upper_bounds,
@@ -107,6 +110,7 @@ class Walker:
 
     settings: Settings  # how the simulation is integrated, and on which machine
     searched: tuple[Parameter, ...] = ()  # low-level gains that points have after the 16 gains
+    fixed: tuple[float, ...] = ()  # the 16 gains where points do not have them
 
     name: ClassVar[str] = "walker"
     code_version: ClassVar[str] = "0.2.0"  # the release that first gave these numbers
@@ -124,24 +128,34 @@ class Walker:
 
     @classmethod
     def read(cls, table: Table, arch: str | None) -> Self:
-        """From the table [simulation] and the names in `searched`; `arch` overrides the file's."""
-        settings = read_settings(table.table("simulation"), arch)
-        return cls(settings, searched_parameters(table.texts("searched")))
+        """From [simulation], `searched` and `fixed_gains`; `arch` overrides the file's."""
+        settings, fixed = read_settings(table.table("simulation"), arch), read_fixed(table)
+        return cls(settings, searched_parameters(table.texts("searched")), fixed)
 
     @classmethod
     def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
-        """The 16 gains, and the low-level gains of these names."""
-        return (*GAINS, *(each for each in LOW_LEVEL_GAINS if each.name in names))
+        """The 16 gains, unless none is among these names, and the low-level gains of the names."""
+        low_level = tuple(each for each in LOW_LEVEL_GAINS if each.name in names)
+        return low_level if low_level and not set(GAIN_NAMES) & set(names) else (*GAINS, *low_level)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The 16 gains, and the low-level gains that are searched."""
-        return (*GAINS, *self.searched)
+        """The 16 gains, unless they are fixed, and the low-level gains that are searched."""
+        return self.searched if self.fixed else (*GAINS, *self.searched)
 
     def document(self) -> dict[str, Any]:
-        """Low-level gains that are not searched, and the settings less those of the machine."""
-        fixed = {g.name: float(g.default) for g in LOW_LEVEL_GAINS if g not in self.searched}
-        return {"low_level_gains": fixed, "simulation": self.settings.document()}
+        """Low-level gains that are not searched, and the settings less those of the machine.
+
+        A device that is not searched is none; stores from before there was one say nothing of it.
+        """
+        fixed = {
+            gain.name: float(gain.default)
+            for gain in LOW_LEVEL_GAINS
+            if gain not in (*self.searched, *DEVICE)
+        }
+        document = {"low_level_gains": fixed, "simulation": self.settings.document()}
+        gains = dict(zip(GAIN_NAMES, self.fixed, strict=True)) if self.fixed else {}
+        return document | ({"fixed_gains": gains} if gains else {})
 
     def versions(self) -> dict[str, str]:
         """The version of another engine than our own."""
@@ -167,7 +181,7 @@ class Walker:
         """Walk all points in all worlds as one batch, [n, w]."""
         count = len(worlds.terrains)
         world = np.tile(np.arange(count), len(points))
-        gains, low_level = split_points(np.repeat(points, count, axis=0), self.searched)
+        gains, low_level = split_points(np.repeat(points, count, axis=0), self.searched, self.fixed)
         result = taichi_nmm.simulate(  # as an attribute: importing it would load Taichi
             gains,
             duration_s=horizon_s,

@@ -22,12 +22,12 @@ from study.experiment.experiment import Experiment
 from study.experiment.folder import (
     NOTES,
     PROPOSAL_TIME,
-    STATE_SCHEMA,
     THETA_REF,
     Key,
     by_study,
     gains_of,
     outcomes_of,
+    state_schema,
     walkers,
 )
 from study.experiment.one_study import OneStudy, shown
@@ -74,7 +74,7 @@ class Block:
 
     experiment: Experiment
     studies: tuple[Key, ...]
-    known: pa.Table  # their finished trials, `STATE_SCHEMA`; of studies that are handed on, none
+    known: pa.Table  # their finished trials, `state_schema`; of studies that are handed on, none
     trials: int
     handed_on: tuple[optuna.Study, ...] = ()  # of an earlier `Advanced`; empty: made of the known
     walks: Walks = field(default_factory=Walks)  # of that `Advanced`
@@ -88,7 +88,7 @@ class Advanced:
     with the walks it need not simulate them again.
     """
 
-    table: pa.Table  # the trials that its studies lacked, `STATE_SCHEMA`
+    table: pa.Table  # the trials that its studies lacked, `state_schema`
     studies: tuple[optuna.Study, ...]  # with all their trials, in the block's order
     walks: Walks  # all of the block so far
 
@@ -109,7 +109,7 @@ def advance(block: Block) -> Advanced:
         for arm, run, table in by_study(block.known):
             _restore(experiment, studies[arm, run], table, walks)
         ended = walkers(block.known) if experiment.until_walker else set()
-        tables = [STATE_SCHEMA.empty_table()]
+        tables = [state_schema(experiment.searched).empty_table()]
         while open_studies := [
             study
             for key, study in studies.items()
@@ -150,6 +150,7 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
         "run": runs,
         "trial": trials,
         THETA_REF.name: np.full(len(gains), THETA_REF.default),
+        **{name: np.full(len(gains), gain) for name, gain in experiment.fixed_by_name.items()},
         **dict(zip(experiment.names, gains.T, strict=True)),
         "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
         "cost": cost,
@@ -160,7 +161,7 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
         PROPOSAL_TIME: seconds,
         NOTES: [json.dumps(noted) for noted in notes],
     }
-    return pa.table(columns, schema=STATE_SCHEMA)
+    return pa.table(columns, schema=state_schema(experiment.searched))
 
 
 @contextmanager

@@ -20,8 +20,6 @@ from study.experiment.database import Summarise, check_database, export, note_wo
 from study.experiment.experiment import Experiment, store_path
 from study.experiment.folder import (
     DATABASE_NAME,
-    RESULT_SCHEMA,
-    STATE_SCHEMA,
     ExperimentFolder,
     Key,
     by_study,
@@ -29,6 +27,7 @@ from study.experiment.folder import (
     document,
     in_order,
     machine,
+    results_of,
     walkers,
 )
 from taichi_nmm import checks
@@ -76,14 +75,14 @@ class FinishedTrials:
             self._take(folder.read_arm(arm))
 
     def add(self, table: pa.Table) -> None:
-        """Keep trials that have just been finished, `STATE_SCHEMA`."""
+        """Keep trials that have just been finished, `state_schema`."""
         self._take(table)
         self._uncommitted |= set(table["arm"].to_pylist())
 
     def known(self, studies: Iterable[Key]) -> pa.Table:
-        """The trials of some studies, sorted, `STATE_SCHEMA`."""
+        """The trials of some studies, sorted, `state_schema`."""
         tables = [table for key in studies for table in self._tables[key]]
-        return in_order([STATE_SCHEMA.empty_table(), *tables])
+        return in_order([self._folder.schema.empty_table(), *tables])
 
     def done(self, key: Key) -> int:
         """How many trials a study has."""
@@ -105,8 +104,8 @@ class FinishedTrials:
         return Progress(self.count, total, len(self.studies), found)
 
     def results(self) -> pa.Table:
-        """All trials of the arms of this call, `RESULT_SCHEMA`."""
-        return self.known(self._tables).select(RESULT_SCHEMA.names)
+        """All trials of the arms of this call, without how they came about."""
+        return results_of(self.known(self._tables))
 
     def commit(self) -> None:
         """Write the arms that have new trials."""

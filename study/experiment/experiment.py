@@ -25,7 +25,14 @@ from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAINS, Parameter, searched_parameters
+from taichi_nmm.parameters import (
+    DEVICE,
+    GAIN_NAMES,
+    GAINS,
+    Parameter,
+    read_fixed,
+    searched_parameters,
+)
 from taichi_nmm.result import RESULT_DTYPE
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
@@ -35,7 +42,7 @@ NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
-SEARCHABLE = ("theta_ref",)  # low-level gains that have a column in the results
+SEARCHABLE = ("theta_ref", *(each.name for each in DEVICE))
 PAID = tuple(name for name in RESULT_DTYPE.names or () if name not in ("end_reason", SURVIVED))
 
 
@@ -52,6 +59,7 @@ class Experiment:
     searched: tuple[str, ...]  # low-level gains that are searched beside the 16 gains
     objective: Objective
     conditions: Conditions
+    fixed: tuple[float, ...] = ()  # the 16 gains, where none of them is searched
     until_walker: bool = False  # a study ends with its first walker, where others have all trials
     # The rest decides nothing: it may grow, or its content is known by digest (`as_written`).
     runs: int = 50  # each a body and a ground
@@ -61,8 +69,14 @@ class Experiment:
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The searched parameters: the 16 gains, and the low-level ones asked for."""
-        return (*GAINS, *searched_parameters(self.searched))
+        """The searched parameters: the 16 gains, if not fixed, and the low-level ones asked for."""
+        low_level = searched_parameters(self.searched)
+        return low_level if self.fixed else (*GAINS, *low_level)
+
+    @cached_property
+    def fixed_by_name(self) -> dict[str, float]:
+        """The gains that are fixed."""
+        return dict(zip(GAIN_NAMES, self.fixed, strict=True)) if self.fixed else {}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -156,6 +170,7 @@ def experiment_of(
     experiment = Experiment(
         name=read_name(table, name),
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
+        fixed=read_fixed(table),
         searched=table.texts("searched", SEARCHABLE),
         objective=read_objective(objective, PAID),
         conditions=read_conditions(table, arch),
@@ -181,7 +196,9 @@ def read_name(table: Table, name: str) -> str:
 def as_written(experiment: Experiment) -> dict[str, Any]:
     """All that decides trials, as the tables of a configuration; `experiment_of` reads it back."""
     # A switch that is off changes no digest of before there was one.
-    switches = {"until_walker": True} if experiment.until_walker else {}
+    switches: dict[str, Any] = {"until_walker": True} if experiment.until_walker else {}
+    if experiment.fixed:
+        switches["fixed_gains"] = experiment.fixed_by_name
     return {
         "name": experiment.name,
         "seed": experiment.seed,
@@ -244,6 +261,8 @@ def check_store(experiment: Experiment, store: str, feature: str) -> Store:
         allowed = f"a store of {' and '.join(('the 16 gains', *experiment.searched))}"
         raise InputError(f"stores.{store}", found, allowed)
     opened.require_bounds()
+    if opened.specification.get("fixed_gains", {}) != experiment.fixed_by_name:
+        raise InputError(f"stores.{store}", str(opened.path), "a store of the same fixed gains")
     check_feature(feature, opened, experiment.objective)
     return opened
 

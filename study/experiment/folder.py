@@ -74,8 +74,23 @@ _FIELDS = [  # none has gaps
         (PROPOSAL_TIME, pa.float64()), (NOTES, pa.string()),
     )
 ]  # fmt: skip
-STATE_SCHEMA, RESULT_SCHEMA = pa.schema(_FIELDS), pa.schema(_FIELDS[:-2])
+STATE_SCHEMA = pa.schema(_FIELDS)
+
+
+def state_schema(searched: Iterable[str]) -> pa.Schema:
+    """`STATE_SCHEMA`, with a column of each further low-level gain that is searched."""
+    place = STATE_SCHEMA.get_field_index(THETA_REF.name) + 1
+    more = [name for name in searched if name != THETA_REF.name]
+    fields = [pa.field(name, pa.float64(), nullable=False) for name in more]
+    return pa.schema([*_FIELDS[:place], *fields, *_FIELDS[place:]])
+
+
 TIME_COLUMNS = ("arm", "run", "trial", PROPOSAL_TIME)
+
+
+def results_of(table: pa.Table) -> pa.Table:
+    """Trials without how they came about: the sampler's notes and its time."""
+    return table.select(table.schema.names[:-2])
 
 
 def walkers(table: pa.Table) -> set[Key]:
@@ -243,6 +258,11 @@ class ExperimentFolder(Folder):
             folder.read_arm(name)
         return folder
 
+    @property
+    def schema(self) -> pa.Schema:
+        """Of its finished trials."""
+        return state_schema(self.document["searched"])
+
     def arms(self) -> list[str]:
         """Arms that have finished trials here."""
         return sorted(file.stem for file in (self.path / ARMS_NAME).glob("*.parquet"))
@@ -255,7 +275,7 @@ class ExperimentFolder(Folder):
                 one with a gap.
         """
         file, content = f"{ARMS_NAME}/{name}.parquet", f"finished trials of {name}"
-        table = self.read_state(file, STATE_SCHEMA, content)
+        table = self.read_state(file, self.schema, content)
         if set(table["arm"].to_pylist()) - {name}:
             raise InputError("out", str(self.path / file), f"{content}, and of no other arm")
         if not without_gaps(table):
@@ -269,8 +289,8 @@ class ExperimentFolder(Folder):
 
     def write_results(self) -> pa.Table:
         """Commit the tables of all arms that have trials here, and return the results."""
-        state = in_order([STATE_SCHEMA.empty_table(), *map(self.read_arm, self.arms())])
-        results = state.select(RESULT_SCHEMA.names)
+        state = in_order([self.schema.empty_table(), *map(self.read_arm, self.arms())])
+        results = results_of(state)
         write_table(self.path / RESULTS_NAME, results, self.document)
         write_table(self.path / TIMES_NAME, state.select(TIME_COLUMNS), self.document)
         return results

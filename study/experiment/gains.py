@@ -38,7 +38,7 @@ class NamedGains:
 
     name: str  # for titles and file names
     gains: NDArray[np.float64]  # [16]
-    low_level: NDArray[np.float64]  # [8]
+    low_level: NDArray[np.float64]  # [12]
 
     def as_document(self) -> dict[str, float]:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""
@@ -102,7 +102,8 @@ def row_at_speed(store: Path, speed_mps: float) -> int:
 
 def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:
     """The point at a place among a store's rows, called by the number of its row."""
-    values = store.table(store.gain_names).slice(place, 1).to_pylist()[0]
+    fixed: dict[str, Any] = store.specification.get("fixed_gains", {})
+    values = fixed | store.table(store.gain_names).slice(place, 1).to_pylist()[0]
     return named_gains(f"{store.path.name}-row-{row}", values)
 
 
@@ -159,10 +160,12 @@ def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
     with read_studies(url) as storage:
         if storage is None or name not in optuna.get_all_study_names(storage):
             raise InputError("trial", f"{name}/{number}", f"a study of {shown}")
-        trials = optuna.load_study(study_name=name, storage=storage).get_trials(deepcopy=False)
+        study = optuna.load_study(study_name=name, storage=storage)
+        trials, known = study.get_trials(deepcopy=False), study.user_attrs.get("experiment")
     if number >= len(trials) or trials[number].state is not TrialState.COMPLETE:
         raise InputError("trial", f"{name}/{number}", f"a finished trial of {shown}")
-    return trials[number].params
+    fixed: dict[str, Any] = known.get("fixed_gains", {}) if isinstance(known, dict) else {}
+    return fixed | trials[number].params
 
 
 def named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:

@@ -12,7 +12,7 @@ import taichi_nmm
 from study.experiment.experiment import Experiment
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm.body import Bodies
-from taichi_nmm.parameters import GAINS, split_points
+from taichi_nmm.parameters import searched_parameters, split_points
 from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS, Result
 from taichi_nmm.world import Worlds
 
@@ -52,7 +52,8 @@ def simulate_trials(
     different = numbers.tolist()
     rows = range(len(gains)) if record is True else record or ()
     conditions = experiment.conditions
-    own, low_level = split_points(gains, experiment.parameters[len(GAINS) :])
+    searched = searched_parameters(experiment.searched)
+    own, low_level = split_points(gains, searched, experiment.fixed)
     return taichi_nmm.simulate(
         own,
         duration_s=conditions.duration_s if duration_s is None else duration_s,

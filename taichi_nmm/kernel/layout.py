@@ -60,6 +60,10 @@ State = blocks(
     end_x=1,
     end_z=1,
     felt=Signal.count,  # behind the nerves' lag, at the last tick
+    device_air=LEGS,  # ticks since the leg touched the ground
+    device_clock=LEGS,  # ticks since the leg's last strike; 0 before the first
+    device_stride=LEGS,  # ticks of its last stride; 0 before there was one
+    device_torque=LEGS,  # on the ankle, held over the tick
 )
 
 Muscle = blocks(

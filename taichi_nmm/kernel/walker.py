@@ -7,6 +7,7 @@ and delays are the same for all lanes, since a batch starts together.
 
 from taichi_nmm.kernel import (
     contact,
+    device,
     dynamics,
     gait,
     joints,
@@ -125,6 +126,9 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
         reflexes.stimulate(lane, state, const, fibres, work)
         swing.leg_rates(lane, time, state, const, work)
         swing.place_legs(lane, state, const, work)
+    if device_pushes(lanes, const):
+        for lane in range(lanes):
+            device.assist(lane, state, const)
 
 
 @ti.func
@@ -143,6 +147,15 @@ def feet_catch(lanes: Rows, const: Rows):
     most = 0.0
     for lane in range(lanes):
         most = larger(most, const[Const.catch_ns, lane])
+    return most > 0.0
+
+
+@ti.func
+def device_pushes(lanes: Rows, const: Rows):
+    """Whether any lane has a device; `device.assist` would give the others no torque."""
+    most = 0.0
+    for lane in range(lanes):
+        most = larger(most, const[Const.exo_torque, lane])
     return most > 0.0
 
 
@@ -166,10 +179,14 @@ def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, const: Row
 
 @ti.func
 def add_ideal_torques(lane, state: Rows, work: Rows):
-    """Hip and knee torques: the muscles' by their share of stance, and the ideal parts."""
+    """Hip and knee torques: the muscles' by their share of stance, and the ideal parts.
+
+    Ankles get the torque of the device.
+    """
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
-        hip, knee = ti.static(3 * leg, 3 * leg + 1)
+        hip, knee, ankle = ti.static(3 * leg, 3 * leg + 1, 3 * leg + 2)
+        work[Work.joint_torque + ankle, lane] += state[State.device_torque + leg, lane]
         work[Work.joint_torque + hip, lane] = (
             weight * work[Work.joint_torque + hip, lane] + state[State.hip_torque + leg, lane]
         )

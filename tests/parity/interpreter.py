@@ -16,7 +16,8 @@ from taichi_nmm import kernel
 
 INTERPRETED = (
     "elementary", "kinematics", "muscle_table", "joints", "muscle", "dynamics", "contact",
-    "nerves", "reflexes", "swing", "gait", "walker", "entry_points", "carried", "actuation",
+    "nerves", "reflexes", "swing", "gait", "device", "walker", "entry_points", "carried",
+    "actuation",
 )  # fmt: skip
 
 
@@ -70,7 +71,7 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
             vars(modules[name])["range"] = lane_range
         # Without the early exit: a settled pass repeats itself, bit for bit.
         vars(modules["walker"])["settled"] = lambda lanes, work: False
-        for name in ("nerves_vary", "feet_catch"):  # of some it is so
+        for name in ("nerves_vary", "feet_catch", "device_pushes"):  # of some it is so
             vars(modules["walker"])[name] = lambda lanes, const: True
         return tuple(modules[name] for name in names)
     finally:

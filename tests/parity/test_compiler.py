@@ -14,7 +14,13 @@ from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.carried import drive, follow
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, Muscle, Sense, State, Work
 from taichi_nmm.kernel.muscle_table import muscle_table
-from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
+from taichi_nmm.parameters import (
+    DEVICE,
+    LOW_LEVEL_GAINS,
+    PUBLISHED_GAINS,
+    lower_bounds,
+    upper_bounds,
+)
 from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
 from taichi_nmm.world import WorldRanges
@@ -53,7 +59,12 @@ def walking_batch(count: int) -> Batch:
     ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
     worlds = WorldRanges(*ranges, catch_ns=(0.0, 5.0)).draw(range(count))
     bodies = Bodies.disturbed(range(count))
-    return check_batch(gains, bodies, grounds, np.arange(count) % len(grounds), worlds=worlds)
+    low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (count, 1))
+    first = len(LOW_LEVEL_GAINS) - len(DEVICE)
+    ends = np.array([(each.low, each.high) for each in DEVICE]).T
+    low_level[::2, first:] = rng.uniform(*ends, low_level[::2, first:].shape)  # others have none
+    index = np.arange(count) % len(grounds)
+    return check_batch(gains, bodies, grounds, index, low_level, worlds)
 
 
 class Both:

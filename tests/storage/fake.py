@@ -30,7 +30,7 @@ def simulate(gains: Any, **options: Any) -> Result:
     if "worlds" in options:
         fitness = fitness - 0.1 * (0.9 - options["worlds"].friction)
     if options.get("low_level_gains") is not None:
-        fitness = fitness + 0.1 * options["low_level_gains"][:, -1]  # theta_ref
+        fitness = fitness + 0.1 * options["low_level_gains"][:, 7]  # theta_ref
     rows = np.zeros(len(gains), RESULT_DTYPE)
     for number, name in enumerate(RESULT_DTYPE.names or ()):
         rows[name] = 10.0 * np.sin(number + 7.0 * fitness) ** 2

@@ -25,7 +25,7 @@ RAMPS = {
     "up": fake.family(settings=2, kind="ramp", segment_m=1.0),
     "down": fake.family(settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"),
 }
-THETA_REF = LOW_LEVEL_GAINS[-1]
+THETA_REF = LOW_LEVEL_GAINS[7]
 POINT_3 = [5.53585406, 1.44055244, 1.84605681]  # of the sequence 7, row 16, before groups
 WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
 FIRST = range(8)  # rows of a shard
@@ -214,7 +214,7 @@ def test_points_have_a_column_more(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     merged = merge(tmp_path / "store", tmp_path / "merged.parquet")
     assert np.array_equal(merged.gains(), points)
     store.require_bounds()
-    monkeypatch.setattr(walker_simulator, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:-1])
+    monkeypatch.setattr(walker_simulator, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:7])
     with pytest.raises(InputError, match=r"^store\.gains\.theta_ref: "):
         store.require_bounds()
 
@@ -227,7 +227,7 @@ def test_points_of_plain_stores_are_what_they_were() -> None:
     document = fake.specification(searched=["theta_ref"]).document
     assert list(document["gains"]) == [*GAIN_NAMES, "theta_ref"]
     assert document["gains"]["theta_ref"] == {"low": THETA_REF.low, "high": THETA_REF.high}
-    assert list(document["low_level_gains"]) == list(LOW_LEVEL_NAMES[:-1])
+    assert list(document["low_level_gains"]) == list(LOW_LEVEL_NAMES[:7])
     found = difference(fake.specification().document, document)
     assert found is not None and found[0] == "gains.theta_ref"
     one = fake.specification(searched=["theta_ref", "k_oe"])

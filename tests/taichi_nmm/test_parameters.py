@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 import taichi_nmm
 from taichi_nmm import PUBLISHED_GAINS, InputError, load_all_gains, load_gains, parameters
-from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, check_gains
+from taichi_nmm.parameters import (
+    DEVICE,
+    GAIN_NAMES,
+    GAINS,
+    LOW_LEVEL_GAINS,
+    LOW_LEVEL_NAMES,
+    check_gains,
+)
 
 IN_THE_PAPERS_ORDER = (
     "K_GAS K_GLU K_HAM K_SOL K_TA_SOL K_TA K_VAS Kp_stance Kd_stance K_mix_GLU "
@@ -20,10 +27,10 @@ IN_THE_PAPERS_ORDER = (
 
 def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification() -> None:
     assert " ".join(GAIN_NAMES) == IN_THE_PAPERS_ORDER
-    assert len(LOW_LEVEL_NAMES) == 8
-    assert LOW_LEVEL_NAMES[-1] == "theta_ref"
+    assert LOW_LEVEL_NAMES[7] == "theta_ref" and len(LOW_LEVEL_NAMES) == 8 + len(DEVICE)
+    assert DEVICE[0].default == DEVICE[0].low == 0.0  # no torque
     assert not set(LOW_LEVEL_NAMES) & set(GAIN_NAMES)
-    for group in (GAINS, LOW_LEVEL_GAINS):
+    for group in (GAINS, [each for each in LOW_LEVEL_GAINS if each != DEVICE[0]]):
         default = np.array([parameter.default for parameter in group])
         assert np.all(np.array([each.low for each in group]) < default)
         assert np.all(default < np.array([each.high for each in group]))
@@ -59,7 +66,7 @@ def spoilt(value: float) -> NDArray[np.float64]:
 def test_rows_that_cannot_be_used_are_named(values: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^{message}"):
         parameters.gain_rows(values)
-    with pytest.raises(InputError, match=r"low_level_gains\.shape.*\[n, 8\]"):
+    with pytest.raises(InputError, match=r"low_level_gains\.shape.*\[n, 12\]"):
         parameters.gain_rows(np.ones((2, 16)), LOW_LEVEL_GAINS, "low_level_gains")
 
 

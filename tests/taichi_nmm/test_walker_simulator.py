@@ -6,7 +6,15 @@ import pytest
 from taichi_nmm import walker_simulator
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, searched_parameters, split_points
+from taichi_nmm.parameters import (
+    DEVICE,
+    GAIN_NAMES,
+    GAINS,
+    LOW_LEVEL_GAINS,
+    PUBLISHED_GAINS,
+    searched_parameters,
+    split_points,
+)
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
 from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
@@ -36,8 +44,31 @@ def test_parameters_are_gains_and_named_low_level_gains_and_points_are_split_int
     assert np.array_equal(low_level, [defaults, defaults])
     # The parameters of a store.
     assert Walker(Settings()).parameters == Walker.parameters_of(["K_GAS"]) == GAINS
-    theta_ref = LOW_LEVEL_GAINS[-1]
-    assert Walker.parameters_of(["theta_ref", "nothing"]) == (*GAINS, theta_ref)
+    theta_ref = LOW_LEVEL_GAINS[7]
+    assert Walker.parameters_of(["K_GAS", "theta_ref", "nothing"]) == (*GAINS, theta_ref)
+
+
+def test_gains_may_be_fixed_so_that_points_are_of_the_other_parameters_alone() -> None:
+    tables = {"fixed_gains": "published", "searched": ["exo_torque", "exo_peak"]}
+    walker = Walker.read(Table(tables), "cpu")
+    assert walker.parameters == walker.parameters_of(["exo_peak", "exo_torque"]) == DEVICE[:2]
+    assert walker.fixed == tuple(PUBLISHED_GAINS)
+    document = walker.document()
+    assert document["fixed_gains"] == dict(zip(GAIN_NAMES, PUBLISHED_GAINS, strict=True))
+    assert list(document["low_level_gains"]) == [each.name for each in LOW_LEVEL_GAINS[:8]]
+    assert Walker.read(Table(tables | {"fixed_gains": document["fixed_gains"]}), "cpu") == walker
+    gains, low_level = split_points(np.array([[20.0, 0.4], [30.0, 0.5]]), DEVICE[:2], walker.fixed)
+    assert np.array_equal(gains, [PUBLISHED_GAINS] * 2)
+    assert low_level[:, 8:10].tolist() == [[20.0, 0.4], [30.0, 0.5]]
+    outside = document["fixed_gains"] | {"K_GAS": -1.0}
+    for changed, message in (
+        ({"searched": []}, r"^searched: 'nothing'"),
+        ({"fixed_gains": "nobody"}, r"^gains: 'nobody'"),
+        ({"fixed_gains": {"K_GAS": 1.0}}, r"^fixed_gains\.K_GLU: None"),
+        ({"fixed_gains": outside}, r"^fixed_gains\.K_GAS: -1\.0"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Walker.read(Table(tables | changed), "cpu")
 
 
 def test_contact_of_our_own_engine_is_refused_with_mujoco() -> None:

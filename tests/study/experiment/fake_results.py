@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from study.experiment.experiment import Experiment
-from study.experiment.folder import RESULT_SCHEMA
+from study.experiment.folder import STATE_SCHEMA, results_of
 from study.experiment.objective import Objective
 from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions
@@ -38,8 +38,9 @@ def results(of: Experiment, runs: int = 2, trials: int = 3, arms: Sequence[str] 
         _row(of, arm, run, trial) for arm in sorted(arms) for run in range(runs)
         for trial in range(trials)
     ]  # fmt: skip
-    numbers = dict.fromkeys(RESULT_SCHEMA.names, 0)  # of what no test looks at
-    return pa.Table.from_pylist([numbers | row for row in rows], schema=RESULT_SCHEMA)
+    schema = results_of(STATE_SCHEMA.empty_table()).schema
+    numbers = dict.fromkeys(schema.names, 0)  # of what no test looks at
+    return pa.Table.from_pylist([numbers | row for row in rows], schema=schema)
 
 
 def _row(of: Experiment, arm: str, run: int, trial: int) -> dict[str, Any]:

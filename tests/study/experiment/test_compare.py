@@ -14,7 +14,7 @@ from storage.pool import InProcess, Pool
 from study.experiment import compare as comparing
 from study.experiment.compare import Progress, Request, compare, cut
 from study.experiment.experiment import Experiment
-from study.experiment.folder import RESULT_SCHEMA
+from study.experiment.folder import STATE_SCHEMA, results_of
 from study.experiment.one_study import OneStudy
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
@@ -60,7 +60,7 @@ def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(comparisons: Com
 def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) -> None:
     outcome, table = comparisons.run("out"), comparisons.table("out")
     assert outcome.computed == len(table) == 3 * 3 * 8
-    assert table.schema.remove_metadata().equals(RESULT_SCHEMA)
+    assert table.schema.remove_metadata().equals(results_of(STATE_SCHEMA.empty_table()).schema)
     frame = table.to_pandas()
     assert not frame.isna().any().any()
     keys = frame[["arm", "run", "trial"]]
@@ -147,7 +147,7 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
     exports: list[tuple[int, bool]] = []
 
     def export(of: Experiment, trials: pa.Table, *_: object, final: bool) -> None:
-        assert trials.schema.remove_metadata().equals(RESULT_SCHEMA)
+        assert trials.schema.remove_metadata().equals(results_of(STATE_SCHEMA.empty_table()).schema)
         exports.append((len(trials), final))
 
     monkeypatch.setattr(comparing, "export", export)

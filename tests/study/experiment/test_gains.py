@@ -69,7 +69,7 @@ def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
     file.write_text(json.dumps(named.as_document() | {"theta_ref": 0.2}))
     mine = gains_of_source(str(file))
     assert mine.name == "mine"
-    assert mine.low_level.tolist() == [*DEFAULTS[:7], 0.2]
+    assert mine.low_level.tolist() == [*DEFAULTS[:7], 0.2, *DEFAULTS[8:]]
     published = dict(zip(GAIN_NAMES, PUBLISHED_GAINS, strict=True))
     assert mine.as_document() == published | {"theta_ref": 0.2}
     with refused(r"gains: 'nobody'"):
@@ -99,7 +99,7 @@ def test_a_trial_of_a_live_study_and_of_a_comparison_are_the_same(here: Path) ->
         found = gains_of_trial("toy/dog/run-001/2", where)
         assert found.name == "toy-dog-run-001-2"
         assert found.gains.tolist() == [row[name] for name in GAIN_NAMES]
-        assert found.low_level.tolist() == [*DEFAULTS[:7], row.theta_ref]
+        assert found.low_level.tolist() == [*DEFAULTS[:7], row.theta_ref, *DEFAULTS[8:]]
     assert {path: path.read_bytes() for path in here.glob("**/*.db*")} == before
 
 

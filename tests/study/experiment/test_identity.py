@@ -16,6 +16,7 @@ from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER
+from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.terrain import KINDS, Ground, read_ground
 from taichi_nmm.world import WorldRanges
@@ -29,7 +30,7 @@ TINY = experiment()
 DECIDING: dict[type, dict[str, Any]] = {
     Experiment: {
         "name": "other", "seed": 8, "searched": ("theta_ref",), "objective": Objective("walking"),
-        "until_walker": True,
+        "until_walker": True, "fixed": tuple(PUBLISHED_GAINS.tolist()),
     },
     Conditions: {
         "duration_s": 3.0, "build": Build(0.2), "ground": Ground("rough"),
@@ -58,7 +59,8 @@ def changed(kind: type, name: str, value: Any) -> Experiment:
     """The tiny experiment with one field of itself or of one of its parts changed."""
     change, conditions = {name: value}, TINY.conditions
     if kind is Experiment:
-        return replace(TINY, **change)
+        searched = {"searched": ("exo_peak",)} if name == "fixed" else {}  # something must be
+        return replace(TINY, **searched | change)
     if kind is Settings:
         change = {"settings": replace(conditions.settings, **change)}
     return replace(TINY, conditions=replace(conditions, **change))

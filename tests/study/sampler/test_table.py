@@ -201,7 +201,7 @@ def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
     precompute(fake.specification(searched=["theta_ref"], families=families), path)
     features = ["up_survived_fraction_mean", "phi_printed"]
     rows = FeatureTable.from_parquet(path, features=features).rows
-    theta_ref = LOW_LEVEL_GAINS[-1]
+    theta_ref = LOW_LEVEL_GAINS[7]
     assert rows.names == (*GAIN_NAMES, "theta_ref")
     assert rows.space.distributions[-1] == FloatDistribution(theta_ref.low, theta_ref.high)
     assert np.array_equal(rows.parameters, open_store(path).gains())

@@ -1,0 +1,42 @@
+"""An exoskeleton at both ankles: a torque along the stride, timed by each leg's own heel strikes.
+
+The torque rises to its peak and falls again on cubic splines, of which four numbers tell the shape:
+peak torque, and peak time, rise and fall as shares of a stride (Zhang et al. 2017,
+"Human-in-the-loop optimization of exoskeleton assistance during walking", figure 1). A stride is
+taken to last as long as the one before; there is no torque before a whole stride has been seen. The
+device has no mass of its own: [body.mass] may give the shanks and feet some.
+"""
+
+from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.elementary import larger, smaller
+from taichi_nmm.kernel.gait import DEBOUNCE_TICKS
+from taichi_nmm.kernel.layout import LEGS, Const, State
+
+
+@ti.func
+def rising(share):
+    """The spline from 0 to 1 whose slope is zero at both ends."""
+    within = smaller(larger(share, 0.0), 1.0)
+    return within * within * (3.0 - 2.0 * within)
+
+
+@ti.func
+def assist(lane, state: Rows, const: Rows):
+    """The torque of each ankle at this tick, N m, plantarflexion positive."""
+    for leg in ti.static(range(LEGS)):
+        heel, ball = ti.static(State.touching + 2 * leg, State.touching + 2 * leg + 1)
+        down = larger(state[heel, lane], state[ball, lane]) > 0.5
+        strike = down & (state[State.device_air + leg, lane] >= DEBOUNCE_TICKS)
+        before = state[State.device_clock + leg, lane]  # ticks since the last strike; 0: none yet
+        stride = ti.select(strike, before, state[State.device_stride + leg, lane])
+        clock = ti.select(strike, 1.0, ti.select(before > 0.0, before + 1.0, 0.0))
+        share = clock / larger(stride, 1.0)
+        from_peak = share - const[Const.exo_peak, lane]
+        up = rising(1.0 + from_peak / const[Const.exo_rise, lane])
+        down_again = rising(from_peak / const[Const.exo_fall, lane])
+        torque = const[Const.exo_torque, lane] * up * (1.0 - down_again)
+        state[State.device_torque + leg, lane] = ti.select(stride > 0.0, torque, 0.0)
+        state[State.device_stride + leg, lane] = stride
+        state[State.device_clock + leg, lane] = clock
+        air = state[State.device_air + leg, lane] + 1.0
+        state[State.device_air + leg, lane] = ti.select(down, 0.0, air)
