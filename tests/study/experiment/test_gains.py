@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import optuna
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -15,7 +16,7 @@ from storage.databases.studies import open_studies
 from storage.store import open_store
 from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
-from study.experiment.experiment import Experiment
+from study.experiment.experiment import Experiment, check_store
 from study.experiment.gains import (
     SPEED_TOLERANCE_MPS,
     gains_of_row,
@@ -171,3 +172,36 @@ def test_the_row_of_a_speed_is_the_one_of_least_energy(store: Path, toy: Experim
     wanted = float(np.median(speeds[kept.all(axis=1)]))
     row = row_at_speed(toy.stores["worlds"], wanted)
     assert kept[row].all() and abs(speeds[row] - wanted) <= SPEED_TOLERANCE_MPS
+
+
+def test_where_gains_are_fixed_rows_and_trials_have_them(
+    fake_simulator: None, tmp_path: Path
+) -> None:
+    """An exoskeleton alone is searched: in a store, in a comparison and in a live study."""
+    searched = 'fixed_gains = "published"\nsearched = ["exo_torque", "exo_peak"]\n'
+    data = {"samples": 64, "seed": 3, "fixed_gains": "published", "families": {"rough": {
+        "settings": 2, "min_survival_s": 0.5, "body": {"disturbance": 0.1}}},
+        "searched": ["exo_torque", "exo_peak"]}  # fmt: skip
+    fake_walker.fill(tmp_path / "store", data)
+    toy = fake_walker.experiment(tmp_path, searched)
+    assert toy.names == ("exo_torque", "exo_peak") and toy.fixed == tuple(PUBLISHED_GAINS)
+    found = compare(toy, Request(tmp_path / "out", arms=("worlds", "tpe"), runs=2, trials=4),
+                    lambda progress: None).trials  # fmt: skip
+    row = found.filter(pc.equal(found["arm"], "worlds")).slice(3, 1).to_pylist()[0]
+    assert [row[name] for name in GAIN_NAMES] == PUBLISHED_GAINS.tolist()
+    url = f"sqlite:///{tmp_path}/live.db"
+    storage = open_studies(url)
+    live = run_study(toy, find_arm("worlds"), 0, 4, storage)
+    assert set(live.best_params) == set(toy.names)
+    storage.engine.dispose()
+    for where in (str(tmp_path / "out"), url):
+        gains = gains_of_trial("toy/worlds/run-000/3", where)
+        assert gains.gains.tolist() == PUBLISHED_GAINS.tolist()
+        assert gains.low_level[8:10].tolist() == [row["exo_torque"], row["exo_peak"]]
+    stored = gains_of_row(tmp_path / "store", 5)
+    assert stored.gains.tolist() == PUBLISHED_GAINS.tolist() and stored.low_level[8] > 0.0
+    other = replace(toy, fixed=(), searched=("exo_torque", "exo_peak"))
+    with refused(r"stores\.worlds: .*store without K_GAS"):
+        check_store(other, "worlds", "worlds")
+    with refused(r"stores\.worlds: .* a store of the same fixed gains"):
+        check_store(replace(toy, fixed=(1.0, *toy.fixed[1:])), "worlds", "worlds")
