@@ -7,17 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import simulator, terrain
-from taichi_nmm.body import Bodies
+from taichi_nmm import Bodies, Settings, WorldRanges, simulator, terrain
 from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.carried import drive, follow
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, Muscle, Sense, State, Work
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
-from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
-from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted, interpreted_walker
 
 pytestmark = pytest.mark.slow

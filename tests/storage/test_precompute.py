@@ -18,8 +18,7 @@ from storage.pool import Pool, local_pool
 from storage.precompute import Summary, precompute
 from storage.store_folder import StoreFolder
 from storage.tables import FOOTER_KEY
-from taichi_nmm.errors import InputError
-from taichi_nmm.result import Result
+from taichi_nmm import InputError, Result
 from tests.storage import fake
 from tests.storage.fake import content
 

@@ -17,10 +17,8 @@ from storage import merge, open_store
 from storage.precompute import precompute
 from storage.specification import read_specification
 from storage.tables import FOOTER_KEY
-from taichi_nmm import walker_simulator
+from taichi_nmm import GAIN_NAMES, GAINS, InputError, walker_simulator
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, GAINS
 from tests.storage import fake
 
 SHARD = "part-00003.parquet"

@@ -9,12 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 import taichi_nmm
-from taichi_nmm import terrain
-from taichi_nmm.body import Bodies
+from taichi_nmm import Bodies, Settings, Terrain, terrain
 from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
-from taichi_nmm.settings import Settings
-from taichi_nmm.terrain import Terrain
 
 pytestmark = pytest.mark.slow
 

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from taichi_nmm import kernel_cache
-from taichi_nmm.errors import InputError
+from taichi_nmm import InputError, kernel_cache
 from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER, PREFIX, require_kernel_cache
 
 ROOT = Path(__file__).parents[2]

@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm import terrain
-from taichi_nmm.body import Bodies
-from taichi_nmm.errors import InputError
+from taichi_nmm import Bodies, InputError, Settings, terrain
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
-from taichi_nmm.settings import Settings
 
 pytestmark = pytest.mark.slow
 

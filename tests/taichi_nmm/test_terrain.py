@@ -9,9 +9,8 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
-from taichi_nmm import terrain
+from taichi_nmm import InputError, terrain
 from taichi_nmm.config import Table, read_toml
-from taichi_nmm.errors import InputError
 from taichi_nmm.terrain import FLAT_START_M, GRID_X_M, KINDS, Ground, Terrain, read_ground
 from taichi_nmm.terrain import GRID_SPACING_M as CELL_M
 

@@ -9,9 +9,8 @@ import pytest
 
 import taichi_nmm
 from study.pictures.stick_figure import leg
-from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, terrain
+from taichi_nmm import PUBLISHED_GAINS, InputError, Settings, Worlds, terrain
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 
 ALL = WorldRanges(

@@ -10,9 +10,7 @@ from typing import Any
 
 import pytest
 
-from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
-from taichi_nmm.settings import Settings
+from taichi_nmm import GAIN_NAMES, PUBLISHED_GAINS, InputError, Settings
 from tests.cases import asset
 from tests.study import fake_walker
 from tests.tools.conftest import Tool

@@ -10,10 +10,8 @@ from storage.dask_session import packed, unpack
 from storage.pool import Cluster, differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store
-from taichi_nmm.errors import InputError
+from taichi_nmm import InputError, Result, Settings
 from taichi_nmm.kernel_cache import COMPILER
-from taichi_nmm.result import Result
-from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import Walker
 from tests.storage import fake
 

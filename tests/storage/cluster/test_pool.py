@@ -21,8 +21,7 @@ from storage.cluster import open_pool
 from storage.pool import Cluster as Asked
 from storage.pool import Pool
 from storage.precompute import precompute
-from taichi_nmm.errors import InputError
-from taichi_nmm.settings import Settings
+from taichi_nmm import InputError, Settings
 from taichi_nmm.walker_simulator import Walker
 from tests.storage import fake
 from tests.storage.cluster import units

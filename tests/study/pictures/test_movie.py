@@ -14,8 +14,7 @@ from matplotlib.image import imread
 
 from study.pictures import find_ffmpeg, write_movie
 from study.pictures.scene import LARGE, SMALL, Canvas, Film, capsule, frames
-from taichi_nmm.errors import InputError
-from taichi_nmm.result import Trajectory
+from taichi_nmm import InputError, Trajectory
 from taichi_nmm.terrain import flat, rough
 from tests.study import synthetic_gait
 

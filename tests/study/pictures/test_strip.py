@@ -8,8 +8,7 @@ from matplotlib.image import imread
 from study.pictures import write_gait_cycle, write_strip
 from study.pictures.strip import Shown, strips_figure
 from study.pictures.style import PNG_DPI, save_png
-from taichi_nmm.errors import InputError
-from taichi_nmm.result import Trajectory
+from taichi_nmm import InputError, Trajectory
 from taichi_nmm.terrain import Terrain, flat, ramp, rough
 from tests.study import synthetic_gait
 

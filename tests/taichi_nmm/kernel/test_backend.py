@@ -11,11 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taichi_nmm.errors import InputError
+from taichi_nmm import InputError, Settings
 from taichi_nmm.kernel import backend, compiler, registers
 from taichi_nmm.kernel.backend import ti
 from taichi_nmm.kernel_cache import COMPILER
-from taichi_nmm.settings import Settings
 
 REFUSAL = "no shader float64\nin driver"
 
