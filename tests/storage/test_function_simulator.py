@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from study.experiment.gains import gains_of_row
 from study.sampler.columns import store_parameters
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from tests.python import python
 from tests.storage import robot
 from tests.storage.fake import content
 
@@ -81,22 +80,16 @@ def test_rows_are_what_the_function_returns(store: Path) -> None:
 def test_the_command_makes_the_same_bytes_until_a_file_changes(store: Path, tmp_path: Path) -> None:
     shutil.copy(robot.__file__, tmp_path / "my_robot.py")
     (tmp_path / "cart.toml").write_text(TOML)
-    words = [sys.executable, "-m", "taichi_nmm", "precompute", "--config", tmp_path / "cart.toml"]
-
-    def run(*more: str) -> "subprocess.CompletedProcess[str]":
-        command = [*words, "--out", tmp_path / "out", *more]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    done = run("--workers", "2")
+    words = ("-m", "taichi_nmm", "precompute", "--config", tmp_path / "cart.toml", "--out", "out")
+    done = python(*words, "--workers", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     code = "import my_robot, storage; storage.make_store(my_robot.Cart, 'python', workers=1, **{})"
-    subprocess.run([sys.executable, "-c", code.replace("{}", repr(CONFIGURATION))], check=True,
-                   cwd=tmp_path)  # fmt: skip
+    python("-c", code.replace("{}", repr(CONFIGURATION)), check=True, cwd=tmp_path)
     assert content(tmp_path / "python") == content(tmp_path / "out")
     assert open_store(tmp_path / "out").table().equals(open_store(store).table())
     with (tmp_path / "my_robot.py").open("a") as file:
         file.write("# another version\n")
-    refused = run()
+    refused = python(*words, cwd=tmp_path)
     assert refused.returncode == 2 and refused.stderr.startswith("error: code_version: ")
     assert len(open_store(tmp_path / "out")) == 60
 

@@ -2,10 +2,7 @@
 
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +18,7 @@ from storage.simulator import SIMULATORS, Uniform, find_simulator, judge_rows, k
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from tests.python import python
 from tests.storage import toy
 from tests.storage.fake import content
 
@@ -243,13 +241,12 @@ def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(tmp_path:
     text = "samples = 40\nshard_rows = 8\nseed = 4\nwind = [0.5, 1.5]\n"
     text += "simulator = {name = 'my_robot:Cart', mass_kg = 2.0}\n"
     (tmp_path / "cart.toml").write_text(text)
-    words = [sys.executable, "-m", "taichi_nmm", "precompute", "--config", "cart.toml"]
-    run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)
-    done = run([*words, "--workers", "2"], check=False)
+    words = ("-m", "taichi_nmm", "precompute", "--config", "cart.toml")
+    done = python(*words, "--workers", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     store = open_store(tmp_path / "out" / "cart", verify=True)
     assert store.specification["simulator"] == "my_robot:Cart" and len(store) == 40
     assert np.array_equal(store.gains(), sobol_points(4, 0, 40, toy.Cart.parameters))
-    refused = run([*words, "--arch", "cpu"], check=False)
+    refused = python(*words, "--arch", "cpu", cwd=tmp_path)
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
     assert refused.stderr.startswith("error: arch: 'cpu'")

@@ -1,7 +1,5 @@
 """`simulate`: results, refusals, and walkers that diverge without touching others."""
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -11,6 +9,7 @@ import taichi_nmm
 from taichi_nmm import Bodies, InputError, Settings, terrain
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
+from tests.python import python
 
 pytestmark = pytest.mark.slow
 
@@ -221,7 +220,7 @@ child.kill()
 
 
 def printed(code: str) -> list[str]:
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = python("-c", code)
     assert done.stdout, done.stderr
     return done.stdout.splitlines()
 

@@ -2,11 +2,10 @@
 
 import os
 import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
-from tests.tools.running import ROOT
+from tests.python import ROOT, python
 
 # Runs before anything else in a process that has its folder on PYTHONPATH.
 SITE = """
@@ -33,8 +32,4 @@ def run_with_accident(
     (folder / "site" / "sitecustomize.py").write_text(SITE)
     accident = {"MISSING": ",".join(missing), "INTERRUPTED": interrupted}
     path = os.pathsep.join((str(folder / "site"), str(ROOT)))
-    return subprocess.run(
-        [sys.executable, *map(str, words)],
-        cwd=folder, env={**os.environ, **accident, "PYTHONPATH": path},
-        capture_output=True, text=True,
-    )  # fmt: skip
+    return python(*words, cwd=folder, env={**os.environ, **accident, "PYTHONPATH": path})

@@ -3,7 +3,6 @@
 import json
 import re
 import runpy
-import subprocess
 import sys
 from pathlib import Path
 from types import FrameType
@@ -16,6 +15,7 @@ import pytest
 from study import FeatureKernelSampler, FeatureTable
 from study.commands.validate import Figure, show
 from study.options import COMMANDS, documentation
+from tests.python import python
 from tests.tools.running import ROOT, TOOLS, load_tool
 
 MOST = 10  # files, and classes, of a proposal; 34 and 26 in 0.2.0
@@ -91,8 +91,7 @@ def test_figures_are_a_table_or_one_list(capsys: pytest.CaptureFixture[str]) -> 
 
 def printed(tool: str, *words: object) -> str:
     """By a tool in a process of its own."""
-    command = [sys.executable, f"tools/{tool}.py", *map(str, words)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = python(f"tools/{tool}.py", *words)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

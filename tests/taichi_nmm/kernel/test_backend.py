@@ -2,7 +2,6 @@
 
 import ctypes
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -15,6 +14,7 @@ from taichi_nmm import InputError, Settings
 from taichi_nmm.kernel import backend, compiler, registers
 from taichi_nmm.kernel.backend import ti
 from taichi_nmm.kernel_cache import COMPILER
+from tests.python import python
 
 REFUSAL = "no shader float64\nin driver"
 
@@ -114,7 +114,7 @@ def test_the_source_of_a_kernel_is_read_once_and_no_class_is_looked_for() -> Non
 
 @pytest.mark.slow
 def test_nothing_is_printed() -> None:
-    done = subprocess.run([sys.executable, "-c", QUIET], capture_output=True, text=True)
+    done = python("-c", QUIET)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
