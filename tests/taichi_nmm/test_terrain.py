@@ -13,6 +13,7 @@ from taichi_nmm import InputError, terrain
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.terrain import FLAT_START_M, GRID_X_M, KINDS, Ground, Terrain, read_ground
 from taichi_nmm.terrain import GRID_SPACING_M as CELL_M
+from tests.cases import cases
 
 SEED = 3
 
@@ -209,24 +210,7 @@ def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path
     assert again.draw(SEED).name == "file hill.csv"
 
 
-@pytest.mark.parametrize(("kind", "options", "message"), [
-    ("lava", {}, f"kind: 'lava' .* {' or '.join(KINDS)}"),
-    ("flat", {"amplitude_m": 0.1}, "amplitude_m: 0.1 .* only the keys kind$"),
-    ("rough", {"riser_m": 0.1}, "riser_m: 0.1 .* only the keys kind, amplitude_m, "),
-    ("rough", {"amplitude_m": -0.1}, "amplitude_m: -0.1"),
-    ("rough", {"spacing_m": 0.0}, "spacing_m: 0.0 .* a number from 0.1 to 100"),
-    ("rough", {"slope": 1.5}, "slope: 1.5"), ("blocks", {"riser_m": 0.01}, "riser_m: 0.01"),
-    ("blocks", {"riser_m": 2.0}, r"riser_m: 2.0 .* 0.05 to 1.0 \(spacing_m\)"),
-    ("ramp", {"increment": "steep"}, "increment: 'steep'"),
-    ("ramp", {"direction": "left"}, "direction: 'left' .* up or down"),
-    ("stairs", {"run_m": 0.01}, "run_m: 0.01"), ("stairs", {"rise": 0.1}, "rise: 0.1"),
-    ("file", {}, "file: 'missing' .* the key is required"),
-    ("file", {"file": "no/such/table.csv"}, "file: 'no/such/table.csv'"),
-    *(
-        ("rough", {"slope": slope}, "slope: ")
-        for slope in ([0.1], [0.1, 0.0], [0.0, 7.0], ["a", "b"], [0.0, 0.1, 0.2])
-    ),
-])  # fmt: skip
+@cases("bad-grounds.toml", "kind", "options", "message")
 def test_a_bad_terrain_is_named(kind: str, options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=rf"^terrain\.{message}"):
         read_ground(Table({"kind": kind, **options}, "terrain"))
