@@ -36,7 +36,6 @@ COMMANDS: dict[str, Words] = {
     name: tuple(line.split()) for name, line in asset("fuzz/commands.toml").items()
 }
 COMPARE, PRECOMPUTE, STUDY = (COMMANDS[name] for name in ("compare", "precompute", "study"))
-ONE, STILL = ("--workers", "1"), ("--movie-seconds", "0", "--out", "walked")
 ON_A_TABLE = 'seed = 1\n[terrain]\nkind = "file"\nfile = "{}"\n'
 HILL = "x_m,height_m\n" + "".join(f"{x},{0.01 * (x % 3)}\n" for x in range(0, 60, 2))
 PACKERS = {".gz": partial(gzip.compress, mtime=0), ".bz2": bz2.compress, ".xz": lzma.compress}
