@@ -12,7 +12,7 @@ from storage.commit import commit, commit_json, temporary_sibling, together
 from storage.store import read_footer
 from storage.tables import read_columns, write_table
 from taichi_nmm.errors import InputError
-from tests.python import python
+from tests.processes import python
 
 IMPORTS = "import sys; from pathlib import Path; from storage.commit import commit_json, together\n"
 TABLE = pa.table({"row": [0, 1], "score": [0.5, 0.25]})

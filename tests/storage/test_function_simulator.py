@@ -19,7 +19,7 @@ from study.experiment.gains import gains_of_row
 from study.sampler.columns import store_parameters
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from tests.python import python
+from tests.processes import python
 from tests.storage import robot
 from tests.storage.fake import content
 

@@ -18,7 +18,7 @@ from storage.simulator import SIMULATORS, Uniform, find_simulator, judge_rows, k
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from tests.python import python
+from tests.processes import python
 from tests.storage import toy
 from tests.storage.fake import content
 

@@ -17,7 +17,7 @@ from storage.specification import read_specification
 from storage.tables import FOOTER_KEY
 from taichi_nmm import GAIN_NAMES, GAINS, InputError, walker_simulator
 from taichi_nmm.config import Table
-from tests.python import python
+from tests.processes import python
 from tests.storage import fake
 
 SHARD = "part-00003.parquet"

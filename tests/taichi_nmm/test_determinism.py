@@ -10,7 +10,7 @@ import taichi_nmm
 from taichi_nmm import Bodies, Settings, Terrain, terrain
 from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
-from tests.python import python
+from tests.processes import python
 
 pytestmark = pytest.mark.slow
 

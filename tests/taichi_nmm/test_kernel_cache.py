@@ -7,7 +7,7 @@ import pytest
 
 from taichi_nmm import InputError, kernel_cache
 from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER, PREFIX, require_kernel_cache
-from tests.python import ROOT, python
+from tests.processes import ROOT, python
 
 WALK = ROOT / "tools" / "walk.py"
 SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"

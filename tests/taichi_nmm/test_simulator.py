@@ -9,7 +9,7 @@ import taichi_nmm
 from taichi_nmm import Bodies, InputError, Settings, terrain
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
-from tests.python import python
+from tests.processes import python
 
 pytestmark = pytest.mark.slow
 

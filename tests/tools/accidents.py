@@ -5,7 +5,7 @@ import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
-from tests.python import ROOT, python
+from tests.processes import ROOT, python
 
 # Runs before anything else in a process that has its folder on PYTHONPATH.
 SITE = """

@@ -3,12 +3,12 @@
 import os
 import shutil
 import signal
-import time
 from pathlib import Path
 from subprocess import Popen
 
 import pytest
 
+from tests.processes import until
 from tests.tools.running import INTERRUPTED, ROOT, WAIT_S, finish, start
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
@@ -104,11 +104,10 @@ def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder: Path)
 def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
     words = ("precompute", "--config", "some.toml", "--out", "stopped", *THERE)
     process = begin(folder, *words)
-    deadline_s = time.monotonic() + WAIT_S
-    while len(list((folder / "stopped").glob("part-*"))) < 3:
-        assert process.poll() is None and time.monotonic() < deadline_s
-        time.sleep(0.01)
+    stopped = folder / "stopped"
+    until(lambda: process.poll() is not None or len(list(stopped.glob("part-*"))) >= 3, WAIT_S)
+    assert process.poll() is None
     os.killpg(process.pid, signal.SIGINT)
     done = finish(process)
     assert (done.code, done.last) == (130, INTERRUPTED) and "Traceback" not in done.error
-    assert 3 <= len(list((folder / "stopped").glob("part-*"))) < 500
+    assert 3 <= len(list(stopped.glob("part-*"))) < 500

@@ -15,6 +15,7 @@ import pytest
 
 from study.experiment import compare
 from study.experiment.experiment import store_digest
+from tests.processes import children, until
 from tests.study import fake_walker
 from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import INTERRUPTED, finish, start
@@ -34,12 +35,9 @@ class Comparison(Command):
 
     def wait_for_more(self, process: "subprocess.Popen[str]") -> None:
         """Until the process has written a stretch."""
-        before, deadline_s = self.rows(), time.monotonic() + 60.0
-        while self.rows() == before:
-            if process.poll() is not None:
-                pytest.fail(f"ended: {process.communicate()[1]}")
-            assert time.monotonic() < deadline_s
-            time.sleep(0.02)
+        before = self.rows()
+        until(lambda: process.poll() is not None or self.rows() != before, 60.0)
+        assert self.rows() != before, f"ended: {process.communicate()[1]}"
 
 
 @pytest.fixture
@@ -137,7 +135,8 @@ def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Compa
     if victim == "all":
         os.killpg(process.pid, number)
     else:
-        os.kill(process.pid if victim == "it" else worker_of(process), number)
+        worker, _ = children(process.pid)
+        os.kill(process.pid if victim == "it" else worker, number)
     done = finish(process)
     assert left_over(process.pid) == []  # workers end with the main process
     assert done.code == code and done.last.startswith(line)
@@ -146,14 +145,6 @@ def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Compa
     assert command.run(**arms) == command.run(**arms, out=whole) == 0
     found = (command.out / "trials.parquet").read_bytes()
     assert found == (whole / "trials.parquet").read_bytes()
-
-
-def worker_of(process: "subprocess.Popen[str]") -> int:
-    """One of two processes that a command has spawned."""
-    children = [file.read_text() for file in Path(f"/proc/{process.pid}/task").glob("*/children")]
-    pids = map(int, " ".join(children).split())
-    one, _ = (p for p in pids if b"spawn_main" in Path(f"/proc/{p}/cmdline").read_bytes())
-    return one
 
 
 def left_over(group: int) -> list[str]:

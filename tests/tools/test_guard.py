@@ -9,7 +9,7 @@ import pytest
 
 from study.options import COMMANDS
 from taichi_nmm.kernel_cache import COMPILER
-from tests.python import python
+from tests.processes import python
 from tests.tools.accidents import run_with_accident
 from tests.tools.running import ROOT
 from tests.tools.running import TOOLS as ALL_TOOLS

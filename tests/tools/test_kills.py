@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from tests.python import python
+from tests.processes import python
 from tests.tools import kills
 
 KILLS = 10

@@ -15,7 +15,7 @@ import pytest
 from study import FeatureKernelSampler, FeatureTable
 from study.commands.validate import Figure, show
 from study.options import COMMANDS, documentation
-from tests.python import python
+from tests.processes import python
 from tests.tools.running import ROOT, TOOLS, load_tool
 
 MOST = 10  # files, and classes, of a proposal; 34 and 26 in 0.2.0

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.storage.cluster.conftest import REPOSITORY, Cluster, children, kill, until
+from tests.processes import ROOT, children, until
+from tests.storage.cluster.conftest import Cluster, kill
 
 pytestmark = pytest.mark.campaign
 
@@ -26,8 +27,8 @@ VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each comma
 def started(folder: Path, tool: str, out: str, *options: str) -> subprocess.Popen[bytes]:
     """A command on the configuration of its own name."""
     words = ["--config", f"{tool}.toml", "--out", out, *options]
-    words = [sys.executable, str(REPOSITORY / "tools" / f"{tool}.py"), *words]
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    words = [sys.executable, str(ROOT / "tools" / f"{tool}.py"), *words]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return subprocess.Popen(words, cwd=folder, env=environment, **quiet)
 

@@ -14,7 +14,7 @@ from taichi_nmm import InputError, Settings
 from taichi_nmm.kernel import backend, compiler, registers
 from taichi_nmm.kernel.backend import ti
 from taichi_nmm.kernel_cache import COMPILER
-from tests.python import python
+from tests.processes import python
 
 REFUSAL = "no shader float64\nin driver"
 
