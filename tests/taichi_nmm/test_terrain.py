@@ -13,7 +13,7 @@ from taichi_nmm import InputError, terrain
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.terrain import FLAT_START_M, GRID_X_M, KINDS, Ground, Terrain, read_ground
 from taichi_nmm.terrain import GRID_SPACING_M as CELL_M
-from tests.cases import cases
+from tests.cases import asset, cases
 
 SEED = 3
 
@@ -114,9 +114,6 @@ def test_headers_blanks_notes_of_a_file(tmp_path: Path, head: str, between: str,
     assert ground.name == "file hill.csv"
 
 
-OTHER_HEADERS = ("x_km,height_m", "height_m,x_m", "x_m,height_m\nx_m,height_m", "0,x_m", "x_m")
-
-
 @pytest.mark.parametrize("height_m", [1e300, -1e300, 5001.0, -5001.0, 10**400])
 def test_heights_have_bounds_and_fit_the_grid(tmp_path: Path, height_m: float) -> None:
     path = tmp_path / "tower.csv"
@@ -147,10 +144,7 @@ def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> 
 
 
 @pytest.mark.parametrize(("text", "allowed"), [
-    ("0,zero\n1,2\n", "a readable table"), ("0,1\n", "at least two rows"),
-    ("0,1,2\n1,1,2\n", "two columns"), ("0,1\n0,2\n", "strictly increasing"),
-    ("0,1\n1,nan\n", "finite numbers"), ("0,1\ninf,2\n", "finite numbers"),
-    ("", "at least two rows"), *((f"{head}\n0,0\n1,1\n", "x_m,height_m") for head in OTHER_HEADERS),
+    (text, allowed) for allowed, texts in asset("bad-ground-files.toml").items() for text in texts
 ])  # fmt: skip
 @pytest.mark.filterwarnings("error")
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str, allowed: str) -> None:
