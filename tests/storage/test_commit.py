@@ -138,3 +138,20 @@ def test_files_move_into_a_named_folder(tmp_path: Path, monkeypatch: pytest.Monk
     with refused, together(Path("/")):
         pass
     assert [file.name for file in tmp_path.iterdir()] == ["a"] and not list(Path().iterdir())
+
+
+def test_files_appear_together(tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "report"
+    (tmp_path / "deep" / ".report.new").mkdir(parents=True)  # of a process that was killed
+    (tmp_path / "deep" / ".report.new" / "old").touch()
+    for text in ("1", "2"):
+        with together(folder) as new:
+            (new / "a").write_text(text)
+            (new / text).touch()
+            assert not (folder / text).exists()
+        assert (folder / "a").read_text() == text
+    assert sorted(path.name for path in folder.iterdir()) == ["1", "2", "a"]
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"out: .*file"), together(tmp_path / "file"):
+        pass
+    assert [path.name for path in folder.parent.iterdir()] == ["report"]
