@@ -19,21 +19,14 @@ from study.experiment.gains import gains_of_row
 from study.sampler.columns import store_parameters
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from tests.cases import ASSETS, asset
 from tests.processes import python
 from tests.storage import robot
 from tests.storage.fake import content
 
-GALE = {"settings": 3, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0], "mass_kg": 0.8}}
-CONFIGURATION: dict[str, Any] = {
-    "samples": 60, "shard_rows": 16, "seed": 3, "families": {"gale": GALE}
-}  # fmt: skip
-TOML = """
-simulator = "my_robot.py:Cart"
-samples = 60
-shard_rows = 16
-seed = 3
-families.gale = {settings = 3, min_survival_s = 3.0, world = {wind = [1.0, 3.0], mass_kg = 0.8}}
-"""
+CONFIGURATION = asset("function-cart.toml")
+CONFIGURATION.pop("simulator")  # which is given itself
+GALE: dict[str, Any] = CONFIGURATION["families"]["gale"]
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +72,7 @@ def test_rows_are_what_the_function_returns(store: Path) -> None:
 @pytest.mark.slow
 def test_the_command_makes_the_same_bytes_until_a_file_changes(store: Path, tmp_path: Path) -> None:
     shutil.copy(robot.__file__, tmp_path / "my_robot.py")
-    (tmp_path / "cart.toml").write_text(TOML)
+    shutil.copy(ASSETS / "function-cart.toml", tmp_path / "cart.toml")
     words = ("-m", "taichi_nmm", "precompute", "--config", tmp_path / "cart.toml", "--out", "out")
     done = python(*words, "--workers", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -18,20 +18,14 @@ from storage.simulator import SIMULATORS, Uniform, find_simulator, judge_rows, k
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from tests.cases import asset
 from tests.processes import python
 from tests.storage import toy
 from tests.storage.fake import content
 
 TOY = "tests.storage.toy"
 CART = f"{TOY}:Cart"
-CONFIGURATION: dict[str, Any] = {
-    "simulator": {"name": CART, "mass_kg": 2.0}, "samples": 60, "shard_rows": 16, "seed": 4,
-    "wind": [0.5, 1.5], "families": {
-        "gale": {"settings": 3, "min_survival_s": 4.0, "seed": 1, "wind": [1.0, 3.0]},
-        "storm": {"settings": 2, "min_survival_s": 4.0, "seed": 2, "wind": [3.0, 4.0],
-                  "after": "gale", "min_survived_fraction": 0.5},
-    },
-}  # fmt: skip
+CONFIGURATION = asset("toy-store.toml")
 REPERTOIRE = {"evaluations": STARTS + 2 * GENERATION, "settings": 1, "candidates": 20}
 
 

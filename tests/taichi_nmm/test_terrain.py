@@ -156,24 +156,13 @@ def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str, allowed: 
     assert str(path) in str(caught.value)
 
 
-NAN, INF = np.nan, np.inf
-
-
-@pytest.mark.parametrize(("make", "bad"), [
-    (terrain.rough, {"amplitude_m": (-0.1, NAN, INF), "spacing_m": (0.0, INF), "slope": (NAN,)}),
-    (terrain.rough, {"flat_start_m": (NAN, 400.0)}),
-    (terrain.blocks, {"slope": (-INF,), "spacing_m": (-1.0,), "riser_m": (0.04, 1.1, NAN)}),
-    (terrain.ramp, {"increment": (0.0,), "segment_m": (NAN,), "largest_slope": (-0.2,)}),
-    (terrain.ramp, {"direction": ("sideways",)}),
-    (terrain.stairs, {"rise_m": (0.0, INF), "run_m": (0.05,), "flat_start_m": (NAN,)}),
-    (terrain.stairs, {"direction": ("Up",)}),
-])  # fmt: skip
-def test_settings_out_of_range_are_named(make: Callable[..., Terrain], bad: Any) -> None:
-    seed = (1,) if make in (terrain.rough, terrain.blocks) else ()
+@pytest.mark.parametrize(("kind", "bad"), asset("bad-ground-options.toml").items())
+def test_settings_out_of_range_are_named(kind: str, bad: dict[str, list[Any]]) -> None:
+    seed = (1,) if kind in ("rough", "blocks") else ()
     for option, values in bad.items():
         for value in values:
             with pytest.raises(InputError, match=rf"^terrain\.{option}: "):
-                make(*seed, **{option: value})
+                KINDS[kind](*seed, **{option: value})
 
 
 @pytest.mark.parametrize(("kind", "options", "expected"), [
