@@ -17,6 +17,13 @@ def python(*words: object, **options: Any) -> "subprocess.CompletedProcess[str]"
     return subprocess.run(command, **{"cwd": ROOT, "capture_output": True, "text": True} | options)
 
 
+def printed(*words: object, **options: Any) -> str:
+    """What `python` prints on these words, which must end well."""
+    done = python(*words, **options)
+    assert done.returncode == 0, done.stderr
+    return str(done.stdout)
+
+
 def until(true: Callable[[], object], wait_s: float = WAIT_S) -> None:
     """Wait for something to be true, which must be so in time."""
     deadline_s = time.monotonic() + wait_s

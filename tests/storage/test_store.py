@@ -17,7 +17,7 @@ from storage.specification import read_specification
 from storage.tables import FOOTER_KEY
 from taichi_nmm import GAIN_NAMES, GAINS, InputError, walker_simulator
 from taichi_nmm.config import Table
-from tests.processes import python
+from tests.processes import printed
 from tests.storage import fake
 
 SHARD = "part-00003.parquet"
@@ -244,5 +244,4 @@ def test_merging_into_no_file(folder: Path, name: str) -> None:
 def test_reading_loads_no_simulator(folder: Path) -> None:
     code = "import sys, storage; storage.open_store(sys.argv[1]).numpy()\n"
     code += "print({'taichi', 'quadrants', 'matplotlib', 'optuna'}.intersection(sys.modules))"
-    run = python("-c", code, folder)
-    assert (run.stdout, run.returncode) == ("set()\n", 0), run.stderr
+    assert printed("-c", code, folder) == "set()\n"

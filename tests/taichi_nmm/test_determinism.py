@@ -10,7 +10,7 @@ import taichi_nmm
 from taichi_nmm import Bodies, Settings, Terrain, terrain
 from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
-from tests.processes import python
+from tests.processes import printed
 
 pytestmark = pytest.mark.slow
 
@@ -72,5 +72,5 @@ def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
     file = tmp_path / "rows.npy"
     code = "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "
     code += "np.save(sys.argv[1], rows(np.arange(64)))"
-    python("-c", code, file, check=True)
+    printed("-c", code, file)
     assert np.load(file).tobytes() == whole[:64].tobytes()

@@ -21,15 +21,7 @@ from taichi_nmm.walker_simulator import require_engine
 from tests.cases import asset, cases
 
 NAN, INF = float("nan"), float("inf")
-SEED = 3
-ALL: dict[str, Any] = {
-    "simulation": {
-        "duration_s": 20, "physics_step_s": 0.5e-3, "contact_relaxation_speed_mps": 0.03,
-        "precision": "float64", "arch": "cpu",
-    },
-    "body": {"disturbance": 0.15},
-    "terrain": {"kind": "rough", "amplitude_m": 0.03},
-}  # fmt: skip
+ALL = asset("conditions.toml")
 ON_MUJOCO: dict[str, Any] = {"engine": "mujoco", "duration_s": 20.0}
 
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from tests.processes import python
+from tests.processes import printed, python
 from tests.tools import kills
 
 KILLS = 10
@@ -14,9 +14,8 @@ KILLS = 10
 def test_all_commands_resume_bit_equal_after_two_kills_each() -> None:
     """In a process of its own, since it forks."""
     pytest.importorskip("ribs")
-    done = python("-m", kills.__name__, "--kills", KILLS)
-    assert done.returncode == 0, done.stderr
-    rows = re.findall(r"\| ([\w-]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|", done.stdout)
+    said = printed("-m", kills.__name__, "--kills", KILLS)
+    rows = re.findall(r"\| ([\w-]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|", said)
     assert [row[0] for row in rows] == [*kills.SCENES]
     assert sum(int(row[1]) for row in rows) >= KILLS
     assert all(int(row[3]) > 0 and row[3] == row[4] for row in rows)
