@@ -99,20 +99,10 @@ def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     assert content(tmp_path / "store") == content(tmp_path / "whole")
 
 
-def test_a_simulators_own_tables_are_checked() -> None:
-    gale = CONFIGURATION["families"]["gale"]
-    for changes, field in (
-        ({"simulator": {"name": CART, "mass_kg": 0.0}}, "simulator.mass_kg"),
-        ({"simulator": {"name": CART, "mass": 1.0}}, "simulator.mass"),
-        ({"simulator": 3}, "simulator"),
-        ({"simulator": "cart"}, "simulator.name"),
-        ({"simulation": {"arch": "cpu"}}, "simulation.arch"),
-        ({"families": {"gale": gale | {"wind": 3}}}, "families.gale.wind"),
-        ({"families": {"speed": gale}}, "families"), ({"terrain": {"kind": "flat"}}, "terrain"),
-        ({"searched": ["thrust"]}, "searched"), ({"wind": [2, 1]}, "wind"),
-    ):  # fmt: skip
-        with pytest.raises(InputError, match=rf"^{field}: "):
-            specification(**changes)
+@pytest.mark.parametrize(("field", "changes"), asset("toy-refusals.toml").items())
+def test_a_simulators_own_tables_are_checked(field: str, changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=rf"^{field}: "):
+        specification(**changes)
 
 
 @pytest.mark.parametrize("name", ["", "cart", TOY, f"{TOY}:Bicycle", "no.module:Cart", ":Cart"])

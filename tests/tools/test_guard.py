@@ -9,17 +9,16 @@ import pytest
 
 from study.options import COMMANDS
 from taichi_nmm.kernel_cache import COMPILER
-from tests.processes import python
-from tests.tools.accidents import run_with_accident
-from tests.tools.running import ROOT
-from tests.tools.running import TOOLS as ALL_TOOLS
+from tests.processes import ROOT, python
+from tests.tools import running
+from tests.tools.running import run_with_accident
 
 pytestmark = pytest.mark.slow
 
 WALK = ("walk", "--duration", 1, "--movie-seconds", 0)
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
 # The tools beside the commands, and one command: all commands begin in study/cli.py.
-TOOLS = ["walk", *(tool for tool in ALL_TOOLS if tool not in COMMANDS)]
+TOOLS = ["walk", *(tool for tool in running.TOOLS if tool not in COMMANDS)]
 FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
 
 
