@@ -17,20 +17,12 @@ import numpy as np
 from numpy.random import Generator
 
 from study.options import parser_of
+from tests.cases import asset
 from tests.fuzz import damage
 from tests.fuzz.damage import OPTIONS, chance, pick
-from tests.fuzz.world import COMMANDS, ONE, PACKERS, PRECOMPUTE, STILL, STUDY, UNPACKERS, Words
+from tests.fuzz.world import COMMANDS, PACKERS, UNPACKERS, Words
 
 Damage = Callable[[Generator, Path], None]
-
-# As those of the world, but into new folders: another configuration than there is not refused.
-NEW = ("--out", "new", *ONE)
-NEW_STUDY = ("study", "--out", "new", "--storage", "sqlite:///new.db", "--config", "toy.toml",
-             "--arm")  # fmt: skip
-WALK_SOFT = ("walk", "--config", "mujoco-rough8-soft.toml", *STILL)
-COMPARE_NEW = ("compare", "--config", "toy.toml", *NEW)
-PRECOMPUTE_NEW = ("precompute", "--config", "grid.toml", *NEW)
-PRECOMPUTE_WORLDS = ("precompute", "--config", "store-worlds.toml", "--samples", "8", *NEW)
 
 
 def in_bytes(rng: Generator, path: Path) -> None:
@@ -58,19 +50,23 @@ def in_document(read: Callable[[str], Any], write: Callable[[Any], bytes]) -> Da
     return change
 
 
-def either(*kinds: Damage) -> Damage:
-    return lambda rng, path: pick(rng, kinds)(rng, path)
-
-
-in_json = in_document(json.loads, damage.as_json)
-in_toml = in_document(tomllib.loads, damage.as_toml)
-in_columns, in_footer = damage.damaged_columns, damage.damaged_footer
-in_database = either(in_bytes, *[damage.damaged_database] * 3)
+def either(*kinds: str) -> Damage:
+    """One of some kinds of damage."""
+    return lambda rng, path: KINDS[pick(rng, kinds) if len(kinds) > 1 else kinds[0]](rng, path)
 
 
 def in_folder_file(rng: Generator, path: Path) -> None:
     """In a file of a folder that a command goes on with."""
-    (in_json if path.suffix == ".json" else either(in_bytes, in_columns, in_footer))(rng, path)
+    kinds = ("json",) if path.suffix == ".json" else ("bytes", "columns", "footer")
+    either(*kinds)(rng, path)
+
+
+KINDS: dict[str, Damage] = {
+    "bytes": in_bytes, "text": in_text, "json": in_document(json.loads, damage.as_json),
+    "toml": in_document(tomllib.loads, damage.as_toml), "columns": damage.damaged_columns,
+    "footer": damage.damaged_footer, "database": damage.damaged_database,
+    "file of a folder": in_folder_file,
+}  # fmt: skip
 
 
 def misplaced(rng: Generator, path: Path) -> None:
@@ -97,13 +93,12 @@ class Format:
     name: str
     share: int  # of all cases, beside those of the others
     files: tuple[str, ...]  # none where the words of the command are damaged
-    readers: tuple[str | Words, ...]  # names of `COMMANDS`, or words
-    damage: Damage = in_bytes
+    readers: tuple[Words, ...]
+    damage: Damage
 
     def prepare(self, rng: Generator, folder: Path) -> Words:
         """Damage a file of the folder; the words of the command to be run."""
-        reader = pick(rng, self.readers)
-        words: Words = COMMANDS[reader] if isinstance(reader, str) else reader
+        words: Words = pick(rng, self.readers)
         if not self.files:
             return damaged_words(rng, words)
         path = folder / (name := pick(rng, self.files))
@@ -139,43 +134,16 @@ def options_of(command: str) -> tuple[str, ...]:
     return (*(word for word in options if word.startswith("--")), "--nothing")
 
 
-STORE = ("explore", *["walk of a row"] * 3, "study", "compare", COMPARE_NEW)
-TERRAIN = ("walk", "--config", "{file}.toml", *STILL)
-DATABASE = ("walk of a live trial", "study", (*STUDY, "--trials", "3"),
-            ("dashboard", "--storage", "sqlite:///live.db", "--port", "0"),
-            (*COMPARE_NEW, "--storage", "sqlite:///live.db"))  # fmt: skip
-EXPORTED = ("compare", "dashboard", "walk of an exported trial")
-SHARD = ("store/part-00000.parquet",)
+def words_of(reader: str) -> Words:
+    """Of a name in `COMMANDS`, or as they stand."""
+    return COMMANDS.get(reader) or tuple(reader.split())
 
-FORMATS = (
-    Format("arguments", 20, (), tuple(COMMANDS)),
-    Format("experiment, TOML", 16, ("toy.toml",),
-           ("walk", "compare", COMPARE_NEW, (*NEW_STUDY, "dog"), (*NEW_STUDY, "random")), in_toml),
-    Format("experiment on MuJoCo, TOML", 4, ("mujoco-rough8.toml",), (WALK_SOFT,), in_toml),
-    Format("store, TOML", 8, ("grid.toml",), ("precompute", *[PRECOMPUTE_NEW] * 2), in_toml),
-    Format("store of worlds, TOML", 2, ("store-worlds.toml",), (PRECOMPUTE_WORLDS,), in_toml),
-    Format("gains, JSON", 10, ("gains.json", "best/dog-run-000-best.json"),
-           (("walk", "--gains", "{file}", *STILL),), in_json),
-    Format("terrain table", 10, ("hill.csv", "hill.csv.gz", "hill.csv.bz2", "hill.csv.xz"),
-           (TERRAIN,), in_text),
-    Format("store's manifest", 6, ("store/manifest.json",), STORE, in_json),
-    Format("store's shard, bytes", 6, SHARD, STORE, in_bytes),
-    Format("store's footer", 6, SHARD, STORE, in_footer),
-    Format("store's columns", 5, SHARD, STORE, in_columns),
-    Format("store that goes on", 5,
-           ("grid/specification.json", "grid/manifest.json", "grid/part-00001.parquet"),
-           (PRECOMPUTE, PRECOMPUTE, (*PRECOMPUTE, "--fresh")), in_folder_file),
-    Format("experiment.json", 6, ("compared/experiment.json",),
-           ("report", "report", "compare", "walk of a trial"), in_json),
-    Format("run.json", 3, ("compared/run.json",), ("report", "report", "compare"), in_json),
-    Format("trials.parquet", 6, ("compared/trials.parquet",), ("report", *["walk of a trial"] * 2),
-           either(in_bytes, in_columns)),
-    Format("an arm's trials", 6, ("compared/arms/dog.parquet", "compared/arms/random.parquet"),
-           ("report", "compare", "compare"), either(in_bytes, in_columns, in_columns, in_footer)),
-    Format("live studies, SQLite", 7, ("live.db",), DATABASE, in_database),
-    Format("a comparison's studies, SQLite", 3, ("compared/studies.db",), EXPORTED, in_database),
+
+FORMATS = tuple(
+    Format(name, row["share"], tuple(row["files"]),
+           tuple(map(words_of, row.get("readers", COMMANDS))), either(*row["damage"]))
+    for name, row in asset("fuzz/formats.toml").items()
 )  # fmt: skip
-
 SHARES = np.array([each.share for each in FORMATS], dtype=float)
 NAMES = tuple(each.name for each in FORMATS)
 HERE = "here"  # of a case, where its command is run: a ".." leads no farther than the case

@@ -25,73 +25,18 @@ from study.bench import Bench, journal
 from study.cli import main
 from study.experiment.folder import TIME_COLUMNS, in_order
 from study.options import CONFIGS
+from tests.cases import ASSETS, asset
 from tests.study import fake_walker
 from tests.study.bench import robot
 
 Words = tuple[str, ...]
 
-ONE = ("--workers", "1")
-COMPARE = ("compare", "--config", "toy.toml", "--out", "compared", *ONE)
-PRECOMPUTE = ("precompute", "--config", "grid.toml", "--out", "grid", *ONE)
-STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--out", "best", "--storage",
-         "sqlite:///live.db")  # fmt: skip
-STILL = ("--movie-seconds", "0", "--out", "walked")
-
 # Every command, on files of the world, from within their folder.
 COMMANDS: dict[str, Words] = {
-    "compare": COMPARE,
-    "precompute": PRECOMPUTE,
-    "study": STUDY,
-    "report": ("report", "compared"),
-    "report of two": ("report", "compared", "compared", "--out", "overview"),
-    "dashboard": ("dashboard", "compared", "--port", "0"),
-    "explore": ("explore", "store", "--port", "0", "--no-browser"),
-    "bench": ("bench", "next", "--bench", "walk.toml"),
-    "bench of forms": ("bench", "serve", "--bench", "walk.toml", "--port", "0"),
-    "bench of trials": ("bench", "import", "trials.csv", "--bench", "walk.toml"),
-    "walk": ("walk", "--config", "toy.toml", *STILL),
-    "walk on a table": ("walk", "--config", "hill.csv.toml", *STILL),
-    "walk of gains": ("walk", "--gains", "gains.json", *STILL),
-    "walk of a row": ("walk", "--store", "store", "--row", "7", *STILL),
-    "walk of a trial": ("walk", "--trial", "toy/dog/run-001/1", "--storage", "compared", *STILL),
-    "walk of a live trial": ("walk", "--trial", "toy/dog/run-000/1", "--storage",
-                             "sqlite:///live.db", *STILL),
-    "walk of an exported trial": ("walk", "--trial", "toy/dog/run-001/1", "--storage",
-                                  "sqlite:///compared/studies.db", *STILL),
-    "quickstart": ("quickstart", "--out", "quick"),
-    "validate": ("validate", "--samples", "100"),
-}  # fmt: skip
-
-TOY = """\
-name = "toy"
-seed = 5
-runs = 2
-trials = 2
-arms = ["random", "dog"]
-objective.cost = "smooth"
-simulation.duration_s = 20.0
-body.disturbance = 0.15
-world.friction = [0.6, 1.0]
-[terrain]
-kind = "rough"
-amplitude_m = 0.08
-[stores]
-flat = "store"
-"""
+    name: tuple(line.split()) for name, line in asset("fuzz/commands.toml").items()
+}
+COMPARE, PRECOMPUTE, STUDY = (COMMANDS[name] for name in ("compare", "precompute", "study"))
 ON_A_TABLE = 'seed = 1\n[terrain]\nkind = "file"\nfile = "{}"\n'
-GRID = """\
-samples = 12
-shard_rows = 8
-seed = 3
-simulation.duration_s = 5.0
-[families.up]
-settings = 2
-seed = 4
-terrain = {kind = "ramp", direction = "up"}
-body.disturbance = 0.1
-"""
-
-
 HILL = "x_m,height_m\n" + "".join(f"{x},{0.01 * (x % 3)}\n" for x in range(0, 60, 2))
 PACKERS = {".gz": partial(gzip.compress, mtime=0), ".bz2": bz2.compress, ".xz": lzma.compress}
 UNPACKERS = {".gz": gzip.decompress, ".bz2": bz2.decompress, ".xz": lzma.decompress}
@@ -101,10 +46,10 @@ DAY = "2026-01-01 00:00:00.000000"
 def make_world(folder: Path) -> None:
     """Fill a new folder; some seconds."""
     folder.mkdir(parents=True)
-    for name, text in {"toy": TOY, "grid": GRID}.items():
-        (folder / f"{name}.toml").write_text(text)
-    for name in ("store-worlds", "mujoco-rough8"):
-        shutil.copy(CONFIGS / f"{name}.toml", folder)
+    ours = [ASSETS / "fuzz" / f"{name}.toml" for name in ("toy", "grid")]
+    shipped = [CONFIGS / f"{name}.toml" for name in ("store-worlds", "mujoco-rough8")]
+    for file in (*ours, *shipped):
+        shutil.copy(file, folder)
     for ending, pack in {"": bytes, **PACKERS}.items():
         name = f"hill.csv{ending}"
         (folder / name).write_bytes(pack(HILL.encode()))

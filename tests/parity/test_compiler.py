@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import simulator, terrain
-from taichi_nmm.body import Bodies
+from taichi_nmm import Bodies, Settings, WorldRanges, simulator, terrain
 from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.carried import drive, follow
@@ -21,9 +20,7 @@ from taichi_nmm.parameters import (
     lower_bounds,
     upper_bounds,
 )
-from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
-from taichi_nmm.world import WorldRanges
 from tests.parity.interpreter import AllLanes, interpreted, interpreted_walker
 
 pytestmark = pytest.mark.slow

@@ -11,15 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import Controller, simulator
+from taichi_nmm import Controller, Observation, Settings, simulator
 from taichi_nmm.body import SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.joints import HIP_EXTENSION_LIMIT_RAD
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Muscle, State, Work
 from taichi_nmm.kernel.muscle_table import TORQUES_NM
-from taichi_nmm.observation import Observation
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
-from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import check_batch, constant_rows
 from tests.parity import numpy_dynamics
 from tests.parity.interpreter import interpreted

@@ -16,11 +16,8 @@ import pytest
 from numpy.typing import NDArray
 
 import taichi_nmm
-from taichi_nmm import terrain
-from taichi_nmm.body import Bodies
+from taichi_nmm import Bodies, Settings, WorldRanges, terrain
 from taichi_nmm.parameters import load_gains, lower_bounds, upper_bounds
-from taichi_nmm.settings import Settings
-from taichi_nmm.world import WorldRanges
 
 pytestmark = pytest.mark.slow
 

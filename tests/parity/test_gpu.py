@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import simulator
-from taichi_nmm.errors import InputError
+from taichi_nmm import InputError, Settings, simulator
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import State
 from taichi_nmm.packs import Packs
-from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import Batch
 from tests.parity.test_compiler import walking_batch
 

@@ -7,26 +7,9 @@ import numpy as np
 from optuna.distributions import FloatDistribution, IntDistribution
 
 from storage.mujoco_simulator import MujocoSimulator, SensedState
+from tests.cases import ASSETS
 
-XML = """
-<mujoco>
-  <option timestep="0.002"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="5 5 1"/>
-    <body name="trunk" pos="0 0 0.5">
-      <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 0 1"/>
-      <joint name="pitch" type="hinge" axis="0 1 0" damping="0.5" armature="0.1"/>
-      <geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.05" mass="3"/>
-      <body name="leg">
-        <joint name="hip" type="hinge" axis="0 1 0" damping="0.2"/>
-        <geom type="capsule" fromto="0 0 0 0 0 -0.44" size="0.05" mass="1"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor joint="hip" gear="20"/></actuator>
-  <sensor><jointpos name="hip" joint="hip"/></sensor>
-</mujoco>
-"""
+XML = (ASSETS / "rail.xml").read_text()
 PARAMETERS = {"kp": FloatDistribution(0.1, 3.0, log=True), "beats": IntDistribution(1, 4)}
 
 

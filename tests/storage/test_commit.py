@@ -2,8 +2,6 @@ import errno
 import fcntl
 import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +12,8 @@ from storage.commit import commit, commit_json, temporary_sibling, together
 from storage.store import read_footer
 from storage.tables import read_columns, write_table
 from taichi_nmm.errors import InputError
+from tests.processes import python
 
-ROOT = Path(__file__).resolve().parents[2]
 IMPORTS = "import sys; from pathlib import Path; from storage.commit import commit_json, together\n"
 TABLE = pa.table({"row": [0, 1], "score": [0.5, 0.25]})
 FOOTER = {"format": 1, "rows": 2, "shard": 0, "specification": {}, "specification_hash": ""}
@@ -99,8 +97,7 @@ def test_what_is_removed_before_its_lock(tmp_path: Path, monkeypatch: pytest.Mon
 
 def errors_of(code: str, path: Path) -> str:
     """Of another process that runs the code."""
-    words = [sys.executable, "-c", IMPORTS + code, str(path)]
-    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True).stderr
+    return python("-c", IMPORTS + code, path).stderr
 
 
 def test_what_is_being_written_or_filled_is_let_be(tmp_path: Path) -> None:
@@ -141,3 +138,20 @@ def test_files_move_into_a_named_folder(tmp_path: Path, monkeypatch: pytest.Monk
     with refused, together(Path("/")):
         pass
     assert [file.name for file in tmp_path.iterdir()] == ["a"] and not list(Path().iterdir())
+
+
+def test_files_appear_together(tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "report"
+    (tmp_path / "deep" / ".report.new").mkdir(parents=True)  # of a process that was killed
+    (tmp_path / "deep" / ".report.new" / "old").touch()
+    for text in ("1", "2"):
+        with together(folder) as new:
+            (new / "a").write_text(text)
+            (new / text).touch()
+            assert not (folder / text).exists()
+        assert (folder / "a").read_text() == text
+    assert sorted(path.name for path in folder.iterdir()) == ["1", "2", "a"]
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"out: .*file"), together(tmp_path / "file"):
+        pass
+    assert [path.name for path in folder.parent.iterdir()] == ["report"]

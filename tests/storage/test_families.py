@@ -13,9 +13,8 @@ from storage.precompute import precompute, progress_parts, score_rows
 from storage.specification import Specification, read_specification
 from storage.store import columns_of, family_names
 from storage.tables import difference, document_hash
-from taichi_nmm import walker_simulator
+from taichi_nmm import InputError, walker_simulator
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from taichi_nmm.walker_simulator import Walker

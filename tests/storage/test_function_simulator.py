@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,20 +19,14 @@ from study.experiment.gains import gains_of_row
 from study.sampler.columns import store_parameters
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from tests.cases import ASSETS, asset
+from tests.processes import printed, python
 from tests.storage import robot
 from tests.storage.fake import content
 
-GALE = {"settings": 3, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0], "mass_kg": 0.8}}
-CONFIGURATION: dict[str, Any] = {
-    "samples": 60, "shard_rows": 16, "seed": 3, "families": {"gale": GALE}
-}  # fmt: skip
-TOML = """
-simulator = "my_robot.py:Cart"
-samples = 60
-shard_rows = 16
-seed = 3
-families.gale = {settings = 3, min_survival_s = 3.0, world = {wind = [1.0, 3.0], mass_kg = 0.8}}
-"""
+CONFIGURATION = asset("function-cart.toml")
+CONFIGURATION.pop("simulator")  # which is given itself
+GALE: dict[str, Any] = CONFIGURATION["families"]["gale"]
 
 
 @pytest.fixture(scope="module")
@@ -80,23 +72,16 @@ def test_rows_are_what_the_function_returns(store: Path) -> None:
 @pytest.mark.slow
 def test_the_command_makes_the_same_bytes_until_a_file_changes(store: Path, tmp_path: Path) -> None:
     shutil.copy(robot.__file__, tmp_path / "my_robot.py")
-    (tmp_path / "cart.toml").write_text(TOML)
-    words = [sys.executable, "-m", "taichi_nmm", "precompute", "--config", tmp_path / "cart.toml"]
-
-    def run(*more: str) -> "subprocess.CompletedProcess[str]":
-        command = [*words, "--out", tmp_path / "out", *more]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    done = run("--workers", "2")
-    assert done.returncode == 0, done.stderr
+    shutil.copy(ASSETS / "function-cart.toml", tmp_path / "cart.toml")
+    words = ("-m", "taichi_nmm", "precompute", "--config", tmp_path / "cart.toml", "--out", "out")
+    printed(*words, "--workers", "2", cwd=tmp_path)
     code = "import my_robot, storage; storage.make_store(my_robot.Cart, 'python', workers=1, **{})"
-    subprocess.run([sys.executable, "-c", code.replace("{}", repr(CONFIGURATION))], check=True,
-                   cwd=tmp_path)  # fmt: skip
+    printed("-c", code.replace("{}", repr(CONFIGURATION)), cwd=tmp_path)
     assert content(tmp_path / "python") == content(tmp_path / "out")
     assert open_store(tmp_path / "out").table().equals(open_store(store).table())
     with (tmp_path / "my_robot.py").open("a") as file:
         file.write("# another version\n")
-    refused = run()
+    refused = python(*words, cwd=tmp_path)
     assert refused.returncode == 2 and refused.stderr.startswith("error: code_version: ")
     assert len(open_store(tmp_path / "out")) == 60
 

@@ -14,6 +14,7 @@ from storage.simulator import find_simulator, run_points
 from study.options import CONFIGS
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from tests.cases import ASSETS
 from tests.storage import rail
 from tests.storage.rail import XML, Rail, made, swing
 
@@ -111,15 +112,7 @@ def never(sensed: SensedState) -> Any:
     return np.zeros(len(sensed.x_m), dtype=bool)
 
 
-BLOCK = """<mujoco><option timestep="0.001"/><worldbody>
-<geom type="plane" size="5 5 1" friction=".2"/><body pos="0 0 .1"><freejoint/>
-<geom type="box" size=".3 .3 .1" mass="2" friction=".2"/>
-<body pos="0 0 2"><joint axis="1 0 0" type="slide"/><geom size=".1" mass="1e-3" contype="0"
-conaffinity="0"/></body></body></worldbody>
-<actuator><motor joint="{joint}" gear="1"/></actuator></mujoco>"""
-CART = """<mujoco><option timestep="0.001" gravity="0 0 -10"/><worldbody><body><joint name="x"
-type="slide" axis="1 0 0"/><geom size=".1" mass="2"/></body></worldbody><actuator><motor joint="x"
-gear="4"/></actuator></mujoco>"""
+BLOCK, CART = ((ASSETS / name).read_text() for name in ("block.xml", "cart.xml"))
 SHARE = {"share": FloatDistribution(0.0, 1.0)}
 
 
@@ -138,8 +131,7 @@ def test_worlds_do_what_their_names_say() -> None:
     assert moved(delay_s=0.2) == pytest.approx(0.64, rel=5e-3)
     assert abs(moved(mass_spread=0.3, mass=1.0) - 1.0) > 1e-3
     assert 0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5  # at a time between .5 and 1 s or not at all
-    text = BLOCK.replace("{joint}", "s").replace('type="slide"', 'type="slide" name="s"')
-    block = MujocoSimulator(rail.Model(text), still, **given)
+    block = MujocoSimulator(rail.Model(BLOCK), still, **given)
     slopes = []
     for slope, friction in ((0.1, 1.0), (0.5, 1.0), (0.5, 3.0)):
         row = runs(block, np.array([[0.0]]), {"slope": slope, "friction": friction}, seconds=1.0)

@@ -21,11 +21,11 @@ import storage
 from storage.pool import IN_PROCESS, Pool, cores, local_pool
 from storage.processes import Processes
 from taichi_nmm.errors import InputError
+from tests.processes import ROOT, until
 from tests.storage.cluster import units
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
 LONG_S = 60.0
 PROMPT_S = 5.0
 
@@ -72,11 +72,8 @@ def alive(pid: int) -> bool:
 
 
 def wait_for(folder: Path, count: int) -> list[int]:
-    deadline = time.monotonic() + LONG_S
-    while len(found := [int(file.name) for file in folder.iterdir()]) < count:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    return found
+    until(lambda: len(list(folder.iterdir())) >= count, LONG_S)
+    return [int(file.name) for file in folder.iterdir()]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -168,10 +165,7 @@ def test_no_process_outlives_a_killed_parent(tmp_path: Path) -> None:
         pids = wait_for(folder, 2)
         assert all(map(alive, pids))
         parent.kill()
-    deadline = time.monotonic() + PROMPT_S
-    while any(map(alive, pids)):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: not any(map(alive, pids)), PROMPT_S)
 
 
 @pytest.mark.parametrize("workers", [0, -2])

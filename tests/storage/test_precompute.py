@@ -18,8 +18,8 @@ from storage.pool import Pool, local_pool
 from storage.precompute import Summary, precompute
 from storage.store_folder import StoreFolder
 from storage.tables import FOOTER_KEY
-from taichi_nmm.errors import InputError
-from taichi_nmm.result import Result
+from taichi_nmm import InputError, Result
+from tests.cases import asset
 from tests.storage import fake
 from tests.storage.fake import content
 
@@ -212,12 +212,7 @@ def test_a_run_goes_on_in_its_own_folder_alone(store: Path) -> None:
     assert seen[0] == 42 and seen[-1] == 50 and seen == sorted(seen)
 
 
-@pytest.mark.parametrize(("changes", "field"), [
-    ({"samples": 51}, "samples"), ({"seed": 9}, "seed"), ({"robust": True}, "robust"),
-    ({"simulation": {"duration_s": 6.0}}, "simulation.duration_s"),
-    ({"terrain": {"kind": "stairs"}}, "terrain.name"),
-    ({"body": {"disturbance": 0.1}}, "body.disturbance"),
-])  # fmt: skip
+@pytest.mark.parametrize(("field", "changes"), asset("other-specifications.toml").items())
 def test_another_specification_is_refused_by_name(store: Path, changes: Any, field: str) -> None:
     before = content(store)
     with pytest.raises(InputError, match=rf"^{field}: .*--fresh"):

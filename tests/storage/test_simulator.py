@@ -2,10 +2,7 @@
 
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +18,14 @@ from storage.simulator import SIMULATORS, Uniform, find_simulator, judge_rows, k
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
+from tests.cases import asset
+from tests.processes import printed, python
 from tests.storage import toy
 from tests.storage.fake import content
 
 TOY = "tests.storage.toy"
 CART = f"{TOY}:Cart"
-CONFIGURATION: dict[str, Any] = {
-    "simulator": {"name": CART, "mass_kg": 2.0}, "samples": 60, "shard_rows": 16, "seed": 4,
-    "wind": [0.5, 1.5], "families": {
-        "gale": {"settings": 3, "min_survival_s": 4.0, "seed": 1, "wind": [1.0, 3.0]},
-        "storm": {"settings": 2, "min_survival_s": 4.0, "seed": 2, "wind": [3.0, 4.0],
-                  "after": "gale", "min_survived_fraction": 0.5},
-    },
-}  # fmt: skip
+CONFIGURATION = asset("toy-store.toml")
 REPERTOIRE = {"evaluations": STARTS + 2 * GENERATION, "settings": 1, "candidates": 20}
 
 
@@ -107,20 +99,10 @@ def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     assert content(tmp_path / "store") == content(tmp_path / "whole")
 
 
-def test_a_simulators_own_tables_are_checked() -> None:
-    gale = CONFIGURATION["families"]["gale"]
-    for changes, field in (
-        ({"simulator": {"name": CART, "mass_kg": 0.0}}, "simulator.mass_kg"),
-        ({"simulator": {"name": CART, "mass": 1.0}}, "simulator.mass"),
-        ({"simulator": 3}, "simulator"),
-        ({"simulator": "cart"}, "simulator.name"),
-        ({"simulation": {"arch": "cpu"}}, "simulation.arch"),
-        ({"families": {"gale": gale | {"wind": 3}}}, "families.gale.wind"),
-        ({"families": {"speed": gale}}, "families"), ({"terrain": {"kind": "flat"}}, "terrain"),
-        ({"searched": ["thrust"]}, "searched"), ({"wind": [2, 1]}, "wind"),
-    ):  # fmt: skip
-        with pytest.raises(InputError, match=rf"^{field}: "):
-            specification(**changes)
+@pytest.mark.parametrize(("field", "changes"), asset("toy-refusals.toml").items())
+def test_a_simulators_own_tables_are_checked(field: str, changes: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=rf"^{field}: "):
+        specification(**changes)
 
 
 @pytest.mark.parametrize("name", ["", "cart", TOY, f"{TOY}:Bicycle", "no.module:Cart", ":Cart"])
@@ -243,13 +225,11 @@ def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(tmp_path:
     text = "samples = 40\nshard_rows = 8\nseed = 4\nwind = [0.5, 1.5]\n"
     text += "simulator = {name = 'my_robot:Cart', mass_kg = 2.0}\n"
     (tmp_path / "cart.toml").write_text(text)
-    words = [sys.executable, "-m", "taichi_nmm", "precompute", "--config", "cart.toml"]
-    run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)
-    done = run([*words, "--workers", "2"], check=False)
-    assert done.returncode == 0, done.stderr
+    words = ("-m", "taichi_nmm", "precompute", "--config", "cart.toml")
+    printed(*words, "--workers", "2", cwd=tmp_path)
     store = open_store(tmp_path / "out" / "cart", verify=True)
     assert store.specification["simulator"] == "my_robot:Cart" and len(store) == 40
     assert np.array_equal(store.gains(), sobol_points(4, 0, 40, toy.Cart.parameters))
-    refused = run([*words, "--arch", "cpu"], check=False)
+    refused = python(*words, "--arch", "cpu", cwd=tmp_path)
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
     assert refused.stderr.startswith("error: arch: 'cpu'")

@@ -2,8 +2,6 @@
 
 import pickle
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,10 +15,9 @@ from storage import merge, open_store
 from storage.precompute import precompute
 from storage.specification import read_specification
 from storage.tables import FOOTER_KEY
-from taichi_nmm import walker_simulator
+from taichi_nmm import GAIN_NAMES, GAINS, InputError, walker_simulator
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, GAINS
+from tests.processes import printed
 from tests.storage import fake
 
 SHARD = "part-00003.parquet"
@@ -247,6 +244,4 @@ def test_merging_into_no_file(folder: Path, name: str) -> None:
 def test_reading_loads_no_simulator(folder: Path) -> None:
     code = "import sys, storage; storage.open_store(sys.argv[1]).numpy()\n"
     code += "print({'taichi', 'quadrants', 'matplotlib', 'optuna'}.intersection(sys.modules))"
-    words, repository = [sys.executable, "-c", code, str(folder)], Path(__file__).parents[2]
-    run = subprocess.run(words, cwd=repository, capture_output=True, text=True)
-    assert (run.stdout, run.returncode) == ("set()\n", 0), run.stderr
+    assert printed("-c", code, folder) == "set()\n"

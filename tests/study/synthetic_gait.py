@@ -63,3 +63,6 @@ def _events(duration_s: float) -> np.ndarray:
             events += [(strike, side, 0), (strike + STRIDE_S * TAKE_OFF_PERCENT / 100.0, side, 1)]
     inside = [event for event in events if 0.0 < event[0] <= duration_s]
     return np.sort(np.array(inside, dtype=EVENT_DTYPE), order="time_s")
+
+
+WALK, GLIMPSE = walk(), walk(0.3)  # the second is too short for a stride

@@ -7,8 +7,7 @@ import pytest
 
 import taichi_nmm
 from tests.study import fake_walker
-from tests.tools.accidents import run_with_accident
-from tests.tools.running import ROOT
+from tests.tools.running import ROOT, run_with_accident
 
 pytestmark = pytest.mark.slow
 

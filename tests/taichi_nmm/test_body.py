@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import body
+from taichi_nmm import InputError, body
 from taichi_nmm.body import SEGMENT_NAMES, SEGMENTS, Bodies, Build, read_body
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
+from tests.cases import cases
 
 LENGTH_M = np.array([segment.length_m for segment in SEGMENTS])
 NAMES = ("mass_kg", "inertia_kgm2", "com_m")
@@ -114,14 +114,7 @@ def test_a_build_of_other_masses_is_drawn_and_read_back() -> None:
     assert Build(0.15).document() == {"disturbance": 0.15}  # what is not said changes no digest
 
 
-@pytest.mark.parametrize(("table", "message"), [
-    ({"mass": {"arm": 1.0}}, r"^body\.mass\.arm: 1\.0 .* only the keys "),
-    ({"mass": {"hat_left": 1.0}}, r"^body\.mass\.hat_left"),
-    ({"mass": {"hat": 0.0}}, r"^body\.mass\.hat: 0\.0 .* from 0\.05 to 20$"),
-    ({"inertia": {"foot": "big"}}, r"^body\.inertia\.foot: 'big'"),
-    ({"mass": 80}, r"^body\.mass: 80 .* a table"),
-    ({"length": {"all": 2.0}}, r"^body\.length"),
-])  # fmt: skip
+@cases("bad-bodies.toml", "table", "message")
 def test_builds_that_the_model_does_not_have_are_refused(table: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         read_body(Table(table, "body"))

@@ -8,6 +8,7 @@ import pytest
 
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.errors import InputError
+from tests.cases import ASSETS, cases
 
 
 def refused(call: Callable[[], object]) -> InputError:
@@ -34,18 +35,7 @@ def test_a_file_that_is_not_toml_or_is_missing_is_refused(tmp_path: Path, conten
     assert "none.toml" in str(refused(lambda: read_toml(tmp_path / "none.toml")))
 
 
-HILLS = """
-name = "hill"
-terrain = { kind = "ramp", increment = 0.04, direction = "up" }
-[variants.steep]
-about = "a line for readers"
-terrain.increment = 0.08
-[variants.rough]
-terrain.kind = "rough"
-[variants.steep-down]
-like = "steep"
-terrain.direction = "down"
-"""
+HILLS = (ASSETS / "hill.toml").read_text()
 
 
 @pytest.mark.parametrize("name", [".", "..", ".-x", "-x", "..-x"])
@@ -67,17 +57,9 @@ def test_variants_lie_over_a_file(tmp_path: Path, file: str, terrain: dict[str, 
     assert read_toml(tmp_path / f"{file}.toml").unread == {"seed": 3}
 
 
-@pytest.mark.parametrize(("text", "file", "message"), [
-    (HILLS, "hill-flat", "hill-flat.toml.* a variant of .*hill.toml: steep, rough, steep-down"),
-    ("only_variants = true" + HILLS, "hill", "hill.toml.* a variant of .*: steep, rough"),
-    ("seed = 3", "hill-flat", "hill-flat.toml.*No such file"),
-    ("variants = 3", "hill", "variants: '?3"), ("variants.a = 3", "hill-a", "variants: "),
-    ('[a]\nlike = "b"\n[b]\nlike = "a"', "hill", "b.like: 'a'"),
-    ('[a]\nlike = "a"', "hill", "a.like: 'a'"), ('b = 3\n[a]\nlike = "b"', "hill", "a.like: 'b'"),
-    ("[a]\nlike = [3]", "hill", "a.like: "),
-])  # fmt: skip
+@cases("refused-variants.toml", "text", "file", "message")
 def test_variants_that_are_refused(tmp_path: Path, text: str, file: str, message: str) -> None:
-    (tmp_path / "hill.toml").write_text(text)
+    (tmp_path / "hill.toml").write_text(text.replace("HILLS", HILLS))
     error = refused(lambda: read_toml(tmp_path / f"{file}.toml"))
     assert re.search(message, str(error))
 

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm import Controller, Observation
-from taichi_nmm.body import Bodies
-from taichi_nmm.errors import InputError
+from taichi_nmm import Bodies, Controller, InputError, Observation, Settings
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
-from taichi_nmm.settings import Settings
 
 COUNT = 11  # two packs of eight lanes, one of them not full
 STEPS = 60

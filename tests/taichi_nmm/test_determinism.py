@@ -1,7 +1,5 @@
 """Bits do not depend on threads, order, size of the batch or process."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 import taichi_nmm
-from taichi_nmm import terrain
-from taichi_nmm.body import Bodies
+from taichi_nmm import Bodies, Settings, Terrain, terrain
 from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
-from taichi_nmm.settings import Settings
-from taichi_nmm.terrain import Terrain
+from tests.processes import printed
 
 pytestmark = pytest.mark.slow
 
@@ -73,8 +69,8 @@ def test_a_lane_a_turn_as_on_gpus(whole: NDArray[np.void], monkeypatch: pytest.M
 
 
 def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
-    file, root = tmp_path / "rows.npy", Path(__file__).resolve().parents[2]
+    file = tmp_path / "rows.npy"
     code = "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "
     code += "np.save(sys.argv[1], rows(np.arange(64)))"
-    subprocess.run([sys.executable, "-c", code, file], check=True, cwd=root)
+    printed("-c", code, file)
     assert np.load(file).tobytes() == whole[:64].tobytes()

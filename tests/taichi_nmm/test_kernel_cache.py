@@ -1,18 +1,14 @@
 """Environments that would abort or change Taichi: an error of one line, or no difference."""
 
 import os
-import subprocess
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
-from taichi_nmm import kernel_cache
-from taichi_nmm.errors import InputError
+from taichi_nmm import InputError, kernel_cache
 from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER, PREFIX, require_kernel_cache
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).parents[2]
 WALK = ROOT / "tools" / "walk.py"
 SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
 WALKED = "import taichi_nmm as t; "
@@ -20,11 +16,6 @@ WALKED += "print(t.simulate(t.PUBLISHED_GAINS, duration_s=0.5).rows.tobytes().he
 NOTEBOOK = "import io, sys; sys.stdout = io.StringIO(); import taichi_nmm.simulator"
 ODD = {"LC_ALL": "xx", "LANG": "xx", f"{PREFIX}ARCH": "zzz", f"{PREFIX}LOG_LEVEL": "zzz"}
 ODD |= {f"{PREFIX}FAST_MATH": "maybe", f"{PREFIX}DEFAULT_FP": "7"}
-
-
-def python(*words: object, env: Mapping[str, str] = os.environ) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *map(str, words)]
-    return subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True)
 
 
 def test_a_cache_must_be_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

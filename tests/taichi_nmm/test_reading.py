@@ -15,9 +15,8 @@ import pytest
 from storage import open_store
 from study import FeatureTable
 from study.experiment.gains import gains_of_row
-from taichi_nmm import load_all_gains, load_gains, reading, terrain
+from taichi_nmm import InputError, load_all_gains, load_gains, reading, terrain
 from taichi_nmm.config import read_toml
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 
 Door = Callable[[Path], Any]

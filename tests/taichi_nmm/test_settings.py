@@ -10,27 +10,18 @@ from typing import Any
 import pytest
 
 import taichi_nmm
-from taichi_nmm import mujoco_engine
+from taichi_nmm import PUBLISHED_GAINS, InputError, mujoco_engine
 from taichi_nmm.body import Build, read_body
 from taichi_nmm.conditions import Conditions, read_conditions, read_settings
 from taichi_nmm.config import Table, read_toml
-from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
-from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import PHYSICS_STEPS_S, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground
 from taichi_nmm.walker_simulator import require_engine
+from tests.cases import asset, cases
 
 NAN, INF = float("nan"), float("inf")
-SEED = 3
-ALL: dict[str, Any] = {
-    "simulation": {
-        "duration_s": 20, "physics_step_s": 0.5e-3, "contact_relaxation_speed_mps": 0.03,
-        "precision": "float64", "arch": "cpu",
-    },
-    "body": {"disturbance": 0.15},
-    "terrain": {"kind": "rough", "amplitude_m": 0.03},
-}  # fmt: skip
+ALL = asset("conditions.toml")
 ON_MUJOCO: dict[str, Any] = {"engine": "mujoco", "duration_s": 20.0}
 
 
@@ -64,11 +55,7 @@ def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> N
 
 
 @pytest.mark.parametrize(("field", "value"), [
-    ("physics_step_s", 2e-3), ("physics_step_s", NAN), ("contact_relaxation_speed_mps", 0.0),
-    ("contact_relaxation_speed_mps", 11.0), ("contact_relaxation_speed_mps", NAN),
-    ("precision", "float16"), ("arch", "tpu"), ("threads", 0), ("threads", 10_000),
-    ("engine", "bullet"), ("engine", "MuJoCo"), ("engine", ""), ("engine", 1),
-    ("wide_registers", 1),
+    (field, value) for field, values in asset("bad-settings.toml").items() for value in values
 ])  # fmt: skip
 def test_settings_out_of_range_are_named(field: str, value: object) -> None:
     with pytest.raises(InputError) as caught:
@@ -94,14 +81,8 @@ def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_fil
 
 
 @pytest.mark.parametrize(("table", "key", "value"), [
-    ("simulation", "duration_s", 0.05), ("simulation", "duration_s", 1001.0),
-    ("simulation", "physics_step_s", 2e-3), ("simulation", "precision", "half"),
-    ("simulation", "precision", 64), ("simulation", "arch", "tpu"),
-    ("simulation", "threads", 2), ("simulation", "engine", "bullet"),
-    ("simulation", "engine", 1),
-    ("simulation", "mujoco", {"time_constant_s": 0.01}),  # on our own engine
-    ("body", "disturbance", 0.95), ("body", "mass", 80), ("terrain", "kind", "lava"),
-    ("terrain", "amplitude_m", 0.1),
+    (table, key, value) for table, keys in asset("bad-conditions.toml").items()
+    for key, values in keys.items() for value in values
 ])  # fmt: skip
 def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
     refused(f"{table}.{key}", {table: {key: value}})
@@ -133,15 +114,7 @@ def test_a_time_constant_of_some_steps_only(step_s: float) -> None:
     assert Settings(engine="mujoco", physics_step_s=step_s, mujoco=shortest).mujoco == shortest
 
 
-@pytest.mark.parametrize(("field", "simulation", "allowed"), [
-    ("mujoco.limits", {"mujoco": {"limits": "none"}}, "stops or mujoco"),
-    ("mujoco.limits", {"mujoco": {"limits": "Stops"}}, "stops or mujoco"),
-    ("mujoco.limits", {"mujoco": {"limits": ""}}, "stops or mujoco"),
-    ("mujoco.limits", {"mujoco": {"limits": 1}}, "a string"),
-    ("mujoco.solimp", {"mujoco": {"solimp": 0.9}}, "only the keys"),
-    ("contact_relaxation_speed_mps", {"contact_relaxation_speed_mps": 0.1}, "only the keys"),
-    ("arch", {"arch": "cuda"}, "auto or cpu"), ("arch", {"arch": "vulkan"}, "auto or cpu"),
-])  # fmt: skip
+@cases("bad-mujoco.toml", "field", "simulation", "allowed")
 def test_bad_settings_of_mujoco(field: str, simulation: dict[str, Any], allowed: str) -> None:
     assert allowed in refused_on_mujoco(field, **simulation)
 

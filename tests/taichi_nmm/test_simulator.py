@@ -1,19 +1,15 @@
 """`simulate`: results, refusals, and walkers that diverge without touching others."""
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm import terrain
-from taichi_nmm.body import Bodies
-from taichi_nmm.errors import InputError
+from taichi_nmm import Bodies, InputError, Settings, terrain
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
-from taichi_nmm.settings import Settings
+from tests.processes import python
 
 pytestmark = pytest.mark.slow
 
@@ -224,7 +220,7 @@ child.kill()
 
 
 def printed(code: str) -> list[str]:
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = python("-c", code)
     assert done.stdout, done.stderr
     return done.stdout.splitlines()
 

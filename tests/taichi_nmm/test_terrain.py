@@ -9,11 +9,11 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
-from taichi_nmm import terrain
+from taichi_nmm import InputError, terrain
 from taichi_nmm.config import Table, read_toml
-from taichi_nmm.errors import InputError
 from taichi_nmm.terrain import FLAT_START_M, GRID_X_M, KINDS, Ground, Terrain, read_ground
 from taichi_nmm.terrain import GRID_SPACING_M as CELL_M
+from tests.cases import asset, cases
 
 SEED = 3
 
@@ -114,9 +114,6 @@ def test_headers_blanks_notes_of_a_file(tmp_path: Path, head: str, between: str,
     assert ground.name == "file hill.csv"
 
 
-OTHER_HEADERS = ("x_km,height_m", "height_m,x_m", "x_m,height_m\nx_m,height_m", "0,x_m", "x_m")
-
-
 @pytest.mark.parametrize("height_m", [1e300, -1e300, 5001.0, -5001.0, 10**400])
 def test_heights_have_bounds_and_fit_the_grid(tmp_path: Path, height_m: float) -> None:
     path = tmp_path / "tower.csv"
@@ -147,10 +144,7 @@ def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> 
 
 
 @pytest.mark.parametrize(("text", "allowed"), [
-    ("0,zero\n1,2\n", "a readable table"), ("0,1\n", "at least two rows"),
-    ("0,1,2\n1,1,2\n", "two columns"), ("0,1\n0,2\n", "strictly increasing"),
-    ("0,1\n1,nan\n", "finite numbers"), ("0,1\ninf,2\n", "finite numbers"),
-    ("", "at least two rows"), *((f"{head}\n0,0\n1,1\n", "x_m,height_m") for head in OTHER_HEADERS),
+    (text, allowed) for allowed, texts in asset("bad-ground-files.toml").items() for text in texts
 ])  # fmt: skip
 @pytest.mark.filterwarnings("error")
 def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str, allowed: str) -> None:
@@ -162,24 +156,13 @@ def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str, allowed: 
     assert str(path) in str(caught.value)
 
 
-NAN, INF = np.nan, np.inf
-
-
-@pytest.mark.parametrize(("make", "bad"), [
-    (terrain.rough, {"amplitude_m": (-0.1, NAN, INF), "spacing_m": (0.0, INF), "slope": (NAN,)}),
-    (terrain.rough, {"flat_start_m": (NAN, 400.0)}),
-    (terrain.blocks, {"slope": (-INF,), "spacing_m": (-1.0,), "riser_m": (0.04, 1.1, NAN)}),
-    (terrain.ramp, {"increment": (0.0,), "segment_m": (NAN,), "largest_slope": (-0.2,)}),
-    (terrain.ramp, {"direction": ("sideways",)}),
-    (terrain.stairs, {"rise_m": (0.0, INF), "run_m": (0.05,), "flat_start_m": (NAN,)}),
-    (terrain.stairs, {"direction": ("Up",)}),
-])  # fmt: skip
-def test_settings_out_of_range_are_named(make: Callable[..., Terrain], bad: Any) -> None:
-    seed = (1,) if make in (terrain.rough, terrain.blocks) else ()
+@pytest.mark.parametrize(("kind", "bad"), asset("bad-ground-options.toml").items())
+def test_settings_out_of_range_are_named(kind: str, bad: dict[str, list[Any]]) -> None:
+    seed = (1,) if kind in ("rough", "blocks") else ()
     for option, values in bad.items():
         for value in values:
             with pytest.raises(InputError, match=rf"^terrain\.{option}: "):
-                make(*seed, **{option: value})
+                KINDS[kind](*seed, **{option: value})
 
 
 @pytest.mark.parametrize(("kind", "options", "expected"), [
@@ -210,24 +193,7 @@ def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path
     assert again.draw(SEED).name == "file hill.csv"
 
 
-@pytest.mark.parametrize(("kind", "options", "message"), [
-    ("lava", {}, f"kind: 'lava' .* {' or '.join(KINDS)}"),
-    ("flat", {"amplitude_m": 0.1}, "amplitude_m: 0.1 .* only the keys kind$"),
-    ("rough", {"riser_m": 0.1}, "riser_m: 0.1 .* only the keys kind, amplitude_m, "),
-    ("rough", {"amplitude_m": -0.1}, "amplitude_m: -0.1"),
-    ("rough", {"spacing_m": 0.0}, "spacing_m: 0.0 .* a number from 0.1 to 100"),
-    ("rough", {"slope": 1.5}, "slope: 1.5"), ("blocks", {"riser_m": 0.01}, "riser_m: 0.01"),
-    ("blocks", {"riser_m": 2.0}, r"riser_m: 2.0 .* 0.05 to 1.0 \(spacing_m\)"),
-    ("ramp", {"increment": "steep"}, "increment: 'steep'"),
-    ("ramp", {"direction": "left"}, "direction: 'left' .* up or down"),
-    ("stairs", {"run_m": 0.01}, "run_m: 0.01"), ("stairs", {"rise": 0.1}, "rise: 0.1"),
-    ("file", {}, "file: 'missing' .* the key is required"),
-    ("file", {"file": "no/such/table.csv"}, "file: 'no/such/table.csv'"),
-    *(
-        ("rough", {"slope": slope}, "slope: ")
-        for slope in ([0.1], [0.1, 0.0], [0.0, 7.0], ["a", "b"], [0.0, 0.1, 0.2])
-    ),
-])  # fmt: skip
+@cases("bad-grounds.toml", "kind", "options", "message")
 def test_a_bad_terrain_is_named(kind: str, options: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=rf"^terrain\.{message}"):
         read_ground(Table({"kind": kind, **options}, "terrain"))

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from taichi_nmm import walker_simulator
+from taichi_nmm import InputError, Settings, walker_simulator
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     DEVICE,
     GAIN_NAMES,
@@ -16,7 +15,6 @@ from taichi_nmm.parameters import (
     split_points,
 )
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
-from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 
 DIGESTS = {101: "5e8565d00aa2dc6f", 103: "7dcc02119a2f7fec"}  # by the purpose of the draws

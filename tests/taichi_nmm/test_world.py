@@ -9,10 +9,10 @@ import pytest
 
 import taichi_nmm
 from study.pictures.stick_figure import leg
-from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, terrain
+from taichi_nmm import PUBLISHED_GAINS, InputError, Settings, Worlds, terrain
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
+from tests.cases import cases
 
 ALL = WorldRanges(
     (0.3, 10.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.02), catch_ns=(0.0, 2.0)
@@ -91,16 +91,7 @@ def test_the_table_reads_back_what_was_written() -> None:
     assert hash(ALL) == hash(read_world(Table(ALL.document())))
 
 
-@pytest.mark.parametrize(("key", "value", "allowed"), [
-    ("friction", [0.6], "two numbers"), ("friction", 0.6, "two numbers"),
-    ("friction", ["a", "b"], "two numbers"), ("friction", [True, True], "two numbers"),
-    ("friction", [1.0, 0.6], "in this order"), ("friction", [0.0, 0.6], "0.05 to 10"),
-    ("strength", [0.8, float("nan")], "0.1 to 10"),
-    ("contact_stiffness", [1.0, 1e9], "0.01 to 100"),
-    ("contact_stifness", [1.0, 2.0], "only the keys contact_stiffness"),
-    ("catch_ns", [-1.0, 2.0], "0 to 50"), ("catch_ns", [0.0, 51.0], "0 to 50"),
-    ("muscles", 0.5, "a table"),
-])  # fmt: skip
+@cases("bad-worlds.toml", "key", "value", "allowed")
 def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
     with pytest.raises(InputError) as error:
         read_world(Table({key: value}, "world"))

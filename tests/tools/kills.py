@@ -42,32 +42,14 @@ from study.cli import run_command
 from study.experiment import compare
 from study.experiment.folder import PROPOSAL_TIME, RUN_NAME, TIMES_NAME
 from study.options import COMMANDS, LARGEST_SEED, Options
+from tests.cases import ASSETS
 from tests.study import fake_walker
 
 FORK = multiprocessing.get_context("fork")
 NAMING = ("os.rename", "os.link")  # the audit events of os.replace and its like
 DATABASE = "a transaction"  # in place of a file's name
 
-STORE = """
-samples = 32
-shard_rows = 16
-seed = 7
-simulation = {duration_s = 2.0}
-families.up = {settings = 1, min_survival_s = 0.5, terrain = {kind = "ramp"}}
-"""
 REPERTOIRE = "repertoire = {evaluations = 300, settings = 1, candidates = 6}"
-EXPERIMENT = """
-name = "rough"
-seed = 5
-runs = 2
-trials = 4
-arms = ["random", "dog"]
-objective = {{cost = "smooth"}}
-simulation = {{duration_s = 2.0}}
-body = {{disturbance = 0.15}}
-terrain = {{kind = "rough"}}
-stores = {{flat = "{base}/store"}}
-"""
 ONE = "--workers 1"
 COMPARE = f"compare --config {{base}}/rough.toml {ONE} --out"
 # The commands that write, run in a folder of their own; {base} is the folder of what they need.
@@ -180,10 +162,11 @@ class Theatre:
         self._folder, self._base = folder, folder / "base"
         self._log, self._stage = folder / "log.txt", folder / "stage"
         self._base.mkdir(parents=True)
-        texts = {"store": STORE, "bred": STORE + REPERTOIRE}
-        texts["rough"] = EXPERIMENT.format(base=self._base)
+        files = ASSETS / "kills"
+        store, rough = ((files / f"{name}.toml").read_text() for name in ("store", "rough"))
+        texts = {"store": store, "bred": store + REPERTOIRE, "rough": rough}
         for name, text in texts.items():
-            (self._base / f"{name}.toml").write_text(text)
+            (self._base / f"{name}.toml").write_text(text.replace("BASE", str(self._base)))
         for line in PREPARATIONS:
             self._play(line, self._base, NEVER)
 

@@ -1,4 +1,7 @@
-"""A command, run in this process, where tests can replace what it calls; or in one of its own."""
+"""A command, run in this process, where tests can replace what it calls; or in one of its own.
+
+Or with an accident: a package is missing, or Ctrl-C comes in the middle of an import.
+"""
 
 import importlib.util
 import os
@@ -15,8 +18,8 @@ import pytest
 
 from study.cli import main
 from study.options import COMMANDS
+from tests.processes import ROOT, python
 
-ROOT = Path(__file__).resolve().parents[2]
 PARTS = {"time_walks_worker", "checkout", "outside", "page"}  # of other tools
 TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - PARTS)
 sys.path.append(str(ROOT / "tools"))  # where a tool that is run finds checkout.py
@@ -105,3 +108,31 @@ def load_tool(tool: str) -> ModuleType:
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
+
+
+# Runs before anything else in a process that has its folder on PYTHONPATH.
+SITE = """
+import os, signal, sys
+
+class Accident:
+    def find_spec(self, name, path=None, target=None):
+        if name in os.environ.get("MISSING", "").split(","):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        if name == os.environ.get("INTERRUPTED"):
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Accident())
+for name in os.environ.get("MISSING", "").split(","):
+    sys.modules.pop(name, None)  # Python itself may have imported it
+"""
+
+
+def run_with_accident(
+    folder: Path, words: Iterable[object], missing: Iterable[str] = (), interrupted: str = ""
+) -> "subprocess.CompletedProcess[str]":
+    """Python on these words in `folder`; `interrupted` is the import at which Ctrl-C comes."""
+    (folder / "site").mkdir(exist_ok=True)
+    (folder / "site" / "sitecustomize.py").write_text(SITE)
+    accident = {"MISSING": ",".join(missing), "INTERRUPTED": interrupted}
+    path = os.pathsep.join((str(folder / "site"), str(ROOT)))
+    return python(*words, cwd=folder, env={**os.environ, **accident, "PYTHONPATH": path})

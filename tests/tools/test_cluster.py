@@ -3,34 +3,19 @@
 import os
 import shutil
 import signal
-import time
 from pathlib import Path
 from subprocess import Popen
 
 import pytest
 
+from tests.cases import ASSETS
+from tests.processes import until
 from tests.tools.running import INTERRUPTED, ROOT, WAIT_S, finish, start
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
 pytestmark = pytest.mark.slow
 
-STORE = """
-samples = {samples}
-shard_rows = 8
-seed = 7
-simulation = {{duration_s = 1.0, arch = "cpu"}}
-families.up = {{settings = 2, min_survival_s = 0.5, horizon_s = 1.0, terrain = {{kind = "ramp"}}}}
-"""
-EXPERIMENT = """
-name = "tiny"
-seed = 5
-runs = 2
-trials = 4
-arms = ["dog", "cmaes-cold"]
-objective = {{cost = "smooth"}}
-simulation = {{duration_s = 2.0, arch = "cpu", engine = "{engine}"}}
-stores = {{flat = "store"}}
-"""
+CONFIGURATIONS = ASSETS / "cluster"
 HERE = ("--workers", "1")
 THERE = ("--cluster", "local:2")
 
@@ -59,8 +44,7 @@ def tables(folder: Path) -> dict[str, bytes]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With a store, made here."""
     path = tmp_path_factory.mktemp("cluster")
-    (path / "store.toml").write_text(STORE.format(samples=96))
-    (path / "some.toml").write_text(STORE.format(samples=4000))
+    shutil.copy(CONFIGURATIONS / "store.toml", path)
     run(path, "precompute", "--config", "store.toml", "--out", "store", *HERE)
     return path
 
@@ -78,8 +62,8 @@ def test_a_store_is_the_same_and_goes_on_on_either_side(folder: Path) -> None:
 @pytest.mark.parametrize("engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)])
 def test_a_comparison_that_was_begun_here_goes_on_there(folder: Path, engine: str) -> None:
     """Its store travels."""
-    config = folder / f"{engine}.toml"
-    config.write_text(EXPERIMENT.format(engine=engine))
+    config, known = folder / f"{engine}.toml", (CONFIGURATIONS / "taichi.toml").read_text()
+    config.write_text(known.replace('engine = "taichi"', f'engine = "{engine}"'))
     words = ("compare", "--config", config, "--out")
     run(folder, *words, f"{engine}-here", *HERE)
     expected = tables(folder / f"{engine}-here")
@@ -102,13 +86,12 @@ def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder: Path)
 
 
 def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
-    words = ("precompute", "--config", "some.toml", "--out", "stopped", *THERE)
-    process = begin(folder, *words)
-    deadline_s = time.monotonic() + WAIT_S
-    while len(list((folder / "stopped").glob("part-*"))) < 3:
-        assert process.poll() is None and time.monotonic() < deadline_s
-        time.sleep(0.01)
+    words = ("precompute", "--config", "store.toml", "--samples", 4000, "--out", "stopped")
+    process = begin(folder, *words, *THERE)
+    stopped = folder / "stopped"
+    until(lambda: process.poll() is not None or len(list(stopped.glob("part-*"))) >= 3, WAIT_S)
+    assert process.poll() is None
     os.killpg(process.pid, signal.SIGINT)
     done = finish(process)
     assert (done.code, done.last) == (130, INTERRUPTED) and "Traceback" not in done.error
-    assert 3 <= len(list((folder / "stopped").glob("part-*"))) < 500
+    assert 3 <= len(list(stopped.glob("part-*"))) < 500

@@ -5,7 +5,6 @@ import os
 import signal
 import sqlite3
 import subprocess
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import pytest
 
 from study.experiment import compare
 from study.experiment.experiment import store_digest
+from tests.processes import children, until
 from tests.study import fake_walker
 from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import INTERRUPTED, finish, start
@@ -34,12 +34,9 @@ class Comparison(Command):
 
     def wait_for_more(self, process: "subprocess.Popen[str]") -> None:
         """Until the process has written a stretch."""
-        before, deadline_s = self.rows(), time.monotonic() + 60.0
-        while self.rows() == before:
-            if process.poll() is not None:
-                pytest.fail(f"ended: {process.communicate()[1]}")
-            assert time.monotonic() < deadline_s
-            time.sleep(0.02)
+        before = self.rows()
+        until(lambda: process.poll() is not None or self.rows() != before, 60.0)
+        assert self.rows() != before, f"ended: {process.communicate()[1]}"
 
 
 @pytest.fixture
@@ -137,9 +134,11 @@ def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Compa
     if victim == "all":
         os.killpg(process.pid, number)
     else:
-        os.kill(process.pid if victim == "it" else worker_of(process), number)
+        worker, _ = children(process.pid)
+        os.kill(process.pid if victim == "it" else worker, number)
     done = finish(process)
-    assert left_over(process.pid) == []  # workers end with the main process
+    # Workers end with the main process; Python's own tracker does a moment after the last of us.
+    until(lambda: left_over(process.pid) == [], 10.0)
     assert done.code == code and done.last.startswith(line)
     assert "Traceback" not in done.error and 0 < command.rows() < 30 * 15
     whole = command.folder / "whole"
@@ -148,23 +147,11 @@ def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Compa
     assert found == (whole / "trials.parquet").read_bytes()
 
 
-def worker_of(process: "subprocess.Popen[str]") -> int:
-    """One of two processes that a command has spawned."""
-    children = [file.read_text() for file in Path(f"/proc/{process.pid}/task").glob("*/children")]
-    pids = map(int, " ".join(children).split())
-    one, _ = (p for p in pids if b"spawn_main" in Path(f"/proc/{p}/cmdline").read_bytes())
-    return one
-
-
 def left_over(group: int) -> list[str]:
-    """Processes of a group that run on: Python's own tracker ends a moment after the last of us."""
-    deadline_s = time.monotonic() + 10.0
-    while True:
-        left = []
-        for file in Path("/proc").glob("[0-9]*/stat"):
-            with suppress(OSError):
-                state, _, of = file.read_text().rpartition(")")[2].split()[:3]
-                left += [file.parent.name] if int(of) == group and state != "Z" else []
-        if not left or time.monotonic() > deadline_s:
-            return left
-        time.sleep(0.05)
+    """Processes of a group that run on."""
+    left = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, of = file.read_text().rpartition(")")[2].split()[:3]
+            left += [file.parent.name] if int(of) == group and state != "Z" else []
+    return left

@@ -14,13 +14,13 @@ import pytest
 
 from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
+from tests.cases import asset
 from tests.tools.conftest import Tool
 from tests.tools.running import ROOT, load_command
 
 pytestmark = pytest.mark.slow
 
 DASHBOARD = ROOT / "tools" / "dashboard.py"
-TINY = "out/compare/tiny"
 PICTURE = "12345678-0000-0000-0000-000000000000"
 
 
@@ -101,16 +101,9 @@ def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder:
     assert command.find_artifacts(None, url, None) is None
 
 
-@pytest.mark.parametrize(("words", "message"), [
-    ("nowhere", "folder: .*an experiment's folder"), ("x" * 300, ".*255 a name"),
-    (f"{TINY} --artifacts {'x' * 300}", ".*255 a name"),
-    ("--storage sqlite:///nowhere.db", "storage: .*a database that is there"),
-    ("--storage nowhere.db", "storage: .*sqlite:///FILE or postgresql"),
-    (f"{TINY} --artifacts nowhere", "artifacts: .*a folder that is there"),
-    (f"{TINY} --port 70000", "port: .*a whole number from 0 to 65535"),
-])  # fmt: skip
+@pytest.mark.parametrize(("words", "message"), asset("refused-pages.toml").items())
 def test_bad_input_makes_nothing(words: str, message: str, folder: Path, tool: Tool) -> None:
-    tool.refuses(message, "dashboard", *words.split())
+    tool.refuses(message, "dashboard", *words.replace("LONG", "x" * 300).split())
     assert sorted(path.name for path in Path().iterdir()) == ["out"]
 
 

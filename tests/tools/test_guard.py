@@ -9,16 +9,16 @@ import pytest
 
 from study.options import COMMANDS
 from taichi_nmm.kernel_cache import COMPILER
-from tests.tools.accidents import run_with_accident
-from tests.tools.running import ROOT
-from tests.tools.running import TOOLS as ALL_TOOLS
+from tests.processes import ROOT, python
+from tests.tools import running
+from tests.tools.running import run_with_accident
 
 pytestmark = pytest.mark.slow
 
 WALK = ("walk", "--duration", 1, "--movie-seconds", 0)
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
 # The tools beside the commands, and one command: all commands begin in study/cli.py.
-TOOLS = ["walk", *(tool for tool in ALL_TOOLS if tool not in COMMANDS)]
+TOOLS = ["walk", *(tool for tool in running.TOOLS if tool not in COMMANDS)]
 FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
 
 
@@ -82,8 +82,8 @@ def test_a_file_that_hides_a_package_of_ours_is_named(hidden: str, tmp_path: Pat
     name = file.relative_to(tmp_path).parts[0].removesuffix(".py")
     line = f"error: {name}: '{file}' hides the package {name} of taichi-nmm; allowed: "
     assert last_line(done, 2) == done.stderr and done.stderr.startswith(line)
-    tool = [sys.executable, ROOT / "tools" / "walk.py", "--help"]  # hides nothing from a script
-    assert subprocess.run(tool, cwd=tmp_path, capture_output=True).returncode == 0
+    tool = ROOT / "tools" / "walk.py"  # from a script it hides nothing
+    assert python(tool, "--help", cwd=tmp_path).returncode == 0
 
 
 def test_a_hidden_package_is_named_where_ours_is_imported(tmp_path: Path) -> None:

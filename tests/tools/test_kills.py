@@ -1,13 +1,11 @@
 """Killed commands, resumed, leave what a whole run leaves; and what differs is found."""
 
 import re
-import subprocess
-import sys
 
 import pytest
 
+from tests.processes import printed, python
 from tests.tools import kills
-from tests.tools.running import ROOT
 
 KILLS = 10
 
@@ -16,10 +14,8 @@ KILLS = 10
 def test_all_commands_resume_bit_equal_after_two_kills_each() -> None:
     """In a process of its own, since it forks."""
     pytest.importorskip("ribs")
-    words = [sys.executable, "-m", kills.__name__, "--kills", str(KILLS)]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    rows = re.findall(r"\| ([\w-]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|", done.stdout)
+    said = printed("-m", kills.__name__, "--kills", KILLS)
+    rows = re.findall(r"\| ([\w-]+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|", said)
     assert [row[0] for row in rows] == [*kills.SCENES]
     assert sum(int(row[1]) for row in rows) >= KILLS
     assert all(int(row[3]) > 0 and row[3] == row[4] for row in rows)
@@ -41,7 +37,6 @@ kills.main()
 
 @pytest.mark.campaign
 def test_a_command_whose_file_differs_at_every_run_is_found() -> None:
-    words = [sys.executable, "-c", FORGETFUL, "--kills", "2", "--commands", "report"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    done = python("-c", FORGETFUL, "--kills", 2, "--commands", "report")
     assert done.returncode == 1, done.stderr
     assert "report: compared/report/process.txt" in done.stderr.splitlines()[-1]

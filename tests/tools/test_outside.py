@@ -12,18 +12,12 @@ import pytest
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
 from taichi_nmm.errors import InputError
+from tests.cases import asset
 from tests.tools.running import load_tool, run_tool
 from tools import outside
 from tools.outside import ARMS, PROBLEMS, Batches, Feature, Run, outside_problem, rows_by_ranking
 
-# Digests of names, parameters, features and cost. After a change, figures must be made again.
-DIGESTS = {
-    "digits-network": "919632c690f2a73b", "transport-solver": "6d51af5a2bb14237",
-    "cluster-evolution": "5d0d1e116e6a8ad0", "tumour-boosting": "1a495df8295b6a6a",
-    "cart-pole": "9bf9a956a3fd60a3", "stiff-reactions": "2a9aa0e97ba72051",
-    "amination": "cc59158efd574b6d",
-    "suzuki": "bede7b0f49a7bcbc",
-}  # fmt: skip
+DIGESTS = asset("outside-digests.toml")
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

@@ -6,19 +6,14 @@ from pathlib import Path
 import pytest
 
 from storage import open_store
+from tests.cases import ASSETS
 from tests.storage.fake import content
 from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import INTERRUPTED, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
-CONFIG = """
-samples = 96
-shard_rows = 8
-seed = 7
-searched = ["theta_ref"]
-families.up = {settings = 2, terrain = {kind = "ramp"}}
-"""
+CONFIG = (ASSETS / "interrupted-store.toml").read_text()
 SHARDS = 12
 
 

@@ -10,32 +10,20 @@ from typing import Any
 
 import pytest
 
-from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
-from taichi_nmm.settings import Settings
+from taichi_nmm import GAIN_NAMES, PUBLISHED_GAINS, InputError, Settings
 from tests.cases import asset
 from tests.study import fake_walker
 from tests.tools.conftest import Tool
 
 GAINS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 
-FILES: dict[str, Any] = {
-    "low-level.json": GAINS | {"theta_ref": 3.0}, "result.json": {"gains": GAINS | {"K_SOL": 99}},
-    "missing.json": {name: value for name, value in GAINS.items() if name != "l_clr"},
-    "brace.json": "{", "empty.toml": "", "bracket.toml": "[", "sead.toml": "samples = 5\nsead = 1",
-    "sede.toml": "seed = 1\nsede = 1", "half.toml": "samples = ", "five.toml": "samples = 5",
-    "file": "in the way",
-}  # fmt: skip
-BASE = {
-    "compare": "--config rough8-smooth --out new",
-    "study": "--config rough8-smooth --arm random --storage sqlite:///new.db --out new",
-    "precompute": "--config five.toml --out new --workers 1", "walk": "--config flat --out new",
-    "walk of published": "--gains published --config flat --out new",
-    "compare_outside": "--out new --cache new",
-}  # fmt: skip
-
 # Commands, their words and the beginning of the line; they are run in a folder with the files.
 REFUSED: dict[str, dict[str, str]] = asset("refusals.toml")
+BASE, TEXTS = REFUSED.pop("base"), REFUSED.pop("files")
+FILES: dict[str, Any] = TEXTS | {
+    "low-level.json": GAINS | {"theta_ref": 3.0}, "result.json": {"gains": GAINS | {"K_SOL": 99}},
+    "missing.json": {name: value for name, value in GAINS.items() if name != "l_clr"},
+}  # fmt: skip
 REFUSED["compare"][f"--runs {'9' * 5000}"] = "runs: '999"
 
 

@@ -20,8 +20,7 @@ from optuna_dashboard import get_note
 import taichi_nmm
 from storage.databases.studies import only_run
 from study.experiment.experiment import read_experiment
-from taichi_nmm.parameters import GAIN_NAMES
-from taichi_nmm.result import Result
+from taichi_nmm import GAIN_NAMES, Result
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import ROOT, load_command

@@ -3,7 +3,6 @@
 import json
 import re
 import runpy
-import subprocess
 import sys
 from pathlib import Path
 from types import FrameType
@@ -16,6 +15,7 @@ import pytest
 from study import FeatureKernelSampler, FeatureTable
 from study.commands.validate import Figure, show
 from study.options import COMMANDS, documentation
+from tests.processes import printed
 from tests.tools.running import ROOT, TOOLS, load_tool
 
 MOST = 10  # files, and classes, of a proposal; 34 and 26 in 0.2.0
@@ -89,21 +89,13 @@ def test_figures_are_a_table_or_one_list(capsys: pytest.CaptureFixture[str]) -> 
     assert found[3]["low"] is None
 
 
-def printed(tool: str, *words: object) -> str:
-    """By a tool in a process of its own."""
-    command = [sys.executable, f"tools/{tool}.py", *map(str, words)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 # tools/time_walks.py on a few walkers.
 SAMPLES = 64
 
 
 @pytest.mark.campaign
 def test_start_and_run_are_timed_apart() -> None:
-    said = printed("time_walks", "--samples", SAMPLES, "--arch", "cpu")
+    said = printed("tools/time_walks.py", "--samples", SAMPLES, "--arch", "cpu")
 
     def numbers(start: str) -> list[float]:
         (line,) = re.findall(rf"^{start} .*", said, re.MULTILINE)
@@ -130,7 +122,7 @@ TIMES = load_tool("time_sampler")
 
 @pytest.mark.slow
 def test_every_case_is_measured(tmp_path: Path) -> None:
-    printed("time_sampler", "--rows", 5000, "--out", tmp_path)
+    printed("tools/time_sampler.py", "--rows", 5000, "--out", tmp_path)
     cases = TIMES.cases(5000)
     assert [(case.sampler, case.features, case.observations) for case in cases] == [
         ("ours", 1, 100), ("ours", 5, 100), ("rbf", 1, 100), ("worlds", 128, 100),

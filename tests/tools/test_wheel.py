@@ -5,7 +5,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 import sysconfig
 import venv
 import zipfile
@@ -16,12 +15,13 @@ import yaml
 
 import taichi_nmm
 from study.options import shipped_configs
-from tests.tools.running import ROOT
+from tests.processes import ROOT, printed
 
 pytestmark = pytest.mark.slow
 
 SOURCES = ("taichi_nmm", "storage", "study", "configs", "pyproject.toml", "README.md")
 MOST_BYTES = 2_000_000
+PIP = ("-m", "pip", "--disable-pip-version-check")
 
 
 @pytest.fixture(scope="module")
@@ -36,10 +36,8 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def built(source: Path, folder: Path) -> Path:
     """The wheel of a folder with a pyproject.toml."""
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", str(source)]
-    offline = ["--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", str(folder)]
-    done = subprocess.run([*pip, *offline], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    offline = ("--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder)
+    printed(*PIP, "wheel", source, *offline)
     return next(folder.glob("*.whl"))
 
 
@@ -62,10 +60,8 @@ class Installed:
         # Packages of this environment are seen; its .pth files, which know the checkout, are not.
         others = {sysconfig.get_path(kind) for kind in ("purelib", "platlib")}
         (Path(sites.strip()) / "others.pth").write_text("\n".join(sorted(others)))
-        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--python", python]
-        options = ["--no-deps", "--no-index", "--ignore-installed", str(wheel)]
-        done = subprocess.run([*pip, "install", *options], capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        options = ("--no-deps", "--no-index", "--ignore-installed", wheel)
+        printed(*PIP, "--python", python, "install", *options)
 
     def run(self, program: str, *arguments: object) -> str:
         """What a program of the environment prints, in the empty folder."""

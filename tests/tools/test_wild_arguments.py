@@ -10,6 +10,7 @@ import pytest
 import taichi_nmm
 from study.cli import main
 from study.options import COMMANDS, config_path, parser_of
+from tests.cases import asset
 from tests.study import fake_walker
 from tests.tools.running import run_tool
 
@@ -24,22 +25,7 @@ DEEP = {
     "digits.toml": f"seed = {'9' * 5000}", "power.toml": f"seed = 1{'0' * 400}",
 }  # fmt: skip
 NEW_FILE = {"walk": "--mjcf"}
-# What makes a command complete, for each of its options: of an option that is tried, the last
-# stands. CONFIG, STORE and DONE are of the fixture.
-COMPLETE: dict[str, tuple[str, ...]] = {
-    "compare": ("--config", "CONFIG", "--arms", "random"),
-    "explore": ("STORE", "--no-browser"), "report": ("DONE",),
-    "dashboard": ("DONE",), "walk": ("--movie-seconds", "0"),
-    "study": ("--config", "CONFIG", "--arm", "random", "--storage", "sqlite:///new.db"),
-}  # fmt: skip
-BESIDE = {
-    "--row": ("--store", "STORE"), "--store": ("--row", "0"), "--trial": ("--storage", "DONE"),
-    "--storage": ("--trial", "toy/random/run-000/0"),
-}  # fmt: skip
-FORMS = {
-    "--storage": ("{}", "sqlite:///{}", "postgresql+psycopg://{}", "postgresql+psycopg://me@127.0.0.1:1/{}"),
-    "--trial": ("{}", "{}/0", "toy/random/run-000/{}", "toy/random/run-{}/0"),
-}  # fmt: skip
+COMPLETE, BESIDE, FORMS = asset("wild-arguments.toml").values()
 
 
 @pytest.fixture(scope="module")

@@ -5,23 +5,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
-WAIT_S = 120.0
-REPOSITORY = Path(__file__).parents[3]
-
-
-def until(true: Callable[[], object]) -> None:
-    deadline_s = time.monotonic() + WAIT_S
-    while not true():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
+from tests.processes import ROOT, until
 
 
 @dataclass
@@ -56,7 +47,7 @@ class Cluster:
     def _dask(self, *words: str) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"],
-            env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
         self.processes.append(process)
@@ -90,16 +81,6 @@ def shared_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster
     """A cluster that each test leaves with two workers, which a nanny may have started again."""
     with running(tmp_path_factory.mktemp("shared") / "cluster") as made:
         yield made
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has spawned, in any generation."""
-    found = []
-    for file in Path(f"/proc/{pid}/task").glob("*/children"):
-        for child in map(int, file.read_text().split()):
-            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-                found += [child, *children(child)]
-    return found
 
 
 def kill(pid: int) -> None:

@@ -10,28 +10,23 @@ from storage.dask_session import packed, unpack
 from storage.pool import Cluster, differences, own_kind, processor
 from storage.precompute import precompute
 from storage.store import open_store
-from taichi_nmm.errors import InputError
+from taichi_nmm import InputError, Result, Settings
 from taichi_nmm.kernel_cache import COMPILER
-from taichi_nmm.result import Result
-from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import Walker
+from tests.cases import asset
 from tests.storage import fake
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
 
+ADDRESSES = asset("addresses.toml")
 
-@pytest.mark.parametrize(("address", "processes"), [
-    ("local:1", 1), ("local:256", 256), ("10.0.0.1:8786", 0), ("head:1", 0),
-    ("tcp://[::1]:8786", 0), ("tls://head.example.org:8786", 0),
-])  # fmt: skip
+
+@pytest.mark.parametrize(("address", "processes"), ADDRESSES["processes"].items())
 def test_addresses(address: str, processes: int) -> None:
     assert Cluster(address).local_processes == processes
 
 
-@pytest.mark.parametrize("address", [
-    "", "local", "local:", "local:0", "local:-1", "local:257", "local:99999", "head", "head:",
-    "http://head:1", "head:port", "tcp://head:1/x", "a b:1", "head:123456", "local:1\n", "é:1",
-])  # fmt: skip
+@pytest.mark.parametrize("address", ADDRESSES["none"]["words"])
 def test_what_is_no_address(address: str) -> None:
     with pytest.raises(InputError, match=r"^cluster: .* local:N with N from 1 to 256, or a sched"):
         Cluster(address)

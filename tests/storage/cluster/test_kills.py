@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import subprocess
 import sys
 from contextlib import suppress
@@ -10,15 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.storage.cluster.conftest import REPOSITORY, Cluster, children, kill, until
+from tests.cases import ASSETS
+from tests.processes import ROOT, children, until
+from tests.storage.cluster.conftest import Cluster, kill
 
 pytestmark = pytest.mark.campaign
 
-STORE = "samples = 30000\nshard_rows = 100\nseed = 3\n"
-STORE += "simulation = {duration_s = 5.0, arch = 'cpu'}\n"
-EXPERIMENT = "name = 'tiny'\nseed = 5\nruns = 4\ntrials = 40\narms = ['dog', 'random']\n"
-EXPERIMENT += "objective = {cost = 'smooth'}\nsimulation = {duration_s = 20.0, arch = 'cpu'}\n"
-EXPERIMENT += "stores = {flat = 'whole-precompute'}\n"
 SEED = 15
 VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each command
 
@@ -26,16 +24,16 @@ VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each comma
 def started(folder: Path, tool: str, out: str, *options: str) -> subprocess.Popen[bytes]:
     """A command on the configuration of its own name."""
     words = ["--config", f"{tool}.toml", "--out", out, *options]
-    words = [sys.executable, str(REPOSITORY / "tools" / f"{tool}.py"), *words]
-    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    words = [sys.executable, str(ROOT / "tools" / f"{tool}.py"), *words]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return subprocess.Popen(words, cwd=folder, env=environment, **quiet)
 
 
 @pytest.mark.parametrize("tool", ["precompute", "compare"])
 def test_five_kills_and_the_same_bytes(tool: str, cluster: Cluster, tmp_path: Path) -> None:
-    (tmp_path / "precompute.toml").write_text(STORE)
-    (tmp_path / "compare.toml").write_text(EXPERIMENT)
+    for name in ("precompute", "compare"):
+        shutil.copy(ASSETS / "cluster" / f"killed-{name}.toml", tmp_path / f"{name}.toml")
     start = partial(started, tmp_path)
 
     for name in dict.fromkeys(("precompute", tool)):

@@ -19,8 +19,8 @@ from storage.cluster import open_pool
 from storage.pool import Cluster
 from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import Walker
+from tests.processes import ROOT, WAIT_S, until
 from tests.storage.cluster import units
-from tests.storage.cluster.conftest import REPOSITORY, WAIT_S, until
 
 psutil = pytest.importorskip("psutil", reason="psutil is not installed: the extra cluster")
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
@@ -28,7 +28,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(
     sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8 without asking"
 )]  # fmt: skip
 
-PAGE = (REPOSITORY / "docs" / "cluster.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
 HERE = {"10.0.0.1": "127.0.0.21", "10.0.0.2": "127.0.0.22"}  # the page's machines, on this one
 LINES = re.findall(r"^dask (?:scheduler|worker) .*$", PAGE.replace("\\\n", " "), re.MULTILINE)
 EXPORTS = re.findall(r"DASK_(DISTRIBUTED\w+)=(\w+\.pem)", PAGE)  # of the command's own machine
@@ -117,7 +117,7 @@ def here(line: str) -> list[str]:
 def start(processes: list[subprocess.Popen[bytes]], folder: Path, words: list[str]) -> None:
     log = (folder / f"{len(processes)}.log").open("wb")
     program = [sys.executable, "-m", *words]
-    path = os.environ | {"PYTHONPATH": str(REPOSITORY)}  # of units
+    path = os.environ | {"PYTHONPATH": str(ROOT)}  # of units
     processes.append(subprocess.Popen(program, cwd=folder, env=path, stdout=log, stderr=log))
 
 

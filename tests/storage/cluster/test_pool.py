@@ -21,12 +21,12 @@ from storage.cluster import open_pool
 from storage.pool import Cluster as Asked
 from storage.pool import Pool
 from storage.precompute import precompute
-from taichi_nmm.errors import InputError
-from taichi_nmm.settings import Settings
+from taichi_nmm import InputError, Settings
 from taichi_nmm.walker_simulator import Walker
+from tests.processes import ROOT, children, until
 from tests.storage import fake
 from tests.storage.cluster import units
-from tests.storage.cluster.conftest import REPOSITORY, Cluster, children, kill, until
+from tests.storage.cluster.conftest import Cluster, kill
 
 pytestmark = pytest.mark.slow
 
@@ -203,7 +203,7 @@ with connection.cluster_pool(asked, Path(sys.argv[2], "out"), Walker(Settings(ar
 
 def test_calls_of_the_dead_are_dropped(shared_cluster: Cluster, lent: Open, tmp_path: Path) -> None:
     words = [sys.executable, "-c", CLIENT, shared_cluster.address, str(tmp_path)]
-    client = subprocess.Popen(words, cwd=REPOSITORY)
+    client = subprocess.Popen(words, cwd=ROOT)
     until(lambda: len(list(tmp_path.glob("*.begun"))) == 2)
     kill(client.pid)
     client.wait()

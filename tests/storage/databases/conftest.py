@@ -6,13 +6,14 @@ import shutil
 import signal
 import subprocess
 import tempfile
-import time
 from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 
 import pytest
 import sqlalchemy as sql
+
+from tests.processes import until
 
 START_TIMEOUT_S = 30.0
 UNPRIVILEGED = "nobody"  # PostgreSQL refuses to run as root
@@ -48,10 +49,7 @@ class Server:
             [self._programs / "postgres", "-D", self.folder / "data", *options],
             user=self._user, cwd=self.folder, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        deadline = time.monotonic() + START_TIMEOUT_S
-        while not self._answers():
-            assert time.monotonic() < deadline, "the server did not start"
-            time.sleep(0.05)
+        until(self._answers, START_TIMEOUT_S)
 
     def stop(self) -> None:
         self._process.send_signal(signal.SIGINT)  # fast: sends its clients away

@@ -17,11 +17,11 @@ from storage.databases import postgresql
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies
 from taichi_nmm.errors import InputError
+from tests.processes import ROOT, until
 from tests.study import fake_walker
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[3]
 WAIT_S = 200.0
 TRIALS = 30
 
@@ -78,10 +78,7 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
         finally:
             storage.engine.dispose()
 
-    deadline_s = time.monotonic() + WAIT_S
-    while finished() < 10:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.2)
+    until(lambda: finished() >= 10, WAIT_S)
     processes[0].send_signal(signal.SIGKILL)
     said = [process.communicate(timeout=WAIT_S)[0] for process in processes]
     assert [process.returncode for process in processes] == [-9, 0, 0, 0], said

@@ -32,18 +32,8 @@ def test_a_database_is_made_with_its_folder_and_kept(tmp_path: Path) -> None:
         assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 1  # NORMAL
 
 
-FORMS = r"sqlite:///FILE or postgresql\+psycopg://"
-
-
 @pytest.mark.parametrize(("url", "match"), [
-    ("studies.db", FORMS), ("postgresql://host/db", FORMS), ("sqlite:///", FORMS),
-    ("sqlite://", FORMS), ("sqlite:///a?mode=ro", FORMS), ("sqlite:///a.db?password=secret", FORMS),
-    ("me:secret@host/db", FORMS), ("mysql://me:secret@host/db", FORMS),
-    ("postgresql://me:secret@host/db", FORMS), ("postgresql+psycopg://me:secret@host", "storage: "),
-    ("postgresql+psycopg://me:secret@host:port/db", "storage: "),
-    ("postgresql+psycopg://me:secret/db", "storage: "),
-    ("postgresql+psycopg://me:a@secret@127.0.0.1:1/db", "storage: "),
-    ("postgresql+psycopg://127.0.0.1:1/db?password=secret", "storage: "),
+    (url, match) for match, urls in asset("refused-urls.toml").items() for url in urls
 ])  # fmt: skip
 def test_other_urls_are_refused_without_their_passwords(url: str, match: str) -> None:
     with pytest.raises(InputError, match=match) as caught:
@@ -85,20 +75,7 @@ def test_no_database_is_kept_and_a_link_to_itself_is_refused(tmp_path: Path) -> 
         pass
 
 
-OTHERS = {
-    "birds": ["CREATE TABLE birds (name TEXT)"],
-    "another program's studies": ["CREATE TABLE studies (title TEXT)"],
-    "in WAL mode": ["PRAGMA journal_mode=WAL", "CREATE TABLE studies (title TEXT)"],
-}
-CHANGES = {
-    "an old schema": ["UPDATE alembic_version SET version_num = 'v2.6.0.a'"],
-    "a schema to come": ["UPDATE alembic_version SET version_num = 'v99.0.0'"],
-    "no revision": ["DELETE FROM alembic_version"],
-    "no version": ["DELETE FROM version_info"],
-    "no table of revisions": ["DROP TABLE alembic_version"],
-    "what is of a study that is gone": ["DROP TABLE alembic_version", "DELETE FROM studies"],
-    "no table of parameters": ["DROP TABLE trial_params"],
-}
+OTHERS, CHANGES = asset("foreign-databases.toml").values()
 
 
 @pytest.mark.parametrize("mode", ["DELETE", "WAL"])

@@ -13,6 +13,7 @@ from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
 from study.explore.walk import RATE_HZ
 from tests.browser import opened_page, save
+from tests.cases import cases
 from tests.storage.fake import content
 from tests.study import fake_walker
 from tests.study.explore.serving import explorer
@@ -249,12 +250,7 @@ def test_a_slider_changes_the_gait_within_its_bounds(page: Any, store: Path) -> 
     assert model(page, "message", "text") == ""
 
 
-@pytest.mark.parametrize(("field", "text", "said"), [
-    ("row", "99999", "row: 99999 cannot be used; allowed: 0 to "),
-    ("row", "-1", "row: -1 cannot be used; allowed: 0 to "),
-    ("number-K_SOL", "99", "K_SOL: 99 cannot be used; allowed: "),
-    ("seed", "-3", "seed: -3 cannot be used; allowed: "),
-])  # fmt: skip
+@cases("out-of-bounds.toml", "field", "text", "said")
 def test_out_of_bounds_is_said(page: Any, store: Path, field: str, text: str, said: str) -> None:
     change(page, "part", "active", 0)
     page.wait_for_function(f"{MODEL}('number-K_SOL') !== null")

@@ -5,6 +5,7 @@ import pytest
 
 from study.explore.store_view import read_selection, selected, selection_text
 from taichi_nmm.errors import InputError
+from tests.cases import asset
 
 COLUMNS = ("speed", "phi_printed")
 
@@ -21,9 +22,7 @@ def test_a_text_and_its_ranges() -> None:
 
 
 @pytest.mark.parametrize(("text", "named"), [
-    ("speed", "column low..high"), ("speed 1", "column low..high"),
-    ("size 1..2", "one of speed, phi_printed"), ("speed a..2", "a number"),
-    ("speed 1..b", "a number"), ("<script>", "column low..high"),
+    (text, named) for named, texts in asset("refused-selections.toml").items() for text in texts
 ])  # fmt: skip
 def test_what_is_no_selection(text: str, named: str) -> None:
     with pytest.raises(InputError, match=named):

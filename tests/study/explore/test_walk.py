@@ -16,9 +16,8 @@ from study.explore import walk as walking
 from study.explore.downloads import COMMAND, NAMES, file_of_selection, file_of_walk
 from study.explore.walk import Walk, chosen_setting, frames_of, to_toml, walk
 from study.options import config_path
+from taichi_nmm import GAIN_NAMES, InputError
 from taichi_nmm.config import read_toml
-from taichi_nmm.errors import InputError
-from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.running import run_tool
 

@@ -12,11 +12,8 @@ from study.pictures import write_gait_cycle
 from study.pictures.gait_cycle import PANELS, PERCENT, human_distances, strides_of, subtitle
 from study.pictures.style import PNG_DPI
 from taichi_nmm.result import MUSCLES, Trajectory
-from tests.study import synthetic_gait
-from tests.study.synthetic_gait import BODY_WEIGHT_N, STRIDE_S
+from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, STRIDE_S, WALK
 
-WALK = synthetic_gait.walk()
-GLIMPSE = synthetic_gait.walk(0.3)
 COUNT = 4
 
 

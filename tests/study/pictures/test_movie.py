@@ -14,13 +14,9 @@ from matplotlib.image import imread
 
 from study.pictures import find_ffmpeg, write_movie
 from study.pictures.scene import LARGE, SMALL, Canvas, Film, capsule, frames
-from taichi_nmm.errors import InputError
-from taichi_nmm.result import Trajectory
+from taichi_nmm import InputError, Trajectory
 from taichi_nmm.terrain import flat, rough
-from tests.study import synthetic_gait
-
-WALK = synthetic_gait.walk()
-GLIMPSE = synthetic_gait.walk(0.3)
+from tests.study.synthetic_gait import GLIMPSE, WALK
 
 
 def test_shapes_are_drawn_to_scale_and_a_capsule_has_round_ends() -> None:

@@ -9,10 +9,8 @@ from study.pictures import stick_figure
 from study.pictures.stick_figure import finite, last_metres, last_seconds, leg, muscle_outlines
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
-from tests.study import synthetic_gait
-from tests.study.synthetic_gait import SPEED_MPS
+from tests.study.synthetic_gait import SPEED_MPS, WALK
 
-WALK = synthetic_gait.walk()
 TURNS = [(3, "knee", (-1, 1)), (4, "ankle", (-1, 1)), (5, "ball", (-1, -1))]
 
 

@@ -8,15 +8,11 @@ from matplotlib.image import imread
 from study.pictures import write_gait_cycle, write_strip
 from study.pictures.strip import Shown, strips_figure
 from study.pictures.style import PNG_DPI, save_png
-from taichi_nmm.errors import InputError
-from taichi_nmm.result import Trajectory
+from taichi_nmm import InputError, Trajectory
 from taichi_nmm.terrain import Terrain, flat, ramp, rough
-from tests.study import synthetic_gait
+from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, WALK, walk
 
 pytestmark = pytest.mark.slow
-
-WALK = synthetic_gait.walk()
-GLIMPSE = synthetic_gait.walk(0.3)
 
 
 @pytest.mark.parametrize("terrain", [flat(), rough(1), ramp()], ids=lambda terrain: terrain.name)
@@ -40,8 +36,8 @@ def test_uneven_ground_has_a_profile_below_and_pictures_are_the_same_twice(tmp_p
 
 @pytest.mark.parametrize("terrain", [rough(1, flat_start_m=1.0), ramp()], ids=["rough", "ramp"])
 def test_two_walks_are_drawn_on_one_ground(tmp_path: Path, terrain: Terrain) -> None:
-    fell = Shown("taichi", "taichi: fell", synthetic_gait.walk(0.3, 50.0))
-    walked = Shown("mujoco", "mujoco: walked", synthetic_gait.walk(12.0, 50.0))
+    fell = Shown("taichi", "taichi: fell", walk(0.3, 50.0))
+    walked = Shown("mujoco", "mujoco: walked", walk(12.0, 50.0))
     file = save_png(strips_figure((fell, walked), terrain, "made-up"), tmp_path / "strips.png")
     assert file.stat().st_size > 50_000
 
@@ -52,4 +48,4 @@ def test_an_unwritable_place_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a place that can be written"):
         write_strip(place, GLIMPSE, flat())
     with pytest.raises(InputError, match="a place that can be written"):
-        write_gait_cycle(place, GLIMPSE, synthetic_gait.BODY_WEIGHT_N)
+        write_gait_cycle(place, GLIMPSE, BODY_WEIGHT_N)

@@ -1,4 +1,4 @@
-"""Figures: how arms are drawn, dots that are all there, labels within the figure, whole files."""
+"""Figures: how arms are drawn, dots that are all there, labels within the figure; whole reports."""
 
 from pathlib import Path
 
@@ -10,8 +10,9 @@ from matplotlib.text import Annotation
 from study.experiment.arms import ARMS
 from study.pictures import style
 from study.report import figures
-from study.report.figures import End, Look, looks, spread_out
+from study.report.figures import End, Look, looks, spread_out, write_report
 from study.report.runs import Results, read_results
+from taichi_nmm import InputError
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
 
@@ -89,3 +90,24 @@ def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.Monke
     for figure, text in texts:
         box = text.get_window_extent()
         assert box.x0 >= 0 and box.x1 <= figure.bbox.width, text.get_text()
+
+
+# A report is written whole or not at all.
+
+
+def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
+    write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
+    assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report.md").read_text()
+
+
+def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(path: Path, results: Results) -> None:
+        path.touch()
+        raise InputError("disk", "full", "space")
+
+    monkeypatch.setattr(figures, "write_best_cost", fails)
+    (tmp_path / "report.md").write_text("an older one")
+    with pytest.raises(InputError, match="disk"):
+        write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["report.md"]
+    assert (tmp_path / "report.md").read_text() == "an older one"

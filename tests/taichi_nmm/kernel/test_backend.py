@@ -2,7 +2,6 @@
 
 import ctypes
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -11,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taichi_nmm.errors import InputError
+from taichi_nmm import InputError, Settings
 from taichi_nmm.kernel import backend, compiler, registers
 from taichi_nmm.kernel.backend import ti
 from taichi_nmm.kernel_cache import COMPILER
-from taichi_nmm.settings import Settings
+from tests.processes import python
 
 REFUSAL = "no shader float64\nin driver"
 
@@ -115,7 +114,7 @@ def test_the_source_of_a_kernel_is_read_once_and_no_class_is_looked_for() -> Non
 
 @pytest.mark.slow
 def test_nothing_is_printed() -> None:
-    done = subprocess.run([sys.executable, "-c", QUIET], capture_output=True, text=True)
+    done = python("-c", QUIET)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from taichi_nmm.body import Bodies
+from taichi_nmm import Bodies, Settings
 from taichi_nmm.kernel.layout import WALKER_ROWS, Const, Delay, Gait, Muscle, State, Sums, blocks
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
-from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import check_batch, constant_rows
 
 

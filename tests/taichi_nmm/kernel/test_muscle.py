@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from storage.points import sobol_points
-from taichi_nmm import terrain
+from taichi_nmm import GAINS, Settings, terrain
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import layout
 from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle, State, Sums, Work
 from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
-from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import MUSCLES
-from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import blends, check_batch, constant_rows
 from tests.parity.interpreter import AllLanes, interpreted_walker
 

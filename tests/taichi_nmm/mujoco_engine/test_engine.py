@@ -11,11 +11,10 @@ from mujoco.batch import Batch as Simulations
 from mujoco.batch import SimulationError
 
 import taichi_nmm
-from taichi_nmm import terrain
+from taichi_nmm import Result, Trajectory, terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
-from taichi_nmm.result import Result, Trajectory
 from taichi_nmm.settings import MujocoSettings, Settings
 
 pytestmark = pytest.mark.slow

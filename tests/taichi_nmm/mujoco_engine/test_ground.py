@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import terrain
-from taichi_nmm.body import Bodies
+from taichi_nmm import Bodies, Settings, terrain
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.contact_planes import PLANES, SOLE_RADIUS_M
 from taichi_nmm.kernel.layout import CONTACTS
 from taichi_nmm.mujoco_engine.engine import start_state
 from taichi_nmm.mujoco_engine.ground import ContactPlanes
 from taichi_nmm.mujoco_engine.mjcf import walk_model, write_mjcf
-from taichi_nmm.settings import Settings
 from taichi_nmm.simulator import LONGEST_WALK_S
 from taichi_nmm.terrain import GRID_END_M, GRID_START_M, GRID_X_M, KINDS, Terrain
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import terrain
+from taichi_nmm import PUBLISHED_GAINS, WorldRanges, terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
 from taichi_nmm.initial import SPEED_MPS
 from taichi_nmm.kernel import backend
@@ -14,10 +14,8 @@ from taichi_nmm.kernel.joints import STOP_STIFFNESS_NMPRAD
 from taichi_nmm.mujoco_engine import mjcf
 from taichi_nmm.mujoco_engine.engine import Herd, start_state
 from taichi_nmm.mujoco_engine.mjcf import JOINTS, LEAST_RANGE_RAD, STOPS, limit, walk_model
-from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.walkers import check_batch
-from taichi_nmm.world import WorldRanges
 
 GROUND = terrain.rough(4, flat_start_m=0.0)
 FRICTION = 0.7

@@ -1,0 +1,42 @@
+"""Python in a process of its own, the children of a process, and waiting for what they do."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+WAIT_S = 120.0
+
+
+def python(*words: object, **options: Any) -> "subprocess.CompletedProcess[str]":
+    """Run it on these words, in the root unless `cwd` is given, and keep what it prints."""
+    command = [sys.executable, *map(str, words)]
+    return subprocess.run(command, **{"cwd": ROOT, "capture_output": True, "text": True} | options)
+
+
+def printed(*words: object, **options: Any) -> str:
+    """What `python` prints on these words, which must end well."""
+    done = python(*words, **options)
+    assert done.returncode == 0, done.stderr
+    return str(done.stdout)
+
+
+def until(true: Callable[[], object], wait_s: float = WAIT_S) -> None:
+    """Wait for something to be true, which must be so in time."""
+    deadline_s = time.monotonic() + wait_s
+    while not true():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has spawned, in any generation."""
+    found = []
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in map(int, file.read_text().split()):
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                found += [child, *children(child)]
+    return found
