@@ -5,14 +5,17 @@ reads the same text, and so needs no server while a person drags a box.
 """
 
 import html
+import io
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet
 from bokeh.layouts import column, row
 from bokeh.models import (
     Button,
@@ -32,7 +35,7 @@ from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from storage.store import EVOLVED_ROW, ORIGIN, Store
+from storage.store import EVOLVED_ROW, ORIGIN, Store, open_store
 from study.explore.server import SCRIPTS, Message
 from study.pictures import style
 from taichi_nmm.errors import InputError
@@ -81,6 +84,15 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise InputError("selection", text, "a number") from None
+
+
+def file_of_selection(store: Path, ranges: Ranges) -> tuple[str, bytes]:
+    """Name and content of a Parquet file: all columns of the selected rows of a store."""
+    table = open_store(store, unfinished=True).table()
+    chosen = selected(ranges, lambda name: table[name].to_numpy(), len(table))
+    content = io.BytesIO()
+    pyarrow.parquet.write_table(table.filter(pa.array(chosen)), content, compression="zstd")
+    return "selection.parquet", content.getvalue()
 
 
 ROLES = ("across", "up", "colour", "besides", "besides")  # of the five columns
