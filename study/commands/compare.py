@@ -53,8 +53,7 @@ def main(args: Namespace) -> None:
         on_robots(args)
         return
     experiment = read_experiment(args.config, args.arch, args.seed)
-    name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
-    out = args.out or Path("out") / "compare" / name
+    out = folder_of(args, experiment.name)
     read_facts(out)  # refused before the work, since the report at the end reads them
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
     if args.store is not None:
@@ -82,13 +81,10 @@ def on_robots(args: Namespace) -> None:
     experiment = read_robots(args.config, args.seed, args.arms, args.runs, args.trials)
     simulator = experiment.simulator
     simulator.require_machine()
-    name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
-    out = args.out or Path("out") / "compare" / name
+    out = folder_of(args, experiment.name)
     workers = simulator.processes(cores()) if args.workers is None else args.workers
-    opened = open_pool(
-        workers, Cluster.asked(args.cluster, args.mixed), out, simulator, PACKAGES,
-        [experiment.store],
-    )  # fmt: skip
+    cluster = Cluster.asked(args.cluster, args.mixed)
+    opened = open_pool(workers, cluster, out, simulator, PACKAGES, [experiment.store])
     began_s = time.monotonic()
     with opened as pool, closing(ProgressBar()) as bar:
         trials = compare_robots(experiment, out, pool, partial(bar.move, "study"))
@@ -99,6 +95,12 @@ def on_robots(args: Namespace) -> None:
         print(json.dumps({"out": str(out), "trials": len(trials), "wall_s": wall_s}))
         return
     print(f"{results.markdown()}\n{len(trials)} trials: {out / 'trials.parquet'}")
+
+
+def folder_of(args: Namespace, name: str) -> Path:
+    """The folder of a comparison."""
+    seeded = name if args.seed is None else f"{name}-seed-{args.seed}"
+    return Path(args.out or Path("out") / "compare" / seeded)
 
 
 def report(experiment: Experiment, outcome: Outcome, out: Path) -> dict[str, Any]:

@@ -19,6 +19,7 @@ import sys
 from argparse import Namespace
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial
@@ -69,9 +70,7 @@ def main(args: Namespace) -> None:
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
     with taken as crew, storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
-        with writable(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        commit_json(gains, study.best_params)
+        keep_best(study, gains)
         from study.experiment.artifacts import draw_best  # Matplotlib: a second
 
         with crew.turn() if crew else nullcontext():
@@ -86,8 +85,7 @@ def main(args: Namespace) -> None:
             print(json.dumps(known | commands))
             return
         print(study_line(study))
-        for what, where in {"gains": gains, "database": database, **commands}.items():
-            print(f"{what + ':':<10} {where}")
+        print(lines({"gains": gains, "database": database, **commands}))
 
 
 def on_robot(args: Namespace) -> None:
@@ -107,16 +105,22 @@ def on_robot(args: Namespace) -> None:
     with only_run(args.storage, name), storage_errors(args.storage):
         study = live_study(experiment, args.arm, args.run, storage, report)
     best = folder / f"{args.arm}-run-{args.run:03d}-best.json"
-    with writable(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    commit_json(best, study.best_params)
+    keep_best(study, best)
     known = {"study": name, "best_cost": study.best_value, "best": str(best),
              "dashboard": dashboard_command(args.storage, folder)}  # fmt: skip
-    print(
-        json.dumps(known)
-        if args.json
-        else "\n".join(f"{k + ':':<10} {v}" for k, v in known.items())
-    )
+    print(json.dumps(known) if args.json else lines(known))
+
+
+def keep_best(study: optuna.Study, file: Path) -> None:
+    """Write the best parameters of a study."""
+    with writable(file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    commit_json(file, study.best_params)
+
+
+def lines(known: dict[str, Any]) -> str:
+    """For people, a line each."""
+    return "\n".join(f"{name + ':':<10} {value}" for name, value in known.items())
 
 
 def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = None) -> str:
