@@ -126,10 +126,9 @@ def cloud() -> tuple[Any, ColumnDataSource]:
 def histograms() -> tuple[list[Any], list[ColumnDataSource]]:
     """A small figure for each column, and its bars: of all rows, and of those selected."""
     plots, sources = [], []
+    sides = ("left", "right", "all", "chosen")
     for slot in range(len(ROLES)):
-        bars = ColumnDataSource(
-            {name: np.zeros(BINS) for name in ("left", "right", "all", "chosen")}
-        )
+        bars = ColumnDataSource({name: np.zeros(BINS) for name in sides})
         plot = figure(
             name=f"histogram-{slot}", width=HISTOGRAM_PX[0], height=HISTOGRAM_PX[1], tools="",
             toolbar_location=None, title=" ", x_range=Range1d(0.0, 1.0),
@@ -213,9 +212,10 @@ class StoreView:
                    name=f"column-{slot}")
             for slot, (role, name) in enumerate(zip(ROLES, first_columns(store), strict=True))
         ]  # fmt: skip
-        self._source = ColumnDataSource(
-            {"row": self._rows, "evolved": self._evolved()}, name="rows"
-        )
+        evolved = np.zeros(len(store), np.uint8)
+        if ORIGIN in store.columns:
+            evolved[store.table([ORIGIN])[ORIGIN].to_numpy() == EVOLVED_ROW] = 1
+        self._source = ColumnDataSource({"row": self._rows, "evolved": evolved}, name="rows")
         self._bounds = ColumnDataSource({"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))})
         self.selection = TextInput(
             title="selection: column low..high, ...; drag a box over any of the views",
@@ -276,12 +276,6 @@ class StoreView:
     def _read(self, name: str) -> Floats:
         return np.asarray(self._store.table([name])[name].to_numpy(), dtype=np.float64)
 
-    def _evolved(self) -> NDArray[np.uint8]:
-        if ORIGIN not in self._store.columns:
-            return np.zeros(len(self._rows), np.uint8)
-        origins = self._store.table([ORIGIN])[ORIGIN].to_numpy()
-        return np.asarray(origins == EVOLVED_ROW, np.uint8)
-
     def _load(self, slot: int) -> None:
         name = self._columns[slot].value
         values = self._read(name)
@@ -303,12 +297,11 @@ class StoreView:
             axis.axis_label = PlainText(name)
             span = (self._cloud.x_range, self._cloud.y_range)[slot]
             margin = MARGIN * (high - low)
-            span.update(start=low - margin, end=high + margin, reset_start=low - margin,
-                        reset_end=high + margin)  # fmt: skip
+            start, end = low - margin, high + margin
+            span.update(start=start, end=end, reset_start=start, reset_end=end)
         if slot == 2:
-            self._cloud.title.text = PlainText(
-                f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
-            )
+            title = f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
+            self._cloud.title.text = PlainText(title)
         self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
     def _script(self) -> None:

@@ -27,29 +27,10 @@ from bokeh.models import (
 from bokeh.plotting import figure
 
 from study.experiment.gains import NamedGains, gains_of_source
+from study.explore import walk as walking
 from study.explore.server import SCRIPTS, Latest, Message, Saver
-from study.explore.walk import (
-    COLOURS,
-    COMMAND,
-    DISTURBANCES,
-    DURATIONS_S,
-    GROUNDS,
-    NAMES,
-    WORLDS,
-    Walk,
-    chosen_setting,
-    file_of_walk,
-    walk,
-)
-from study.pictures import style
-from study.pictures.gait_cycle import (
-    PANELS,
-    PERCENT,
-    SOURCE,
-    human_distances,
-    strides_of,
-    subtitle,
-)
+from study.pictures import gait_cycle, style
+from study.pictures.gait_cycle import PANELS, PERCENT
 from study.pictures.scene import BELOW_GROUND_M, VIEW_WIDTH_M
 from study.pictures.stick_figure import HEAD_RADIUS_M, PATH_POINTS, finite
 from taichi_nmm.errors import InputError
@@ -68,7 +49,7 @@ class WalkView:
         self, document: Document, walkers: Executor, makers: Executor, message: Message
     ) -> None:
         self._message = message
-        self._walk: Walk | None = None
+        self._walk: walking.Walk | None = None
         self._beside: NamedGains | None = None
         self._first = True  # later walks are compared with the next one
         self._walks = Latest(document, walkers, self._walked, message.failed)
@@ -111,12 +92,12 @@ class WalkView:
         self._message.tell("")
         chosen = {name: choice.value for name, choice in self._choices.items()}
         chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
-        setting = chosen_setting(**chosen)
-        self._walks.ask(walk, self._hands.gains, setting)
+        setting = walking.chosen_setting(**chosen)
+        self._walks.ask(walking.walk, self._hands.gains, setting)
         if self._beside is not None:
-            self._others.ask(walk, self._beside, setting)
+            self._others.ask(walking.walk, self._beside, setting)
 
-    def _walked(self, found: Walk) -> None:
+    def _walked(self, found: walking.Walk) -> None:
         self._walk = found
         self._player.show(found)
         self._score.show(found.row, self._first)
@@ -133,32 +114,30 @@ class WalkView:
             self._player.show(self._walk, place=1)
 
     def _taking(self) -> Any:
-        buttons = []
-        for name in NAMES:
-            button = Button(label=name, width=110, name=f"save-{name}")
-            button.on_click(self._message.safely(partial(self._take, name)))
-            buttons.append(button)
+        buttons = [Button(label=name, width=110, name=f"save-{name}") for name in walking.NAMES]
+        for button in buttons:
+            button.on_click(self._message.safely(partial(self._take, button.label)))
         words = Div(text="With both files, this command draws, films and records the walk:")
-        command = Div(text=f"<code>{COMMAND}</code>", name="command", width=700)
+        command = Div(text=f"<code>{walking.COMMAND}</code>", name="command", width=700)
         return column(row(*buttons), words, command)
 
     def _take(self, name: str) -> None:
         if self._walk is not None:
-            self.save(file_of_walk, self._walk, name)
+            self.save(walking.file_of_walk, self._walk, name)
 
 
 def _choices() -> dict[str, Any]:
     """By the names of `chosen_setting`'s arguments."""
-    grounds = list(GROUNDS)
-    durations = [f"{duration:g} s" for duration in DURATIONS_S]
+    grounds = list(walking.GROUNDS)
+    durations = [f"{duration:g} s" for duration in walking.DURATIONS_S]
     return {
         "ground": Select(title="ground", options=grounds, value=grounds[0], width=230,
                          name="ground"),
-        "disturbance": Select(title="masses of the body", options=list(DISTURBANCES),
+        "disturbance": Select(title="masses of the body", options=list(walking.DISTURBANCES),
                               value="nominal", width=140, name="disturbance"),
         "seed": Spinner(title="seed of body, ground, world", step=1, value=1, mode="int",
                         width=180, name="seed"),
-        "world": Select(title="world", options=list(WORLDS), value="nominal", width=200,
+        "world": Select(title="world", options=list(walking.WORLDS), value="nominal", width=200,
                         name="world"),
         "engine": Select(title="engine", options=list(ENGINES), value=ENGINES[0], width=110,
                          name="engine"),
@@ -191,20 +170,16 @@ class Hands:
                    width=SLIDER_PX, name=f"gain-{gain.name}")
             for gain in GAINS
         ]  # fmt: skip
-        self._numbers = [
-            NumericInput(mode="float", width=NUMBER_PX, name=f"number-{gain.name}")
-            for gain in GAINS
-        ]
+        names = [f"number-{gain.name}" for gain in GAINS]
+        self._numbers = [NumericInput(mode="float", width=NUMBER_PX, name=name) for name in names]
         message.watch(self._starts, "value", self._from_start)
-        for place, (slider, number) in enumerate(zip(self._sliders, self._numbers, strict=True)):
+        pairs = list(zip(self._sliders, self._numbers, strict=True))
+        for place, (slider, number) in enumerate(pairs):
             message.watch(slider, "value", partial(self._moved, place))
             message.watch(number, "value", partial(self._typed, place))
         self.take(gains_of_source(STARTS[0]))
-        pairs = [row(*pair) for pair in zip(self._sliders, self._numbers, strict=True)]
-        half = len(pairs) // 2
-        self.layout: Column = column(
-            self._starts, row(column(*pairs[:half]), column(*pairs[half:]))
-        )
+        rows, half = [row(*pair) for pair in pairs], len(pairs) // 2
+        self.layout: Column = column(self._starts, row(column(*rows[:half]), column(*rows[half:])))
 
     def take(self, gains: NamedGains) -> None:
         """Show other gains, without a call of `changed`."""
@@ -270,9 +245,8 @@ class Stage:
     def __init__(self, name: str) -> None:
         self.frames = ColumnDataSource({}, name=f"{name}-frames")
         self.words = Div(text="", styles={"font-size": "13px"}, disable_math=True)
-        self._near, self._far = points(5), points(5)
-        self._trunk, self._head = points(2), points(1)
-        colour = [COLOURS[0]] * MUSCLE_COUNT
+        self._near, self._far, self._trunk, self._head = map(points, (5, 5, 2, 1))
+        colour = [walking.COLOURS[0]] * MUSCLE_COUNT
         self._muscles = outlines(MUSCLE_COUNT, 2 * PATH_POINTS, colour=colour)
         self._forces = outlines(2, 2)
         self._ground = points(2)
@@ -288,7 +262,7 @@ class Stage:
             "figure": self.figure,
         }  # fmt: skip
 
-    def show(self, walk: Walk) -> None:
+    def show(self, walk: walking.Walk) -> None:
         """Begin to play a walk."""
         x, y = walk.frames["ground"].T
         self._ground.data = {"x": x, "y": y}
@@ -329,7 +303,7 @@ class Player:
         script = CustomJS.from_file(
             SCRIPTS / "play.mjs",
             stages=[stage.parts for stage in self.stages], play=play, speed=speed, slider=slider,
-            levels=COLOURS,
+            levels=walking.COLOURS,
         )  # fmt: skip
         for stage in self.stages:
             stage.frames.js_on_change("data", script)
@@ -338,7 +312,7 @@ class Player:
         self._controls = row(play, speed, slider)
         self.layout: Column = column(self.stages[0].layout, self._controls)
 
-    def show(self, walk: Walk, place: int = 0) -> None:
+    def show(self, walk: walking.Walk, place: int = 0) -> None:
         """Play a walk on a stage; the second stage comes to the page with its first walk."""
         if place:
             self.layout.children = [*(stage.layout for stage in self.stages), self._controls]
@@ -347,7 +321,6 @@ class Player:
 
 SIZE_PX = (232, 170)
 COLUMNS = 3
-FULL = "deg"  # of a name: an angle
 
 
 class Cycle:
@@ -374,19 +347,19 @@ class Cycle:
         plots = list(self._figures.values())
         self.layout: Column = column(self._words, row(*plots[:COLUMNS]), row(*plots[COLUMNS:]))
 
-    def show(self, walk: Walk) -> None:
+    def show(self, walk: walking.Walk) -> None:
         """The mean stride of a walk that has enough strides."""
-        strides = strides_of(finite(walk.trajectory), walk.experiment.weight_n(0))
-        distances = human_distances(strides)
-        self._words.text = f"{subtitle(strides)} Grey: {SOURCE}. Numbers: RMSE."
+        strides = gait_cycle.strides_of(finite(walk.trajectory), walk.experiment.weight_n(0))
+        distances = gait_cycle.human_distances(strides)
+        words = gait_cycle.subtitle(strides)
+        self._words.text = f"{words} Grey: {gait_cycle.SOURCE}. Numbers: RMSE."
         for name, panel in PANELS.items():
             curves = getattr(strides, name)
             mean = curves.mean(axis=0) if strides.enough else np.full(len(PERCENT), np.nan)
             self._curves[name].data = {"x": PERCENT, "y": mean}
             title = panel.title.removeprefix("ground ")
-            if name in distances:
-                unit = "deg" if name.endswith(FULL) else "bw"
-                far = distances[name]
+            if far := distances.get(name):
+                unit = "deg" if name.endswith("deg") else "bw"
                 title += f": {far.rmse:.3g} {unit}, {far.deviations:.2g} sd"
             self._figures[name].title.text = title
 
@@ -411,8 +384,7 @@ class Score:
         for name in FIELDS:
             before, now = float(self._start[name]), float(row[name])
             change = "" if before == now else f"{now - before:+.3g}"
-            text += f"<tr><td>{name}</td>"
-            for cell in (f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>"):
-                text += f"<td align=right>{cell}</td>"
-            text += "</tr>"
+            cells = (f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>")
+            right = "".join(f"<td align=right>{cell}</td>" for cell in cells)
+            text += f"<tr><td>{name}</td>{right}</tr>"
         self.layout.text = f"<table cellspacing=4>{text}</table>"
