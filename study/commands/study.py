@@ -28,16 +28,11 @@ from storage.commit import commit_json, writable
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql, public_url
+from study.experiment import robots
 from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
 from study.experiment.folder import live_artifacts
 from study.experiment.live_study import check_study, run_study
-from study.experiment.robots import (
-    is_of_robots,
-    live_study,
-    read_robots,
-    refuse_walkers_options,
-)
 from study.experiment.trials import progress_line, study_facts, study_line
 from study.options import config_path
 from taichi_nmm.walker_simulator import require_engine
@@ -46,7 +41,7 @@ from taichi_nmm.walker_simulator import require_engine
 def main(args: Namespace) -> None:
     """Run the study, or go on with it."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    if is_of_robots(args.config):
+    if robots.is_of_robots(args.config):
         on_robot(args)
         return
     experiment = read_experiment(args.config, args.arch, args.seed)
@@ -90,8 +85,8 @@ def main(args: Namespace) -> None:
 
 def on_robot(args: Namespace) -> None:
     """The study of an arm on a robot of the simulator that the configuration names."""
-    refuse_walkers_options(args)
-    experiment = read_robots(args.config, args.seed, trials=args.trials)
+    robots.refuse_walkers_options(args)
+    experiment = robots.read_robots(args.config, args.seed, trials=args.trials)
     experiment.simulator.require_machine()
     storage, folder = open_studies(args.storage), args.out or Path("out") / experiment.name
 
@@ -103,7 +98,7 @@ def on_robot(args: Namespace) -> None:
 
     name = study_name(experiment.name, args.arm, args.run)
     with only_run(args.storage, name), storage_errors(args.storage):
-        study = live_study(experiment, args.arm, args.run, storage, report)
+        study = robots.live_study(experiment, args.arm, args.run, storage, report)
     best = folder / f"{args.arm}-run-{args.run:03d}-best.json"
     keep_best(study, best)
     known = {"study": name, "best_cost": study.best_value, "best": str(best),
