@@ -16,15 +16,10 @@ def open_pool(
     packages: Sequence[str] = (),
     stores: Sequence[Path] = (),
 ) -> AbstractContextManager[Pool]:
-    """The pool of a command: processes of this machine, or a cluster's workers.
+    """So many worker processes of this machine; or in their place, the workers of a cluster.
 
-    Args:
-        workers: number of processes.
-        cluster: used in their place.
-        folder: that is to be filled; None: a new one.
-        simulator: that units use, on one thread.
-        packages: beside the simulator's, that decide results.
-        stores: that units read, at the path that `Pool.there` returns.
+    They fill a folder (None: a new one) by units that use the simulator, on one thread, further
+    packages that decide results, and stores, which they read at the path of `Pool.there`.
 
     Raises:
         InputError: as `local_pool` and `cluster_pool`.

@@ -87,21 +87,14 @@ def dask_setup(worker: Any) -> None:
 
 
 class Workplace(WorkerPlugin):  # type: ignore[misc]
-    """The processes of one session on one worker, as many as it has threads.
-
-    Args:
-        session: name of the session: of this plugin, of its events, and of the resource that a
-            worker offers once it is let in.
-        describe: makes the worker's kind; called in one of the processes.
-        freights: files of stores that calls read, by their places in the folder that these run in.
-    """
+    """The processes of one session on one worker, as many as it has threads."""
 
     def __init__(
         self, session: str, describe: Callable[[], Kind], freights: dict[Path, dict[str, bytes]]
     ) -> None:
-        self.name = session
-        self._describe = describe
-        self._freights = freights
+        self.name = session  # of this plugin, its events, and the resource of a worker let in
+        self._describe = describe  # makes the worker's kind; called in one of the processes
+        self._freights = freights  # of stores, by their places in the folder that calls run in
 
     def setup(self, worker: Worker) -> None:
         """Unpack the stores, start a process, and send its kind to the session."""
@@ -123,7 +116,7 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
                 event["error"] = one_line(shortened(said))
             worker.loop.add_callback(worker.log_event, self.name, event)
 
-        self._call(pickle.dumps((self._describe, ()))).add_done_callback(introduce)
+        self.call(pickle.dumps((self._describe, ()))).add_done_callback(introduce)
 
     def teardown(self, worker: Worker) -> None:
         """End the processes, in a thread of its own: the worker's loop does not wait."""
@@ -134,21 +127,18 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
 
         threading.Thread(target=end, daemon=True).start()
 
-    def answer(self, words: bytes) -> bytes:
-        """Make a call in a process, and in another one where that is killed."""
-        for _ in range(LIVES - 1):
-            with suppress(BrokenExecutor):
-                return self._call(words).result()
-        return self._call(words).result()
-
-    def _call(self, words: bytes) -> "Future[bytes]":
+    def call(self, words: bytes) -> "Future[bytes]":
+        """Make a pickled call in a process."""
         return self._processes.submit(_within, self._folder, words)
 
 
 def answer(session: str, words: bytes) -> bytes:
-    """On a worker: the result of a call, pickled."""
+    """On a worker: the pickled result of a call, made again where its process is killed."""
     plugin: Workplace = get_worker().plugins[session]
-    return plugin.answer(words)
+    for _ in range(LIVES - 1):
+        with suppress(BrokenExecutor):
+            return plugin.call(words).result()
+    return plugin.call(words).result()
 
 
 async def let_in(session: str, dask_worker: Worker | None = None) -> None:
@@ -292,8 +282,7 @@ class ClusterPool(Pool):
     """A pool whose places come and go."""
 
     executor: Session
-    # Of stores in the folder that units run in, by their paths here.
-    places: dict[Path, Path] = field(default_factory=dict)
+    places: dict[Path, Path] = field(default_factory=dict)  # there, of stores by their paths here
 
     def room(self) -> int:
         """One unit a place, and one that waits there."""

@@ -74,12 +74,9 @@ class Folder:
         return cls(path, cls._agree(path, document, write=False))
 
     def read_state(self, name: str, schema: pa.Schema, content: str) -> pa.Table:
-        """A table that `write_state` wrote; empty where there is none.
+        """A table of this schema that `write_state` wrote; empty where there is none.
 
-        Args:
-            name: of its file.
-            schema: its columns.
-            content: what it holds, for messages.
+        Messages say what it holds, its `content`.
 
         Raises:
             InputError: damaged, edited, of another folder, or with other columns.

@@ -62,13 +62,9 @@ DrawnNumbers = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class NumberRanges:
-    """The rule of a table [world]: each number is drawn uniformly from its range.
+    """The rule of a table [world]: each number is drawn uniformly from its range."""
 
-    Attributes:
-        ranges: lowest and highest of each number, by its name.
-    """
-
-    ranges: dict[str, tuple[float, float]]
+    ranges: dict[str, tuple[float, float]]  # lowest and highest of each number, by its name
 
     def draw(self, seeds: Sequence[np.random.SeedSequence]) -> DrawnNumbers:
         """One world a seed; each also has a whole number `seed` of its own."""

@@ -199,12 +199,12 @@ class MujocoSimulator(FunctionSimulator):
         count, many = len(next(iter(points.values()))), len(worlds[SEED])
         found = {name: np.zeros((count, many)) for name in COLUMNS}
         kinds = worlds["rough_m"] > 0.0
-        for rough in (False, True):  # models of one batch have the same sizes
+        for rough in np.unique(kinds):  # models of one batch have the same sizes
             places = np.flatnonzero(kinds == rough)
             own = {name: each[places] for name, each in worlds.items()}
             models = [self._model_of(_one(own, k)) for k in range(len(places))]
-            size = max(LARGEST_BATCH // max(len(places), 1), 1)
-            for first in range(0, count if len(places) else 0, size):
+            size = max(LARGEST_BATCH // len(places), 1)
+            for first in range(0, count, size):
                 rows = slice(first, first + size)
                 some = {name: each[rows] for name, each in points.items()}
                 columns = self._walk(some, own, models, seconds)
@@ -286,7 +286,13 @@ class MujocoSimulator(FunctionSimulator):
         import mujoco
 
         try:
-            spec = _read(self.model) if isinstance(self.model, Path) else self.model()
+            if not isinstance(self.model, Path):
+                spec = self.model()
+            elif self.model.is_file():
+                spec = mujoco.MjSpec.from_file(str(self.model))
+            else:
+                allowed = "an MJCF file, or a function that returns an MjSpec"
+                raise InputError("model", self.model.name, allowed)
         except InputError:
             raise
         except ValueError as error:
@@ -359,7 +365,8 @@ class _Herd:
         self._place, self._turn = self._place[:, root], self._turn[:, root].reshape(many, 3, 3)
         self._start = self._place[0].copy()
         self._upward = self._turn[0, 2].copy()  # the vertical, in the root body's frame
-        self._weight = np.array([_weight(each) for each in models])[self._world]
+        weights = [each.body_mass.sum() * np.linalg.norm(each.opt.gravity) for each in models]
+        self._weight = np.array(weights, dtype=np.float64)[self._world]
         self._delay = np.rint(worlds["delay_s"] / simulator.control_step_s).astype(np.int64)
         self._queue = np.zeros((int(self._delay.max()) + 1, *self._ctrl.shape))
         self._noise = np.hstack([
@@ -509,35 +516,21 @@ def _quiet() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def _read(path: Path) -> Any:
-    import mujoco
-
-    if not path.is_file():
-        raise InputError("model", path.name, "an MJCF file, or a function that returns an MjSpec")
-    return mujoco.MjSpec.from_file(str(path))
-
-
 def _one(worlds: Mapping[str, Any], place: int) -> dict[str, float]:
     return {name: float(each[place]) for name, each in worlds.items()}
-
-
-def _weight(model: Any) -> float:
-    return float(model.body_mass.sum() * np.linalg.norm(model.opt.gravity))
 
 
 def _roughen(spec: Any, amplitude_m: float, draws: np.random.Generator) -> None:
     """Put a height field in the place of the ground, a plane of the world."""
     import mujoco
 
-    planes = [
-        geom for geom in spec.worldbody.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
-    ]  # fmt: skip
+    plane, field = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
+    planes = [geom for geom in spec.worldbody.geoms if geom.type == plane]
     if len(planes) != 1:
         allowed = "a model with one plane as its ground, which rough ground replaces"
         raise InputError("world.rough_m", amplitude_m, allowed)
-    ground = planes[0]
-    across = round(ROUGH_WIDTH_M / ROUGH_CELL_M) + 1
-    along = round(ROUGH_LENGTH_M / ROUGH_CELL_M) + 1
+    (ground,) = planes
+    along, across = (round(size / ROUGH_CELL_M) + 1 for size in (ROUGH_LENGTH_M, ROUGH_WIDTH_M))
     x, y = np.meshgrid(
         np.linspace(-0.5, 0.5, along) * ROUGH_LENGTH_M,
         np.linspace(-0.5, 0.5, across) * ROUGH_WIDTH_M,
@@ -548,5 +541,5 @@ def _roughen(spec: Any, amplitude_m: float, draws: np.random.Generator) -> None:
         name="rough_ground", nrow=across, ncol=along, userdata=heights.ravel(),
         size=[ROUGH_LENGTH_M / 2, ROUGH_WIDTH_M / 2, amplitude_m, BASE_M],
     )  # fmt: skip
-    ground.type, ground.hfieldname = mujoco.mjtGeom.mjGEOM_HFIELD, "rough_ground"
+    ground.type, ground.hfieldname = field, "rough_ground"
     ground.pos = [*ground.pos[:2], ground.pos[2] - 0.5 * amplitude_m]

@@ -184,11 +184,9 @@ def cores() -> int:
 
 
 def own_kind(simulator: Simulator, packages: Sequence[str] = ()) -> Kind:
-    """The kind of this machine: the digest of a small batch, its processor, its versions.
+    """The kind of this machine: the digest of a small batch of a simulator, processor, versions.
 
-    Args:
-        simulator: that computes the batch.
-        packages: that decide results, beside the simulator's.
+    The versions are those of the simulator's packages, and of others that decide results.
     """
     rows = simulator.canary()
     digest = hashlib.sha256()
@@ -215,15 +213,12 @@ def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
 
 def differences(kind: Kind, reference: Kind) -> str:
     """All differences of a kind from another, in a line; empty: none."""
-    names = dict.fromkeys([*reference, *kind])
 
-    def shown(value: str | None) -> str:
-        if value is None:
-            return "none"
+    def shown(value: str) -> str:
         return value[:12] if len(value) == DIGEST_LENGTH else value  # a digest by its beginning
 
-    return ", ".join(
-        f"{name} {shown(kind.get(name))}, not {shown(reference.get(name))}"
-        for name in names
-        if kind.get(name) != reference.get(name)
-    )
+    pairs = [
+        (name, kind.get(name, "none"), reference.get(name, "none"))
+        for name in dict.fromkeys([*reference, *kind])
+    ]
+    return ", ".join(f"{name} {shown(a)}, not {shown(b)}" for name, a, b in pairs if a != b)

@@ -141,17 +141,11 @@ def _fill(
 ) -> None:
     """Commit the missing shards as they come: those of the grid, or those of `evolved` points.
 
-    Args:
-        folder: of the store.
-        specification: of the store.
-        missing: numbers of the shards.
-        tally: of finished points.
-        pool: that computes them; a single shard of the grid is computed in this process, if the
-            simulator has threads of its own.
-        evolved: points of all rows after the grid's, [candidates, p].
+    These are the points of all rows after the grid's, [candidates, p]. A single shard of the grid
+    is computed in this process, if the simulator has threads of its own.
     """
-    code = {"code_version": specification.simulator.code_version}
     simulator = specification.simulator
+    code = {"code_version": simulator.code_version}
     has_threads = simulator.on_one_thread() is not simulator
     if len(missing) == 1 and evolved is None and not pool.kinds and has_threads:
         pool = IN_PROCESS
@@ -210,29 +204,23 @@ def score_rows(
 ) -> ScoredRows:
     """Run the points of rows in the base setting, and those that last in the families' worlds.
 
-    A row depends on no other row.
-
-    Args:
-        specification: of the store.
-        rows: of the store.
-        report: called with the fraction that is done.
-        evolved: the rows' points, [n, p], if they come after the grid's.
+    They are points of the grid, or `evolved` ones, [n, p]. A row depends on no other row. `report`
+    is called with the fraction that is done.
     """
-    simulator, families = specification.simulator, specification.families
+    simulator, horizon_s = specification.simulator, specification.horizon_s
     points = evolved
     if points is None:
         points = sobol_points(specification.seed, rows.start, len(rows), simulator.parameters)
     parts = progress_parts(specification, report)
-    horizon_s = specification.horizon_s
     run, computed_by = run_points(simulator, points, specification.worlds, 1, horizon_s, parts[0])
     base = run[:, 0]
     columns: dict[str, NDArray[Any]] = {}
-    for family, part in zip(families, parts[1:], strict=True):
+    for family, part in zip(specification.families, parts[1:], strict=True):
         chosen = base[simulator.survived] >= family.min_survival_s / horizon_s
         if family.after:
             survived = columns[family_names(family.after, simulator.survived)[0]]
             chosen &= survived >= family.min_survived_fraction
-        columns |= score_family(specification, family, points, chosen, part)
+        columns |= score_family(simulator, family, points, chosen, part)
         part(1.0)
     origin = SOBOL_ROW if evolved is None else EVOLVED_ROW
     table = shard_table(specification.schema, simulator, rows.start, points, base, columns, origin)
@@ -240,7 +228,7 @@ def score_rows(
 
 
 def score_family(
-    specification: Specification,
+    simulator: Simulator,
     family: Family,
     points: NDArray[np.float64],
     chosen: NDArray[np.bool_],
@@ -248,17 +236,9 @@ def score_family(
 ) -> dict[str, NDArray[Any]]:
     """Mean and spread of every score over the worlds of a family, and the outcomes in each.
 
-    Args:
-        specification: the store that the family belongs to.
-        family: one of its families.
-        points: [n, p].
-        chosen: the points to run, [n]; the others get zeros.
-        report: called with the fraction of this family that is done.
-
-    Returns:
-        Columns by name, [n] each; outcomes are [n, w].
+    Of the points [n, p] those `chosen`, [n], are run; the others get zeros. Columns are by name,
+    [n] each; outcomes are [n, w].
     """
-    simulator = specification.simulator
     outcomes = {name: outcome_name(family.name, name) for name in simulator.outcomes}
     columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): chosen}
     names = [family_names(family.name, score) for score in simulator.scores]

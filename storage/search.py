@@ -76,12 +76,7 @@ def evolved_points(
 ) -> NDArray[np.float64]:
     """The points of all rows after the grid's, [candidates, p]: kept ones, or found by a search.
 
-    Args:
-        folder: whose grid is complete.
-        asked: the store's specification, as units of work are to be run.
-        repertoire: of the store.
-        pool: that runs the candidates.
-        walked: called with the runs of the search as they are done.
+    The grid of the folder is complete. The specification is as units of work are to be run.
 
     Raises:
         InputError: the grid has no point to start from.
@@ -148,20 +143,12 @@ def _search_for(
     found: list[Generation],
     walked: Walked,
 ) -> Search:
-    """The search for one family.
+    """The search for one family, with worlds of the search's own; `found` gets its generations.
 
+    The first one has the points of the grid, [n, p]; `length` generations of the evolution follow.
     A generation that a file keeps is taken from there. On another machine the search may ask for
     other points, in their last bits: then a file is not of this generation, and it and later ones
     are tried again.
-
-    Args:
-        family: with worlds of the search's own.
-        folder: where generations are kept.
-        evolution: that makes the points of all generations but the first.
-        start: points of the grid, [n, p]: the first generation.
-        length: generations after that one.
-        found: gets all generations.
-        walked: called for every generation.
     """
     simulator = evolution.simulator
     for number in range(1 + length):
@@ -217,12 +204,9 @@ def try_points(unit: Unit) -> Generation:
 class Evolution:
     """An archive of candidates, and the evolution strategies (CMA-ES) that fill it.
 
-    The points depend on the seed and on the generations told, on nothing else. The library works on
-    the unit cube.
-
-    Args:
-        simulator: whose parameters are searched, and whose measures the archive covers.
-        seed: of all draws.
+    The parameters of the simulator are searched, and the archive covers its measures. The points
+    depend on the seed and on the generations told, on nothing else. The library works on the unit
+    cube.
     """
 
     def __init__(self, simulator: Simulator, seed: np.random.SeedSequence) -> None:
@@ -287,26 +271,20 @@ def choose(
 
     Half of a family's are the best of a cell each, which keeps ways to succeed apart; the others
     the best of all, however alike: of two that do the same in the search's worlds, one may survive
-    in a world where the other fails. The grid's own points are rows already.
-
-    Args:
-        found: generations by family; the first one is the grid's.
-        shares: how many of a family, by its name.
-        simulator: whose measures make the cells.
+    in a world where the other fails. The grid's own points, the first generation, are rows already.
 
     Returns:
         By family, numbers of points, counted through its generations; the best come first.
     """
     chosen = {}
     for family, generations in found.items():
-        share = shares[family]
         objective = np.concatenate([one.objective for one in generations])
         cell = _cells(np.concatenate([one.measures for one in generations]), simulator)
         best = np.argsort(-objective, kind="stable")
         best = best[best >= len(generations[0].points)]
         _, first = np.unique(cell[best], return_index=True)
-        elites = best[np.sort(first)][: share // 2]
-        others = best[~np.isin(best, elites)][: share - len(elites)]
+        elites = best[np.sort(first)][: shares[family] // 2]
+        others = best[~np.isin(best, elites)][: shares[family] - len(elites)]
         both = np.concatenate([elites, others])
         chosen[family] = both[np.argsort(-objective[both], kind="stable")]
     return chosen

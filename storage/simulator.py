@@ -62,23 +62,14 @@ class Parameter(Protocol):
 
 
 class Uniform(NamedTuple):
-    """A `Parameter` of one's own.
+    """A `Parameter` of one's own."""
 
-    Attributes:
-        name: of its column, with the unit.
-        low: lower bound.
-        high: upper bound.
-        log: the logarithm is drawn uniformly.
-        step: values are `low` and so many steps; 0: any.
-        distribution: Optuna's, as its JSON text; "": a float from `low` to `high`.
-    """
-
-    name: str
-    low: float
-    high: float
-    log: bool = False
-    step: float = 0.0
-    distribution: str = ""
+    name: str  # of its column, with the unit
+    low: float  # lower bound
+    high: float  # upper bound
+    log: bool = False  # the logarithm is drawn uniformly
+    step: float = 0.0  # values are `low` and so many steps; 0: any
+    distribution: str = ""  # Optuna's, as its JSON text; "": a float from `low` to `high`
 
     def of_unit(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
         """Values at these places from 0 to 1, [n]."""
@@ -91,9 +82,9 @@ class Uniform(NamedTuple):
     def to_unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The places of values, [n]."""
         low, high = self._ends
-        return (
-            np.log(values / low) / np.log(high / low) if self.log else (values - low) / (high - low)
-        )
+        if self.log:
+            return np.asarray(np.log(values / low) / np.log(high / low))
+        return (values - low) / (high - low)
 
     @property
     def _ends(self) -> tuple[float, float]:

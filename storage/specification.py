@@ -7,7 +7,7 @@ Architecture and threads are no part of it, so another machine can finish a stor
 
 import json
 import re
-from collections.abc import Sequence, Set
+from collections.abc import Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -79,10 +79,8 @@ class Family:
     @cached_property
     def worlds(self) -> Worlds:
         """Its worlds, drawn."""
-        seeds = [
-            seed_sequence(self.seed, points.FAMILY_WORLD, index) for index in range(self.settings)
-        ]
-        return self.rule.draw(seeds)
+        numbers = range(self.settings)
+        return self.rule.draw([seed_sequence(self.seed, points.FAMILY_WORLD, k) for k in numbers])
 
     @property
     def document(self) -> dict[str, Any]:
@@ -305,15 +303,9 @@ def read_specification(
     families = _read_families(table, simulator, horizon_s)
     repertoire = _read_repertoire(table, simulator, families)
     table.done()
+    samples = samples or configured
     return Specification(
-        simulator=simulator,
-        samples=samples or configured,
-        shard_rows=shard_rows,
-        seed=seed,
-        horizon_s=horizon_s,
-        rule=rule,
-        families=families,
-        repertoire=repertoire,
+        simulator, samples, shard_rows, seed, horizon_s, rule, families, repertoire
     )
 
 
@@ -349,7 +341,15 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
     others, families = table.table("families"), []
     named = {name: others.table(name) for name in sorted(others.unread)}
     for name in named:
-        _check_name(name, arrow_schema(simulator).names)
+        if not re.fullmatch(NAME_PATTERN, name):
+            allowed = "lower-case letters, digits and '_', first a letter"
+            raise InputError("families", name, allowed)
+        if name == ROBUST:
+            raise InputError("families", name, "another name; this family is the table [robust]")
+        for column in arrow_schema(simulator).names:  # else its columns could be taken for others
+            if f"{column}_".startswith(f"{name}_"):
+                allowed = f"a name that does not begin a column's ({column})"
+                raise InputError("families", name, allowed)
     for name, own in {ROBUST: table.table(ROBUST), **named}.items():
         default, least = (0, 0) if name == ROBUST else (REQUIRED, 1)
         if count := own.integer("settings", default, least, MOST_WORLDS):
@@ -374,18 +374,6 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
             allowed = f"a family that comes after none: {', '.join(names) or 'there is none'}"
             raise InputError(f"families.{family.name}.after", family.after, allowed)
     return (*first, *later)
-
-
-def _check_name(name: str, columns: Sequence[str]) -> None:
-    """Refuse a family's name whose columns could be taken for others."""
-    if not re.fullmatch(NAME_PATTERN, name):
-        allowed = "lower-case letters, digits and '_', first a letter"
-        raise InputError("families", name, allowed)
-    if name == ROBUST:
-        raise InputError("families", name, "another name; this family is the table [robust]")
-    for column in columns:
-        if f"{column}_".startswith(f"{name}_"):
-            raise InputError("families", name, f"a name that does not begin a column's ({column})")
 
 
 def _read_repertoire(

@@ -97,16 +97,10 @@ def shard_table(
     families: Mapping[str, NDArray[np.generic]],
     origin: str = SOBOL_ROW,
 ) -> pa.Table:
-    """The table of one shard.
+    """The table of a shard that begins with a row of the store: points [n, p] and their results.
 
-    Args:
-        schema: of the store.
-        simulator: of the store.
-        first_row: number of the first point in the whole store.
-        points: [n, p].
-        rows: of the base setting, [n].
-        families: the columns of all families by name, [n] each, or [n, w] of outcomes.
-        origin: of the points.
+    These are rows of the base setting, [n], and the columns of all families by name, [n] each, or
+    [n, w] of outcomes.
     """
     columns: dict[str, NDArray[np.generic]] = {
         "row": np.arange(first_row, first_row + len(points)),
@@ -164,9 +158,8 @@ class Manifest:
             hashes = {shard["file"]: shard["sha256"] for shard in document["shards"]}
             names = [shard_name(number) for number in range(len(hashes))]
             if not hashes or list(hashes) != names:
-                raise ValueError(
-                    f"its shards are not {shard_name(0)} and so on, in the same folder"
-                )
+                first = shard_name(0)
+                raise ValueError(f"its shards are not {first} and so on, in the same folder")
             if not all(type(value) is str for value in hashes.values()) or type(rows) is not int:
                 raise ValueError("rows or hashes that are none")
         return Manifest(specification, rows, hashes)
@@ -404,14 +397,10 @@ def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
 
 
 def check_specification(specification: Any, where: str) -> None:
-    """Refuse a specification without the keys that readers of stores need.
-
-    Args:
-        specification: a value of JSON.
-        where: its file, for messages.
+    """Refuse a specification, a value of JSON, without the keys that readers of stores need.
 
     Raises:
-        InputError: naming the file and the key.
+        InputError: naming the file `where` it is, and the key.
     """
     if not isinstance(specification, dict):
         raise InputError(where, specification, "a specification, which is an object")

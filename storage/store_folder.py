@@ -18,17 +18,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from storage import store
 from storage.folder import Folder, remove
 from storage.pool import KIND_NAME
 from storage.specification import Layout
-from storage.store import (
-    MANIFEST_NAME,
-    SHARD_PATTERN,
-    Manifest,
-    columns_of,
-    read_footer,
-    shard_name,
-)
 from storage.tables import FORMAT, document_hash, file_hash, read_about, read_columns, write_table
 from taichi_nmm.errors import InputError
 
@@ -50,7 +43,8 @@ class StoreFolder(Folder):
     KIND = "a store"
     FIRST = SPECIFICATION_NAME
     REMEDY = "another --out; or --fresh, which starts over"
-    FILES = (MANIFEST_NAME, SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME, KIND_NAME)
+    FILES = (store.MANIFEST_NAME, store.SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME,
+             KIND_NAME)  # fmt: skip
 
     @cached_property
     def layout(self) -> Layout:
@@ -60,30 +54,30 @@ class StoreFolder(Folder):
     def missing(self) -> list[int]:
         """Shards that are not done: absent, damaged, or of something else."""
         try:
-            known = Manifest.read(self.path).hashes  # of an earlier run
+            known = store.Manifest.read(self.path).hashes  # of an earlier run
         except InputError:
             known = {}
         return [number for number in range(self.layout.shards) if not self._is_done(number, known)]
 
     def write_shard(self, number: int, table: pa.Table, computed_by: dict[str, Any]) -> None:
         """Commit one shard; `computed_by` names code, engine and architecture."""
-        remove(self.path, MANIFEST_NAME)  # it would list the shard that this one replaces
+        remove(self.path, store.MANIFEST_NAME)  # it would list the shard that this one replaces
         footer = self._expected_footer(number) | {
             **computed_by,
             "seed": self.document["seed"],
             "specification": self.document,
         }
-        write_table(self.path / shard_name(number), table, footer)
+        write_table(self.path / store.shard_name(number), table, footer)
 
     def write_manifest(self) -> None:
         """Commit the list of all shards, which finishes the store."""
-        names = [shard_name(number) for number in range(self.layout.shards)]
+        names = [store.shard_name(number) for number in range(self.layout.shards)]
         hashes = {name: file_hash(self.path / name) for name in names}
-        Manifest(self.document, self.layout.rows, hashes).write(self.path)
+        store.Manifest(self.document, self.layout.rows, hashes).write(self.path)
 
     def read_grid(self, columns: list[str]) -> pa.Table:
         """Columns of all shards of the grid, which is complete."""
-        files = (self.path / shard_name(number) for number in range(self.layout.grid_shards))
+        files = (self.path / store.shard_name(number) for number in range(self.layout.grid_shards))
         return pa.concat_tables(read_columns(file, columns) for file in files)
 
     def write_generation(self, family: str, number: int, tried: Tried) -> None:
@@ -161,13 +155,13 @@ class StoreFolder(Folder):
         return footer | {"repertoire": file_hash(path) if path.exists() else None}
 
     def _is_done(self, number: int, known_hashes: dict[str, str]) -> bool:
-        path = self.path / shard_name(number)
+        path = self.path / store.shard_name(number)
         try:
-            footer, schema = read_footer(path)
+            footer, schema = store.read_footer(path)
             read_columns(path)
         except InputError:
             return False
         expected = self._expected_footer(number).items() <= footer.items()
         expected &= document_hash(footer["specification"]) == self._footer["specification_hash"]
-        same_columns = columns_of(schema) == self.document["columns"]
+        same_columns = store.columns_of(schema) == self.document["columns"]
         return expected and same_columns and known_hashes.get(path.name) in (None, file_hash(path))

@@ -121,19 +121,17 @@ def write_stamped(path: Path, table: pa.Table, document: dict[str, Any]) -> None
 def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] = ()) -> pa.Table:
     """The table of a file of this folder that is as it was written.
 
-    Args:
-        path: of the file.
-        document: of the folder.
-        growing: dictionaries of the document to which calls add; the file may have fewer entries.
+    Of `growing` dictionaries of the folder's document, the file may have fewer entries.
 
     Raises:
         InputError: damaged, without a document, of another one, or with other content.
     """
     table = read_columns(path)
     footer, _, _ = read_about(path)
-    digest = None if footer is None else footer.pop(DIGEST_KEY, None)
+    digest: Any = None
     found: tuple[str, Any, Any] | None = ("document", "", "missing")
     if footer is not None:
+        digest = footer.pop(DIGEST_KEY, None)
         try:
             found = differs(document, footer, growing)
         except (AttributeError, TypeError):  # of other types than a document's
@@ -199,20 +197,17 @@ def agree(
     remedy: str,
     write: bool = True,
 ) -> dict[str, Any]:
-    """Write the document into a new folder; in an old one, check that it is the same.
+    """Write the document into the file of a new folder; in an old one, check that it is the same.
 
-    Args:
-        path: the document's file, which need not be there.
-        document: of this call.
-        growing: dictionaries of the document to which calls add; where missing in the file, empty.
-        remedy: advice for messages: "another --out".
-        write: whether the file is made, or gets what the call adds.
+    Calls add to `growing` dictionaries of the document; where missing in the file, they are empty.
+    Without `write` the file is neither made nor does it get what this call adds.
 
     Returns:
         The document that is then in the file, or would be.
 
     Raises:
-        InputError: the file cannot be read or written, or has another document.
+        InputError: the file cannot be read or written, or has another document; the `remedy`, such
+            as "another --out", ends the line.
     """
     known: dict[str, Any] = {}
     if path.exists():
@@ -220,13 +215,11 @@ def agree(
         known = json_document("out", path, allowed)
         with reading("out", path, allowed):
             found = differs(document, known, growing)
-            grown = {key: known.get(key, {}) | document[key] for key in growing}
         if found:
             name, here, there = found
             raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
-    else:
-        grown = {key: document[key] for key in growing}
-    whole = document | {key: dict(sorted(values.items())) for key, values in grown.items()}
+    grown = {key: dict(sorted((known.get(key, {}) | document[key]).items())) for key in growing}
+    whole = document | grown
     if write and (not path.exists() or (growing and whole != known)):
         commit_json(path, whole)
     return whole

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
 
-STDIN, STDOUT, STDERR = 0, 1, 2  # files: they need no object that Ctrl-C may have found half made
+STDOUT, STDERR = 1, 2  # files: they need no object that Ctrl-C may have found half made
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 EXIT_NO_READER = 141  # 128 + SIGPIPE
@@ -98,8 +98,12 @@ def guarded_imports() -> Iterator[None]:
 def _one_line() -> Iterator[None]:
     _open_closed()
     try:
-        with _all_printed():
+        try:
             yield
+        except SystemExit:
+            sys.stdout.flush()  # here, where the reader's leaving is caught
+            raise
+        sys.stdout.flush()
     except BrokenPipeError:  # as with `| head`
         _silence(STDOUT)
         try:
@@ -147,24 +151,9 @@ def what_is_missing(error: ImportError) -> str | None:
     return str(InputError(name, str(error), allowed))
 
 
-@contextmanager
-def _all_printed() -> Iterator[None]:
-    """Flush standard output where the work ends well or with an exit code."""
-    try:
-        yield
-    except SystemExit:
-        sys.stdout.flush()
-        raise
-    sys.stdout.flush()
-
-
 def _open_closed() -> None:
     """Open closed standard files; otherwise the next opened file gets the output."""
-    for number, name, mode in (
-        (STDIN, "stdin", "r"),
-        (STDOUT, "stdout", "w"),
-        (STDERR, "stderr", "w"),
-    ):
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         try:
             os.fstat(number)
         except OSError:

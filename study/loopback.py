@@ -84,9 +84,7 @@ def guarded(application: Application, artifacts: Path | None) -> Application:
         if artifacts is None or not _is_file(artifacts / path.rpartition("/")[2]):
             return _refuse(start, "404 Not Found", "no such file")
         given: list[tuple[str, Headers]] = []
-        content = application(
-            environment, lambda status, headers, *_: given.append((status, headers))
-        )
+        content = application(environment, lambda *told: given.append((told[0], told[1])))
         if not given or not _is_shown(*given[-1]):
             close: Callable[[], None] = getattr(content, "close", lambda: None)
             close()

@@ -57,11 +57,8 @@ class Options(argparse.ArgumentParser):
     """
 
     def __init__(self, file: str | Path, prog: str | None = None) -> None:
-        super().__init__(
-            prog=prog,
-            description=documentation(Path(file)),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )
+        raw = argparse.RawDescriptionHelpFormatter
+        super().__init__(prog, description=documentation(Path(file)), formatter_class=raw)
         self.bounds: dict[str, tuple[int, Bound]] = {}  # of whole numbers
         self.takes_others = False  # options of names that a file gives, as `others`
 
@@ -108,9 +105,13 @@ class Options(argparse.ArgumentParser):
         added = self.add_argument(flag, **({"metavar": "N"} | options))
         self.bounds[added.dest] = low, high
 
+    def text(self, name: str, metavar: str, help: str, **options: Any) -> None:
+        """A text, or of another type; further options are argparse's."""
+        self.add_argument(name, metavar=metavar, help=help, **options)
+
     def path(self, name: str, help: str, metavar: str = "DIR", **options: Any) -> None:
         """A folder or a file; further options are argparse's."""
-        self.add_argument(name, type=Path, metavar=metavar, help=help, **options)
+        self.text(name, metavar, help, type=Path, **options)
 
     def out(self, default: str, metavar: str = "DIR") -> None:
         """The folder or file to write."""
@@ -126,9 +127,7 @@ class Options(argparse.ArgumentParser):
 
     def run(self, purpose: str) -> None:
         """A run of an experiment, which checks it."""
-        self.add_argument(
-            "--run", type=int, default=0, metavar="N", help=f"{purpose} (%(default)s)"
-        )
+        self.text("--run", "N", f"{purpose} (%(default)s)", type=int, default=0)
 
     def port(self, default: int) -> None:
         """The port of a page."""
@@ -136,9 +135,8 @@ class Options(argparse.ArgumentParser):
 
     def arch(self) -> None:
         """The Taichi backend."""
-        self.add_argument(
-            "--arch", choices=ARCHITECTURES, help="Taichi backend; overrides the configuration's"
-        )
+        what = "Taichi backend; overrides the configuration's"
+        self.add_argument("--arch", choices=ARCHITECTURES, help=what)
 
     def json(self, what: str = "the result") -> None:
         """Output for programs."""
@@ -146,14 +144,10 @@ class Options(argparse.ArgumentParser):
 
     def workers(self) -> None:
         """How many processes of this machine do the work, or which Dask cluster."""
-        self.whole(
-            "--workers", 1, MOST_WORKERS, help="processes; default: one a core, or 1 on a GPU"
-        )
-        self.add_argument(
-            "--cluster",
-            metavar="ADDRESS|local:N",
-            help="a Dask scheduler, or N processes of this machine, instead of --workers",
-        )
+        default = "processes; default: one a core, or 1 on a GPU"
+        self.whole("--workers", 1, MOST_WORKERS, help=default)
+        what = "a Dask scheduler, or N processes of this machine, instead of --workers"
+        self.text("--cluster", "ADDRESS|local:N", what)
         self.flag("--mixed", "allow workers of a cluster whose results differ in their last bits")
 
     def config(self, default: str | None = None, stores: bool = False) -> None:
@@ -162,50 +156,47 @@ class Options(argparse.ArgumentParser):
         It is required where there is no default.
         """
         what = "a shipped configuration's name, or a TOML file"
-        self.add_argument(
-            "--config", type=config_path, metavar="NAME|FILE",
-            required=default is None, default=default and config_path(default),
-            help=what if default is None else f"{what}; default: {default}",
+        what += "" if default is None else f"; default: {default}"
+        self.text(
+            "--config", "NAME|FILE", what, type=config_path, required=default is None,
+            default=default and config_path(default),
         )  # fmt: skip
-        self.add_argument(
-            "--list-configs", action=_ListConfigs, nargs=0, const=stores,
-            help="list the shipped configurations and exit",
-        )  # fmt: skip
+        what = "list the shipped configurations and exit"
+        self.add_argument("--list-configs", action=_ListConfigs, nargs=0, const=stores, help=what)
 
 
 def bench(options: Options) -> None:
     """Options of `bench`."""
     options.takes_others = True
-    options.add_argument("action", metavar="ACTION", help="one of those above")
-    options.add_argument(
-        "what", nargs="?", metavar="WHAT", help="a trial, an entry, a name, a file"
-    )
+    options.text("action", "ACTION", "one of those above")
+    options.text("what", "WHAT", "a trial, an entry, a name, a file", nargs="?")
     options.path("--bench", "default: the only bench among the *.toml of this folder", "FILE")
     options.add_argument("--cost", "--value", type=float, metavar="X", help="of a trial: its value")
-    options.add_argument("--seconds", type=float, metavar="S", help="after which a trial failed")
-    options.add_argument("--note", default="", metavar="TEXT", help="kept with the entry")
+    options.text("--seconds", "S", "after which a trial failed", type=float)
+    options.text("--note", "TEXT", "kept with the entry", default="")
     options.path("--log", "CSV with columns time (s) and position (m), of a walk", "FILE")
     options.path("--gains", "JSON of parameters by name", "FILE")
     options.whole("--batch", 1, 1000, default=1, help="trials to run side by side (%(default)s)")
-    options.add_argument("--repeat", type=int, metavar="N", help="a trial to run once more")
+    options.text("--repeat", "N", "a trial to run once more", type=int)
     options.path("--json", "write the next trials' parameters there too", "FILE")
-    options.add_argument("--operator", metavar="NAME", help="default: the user and the machine")
+    options.text("--operator", "NAME", "default: the user and the machine")
     what = "of the page of `serve`, for others too, by the link that is printed; default: loopback"
-    options.add_argument("--listen", metavar="ADDRESS", help=what)
-    what = "films candidates of a simulator of your own on that page"
-    options.add_argument("--simulator", metavar="FILE:NAME", help=what)
+    options.text("--listen", "ADDRESS", what)
+    options.text(
+        "--simulator", "FILE:NAME", "films candidates of a simulator of your own on that page"
+    )
     options.port(8090)
 
 
 def compare(options: Options) -> None:
     """Options of `compare`."""
     options.config()
-    options.add_argument("--arms", metavar="A,B,C", help=FROM_CONFIG)
+    options.text("--arms", "A,B,C", FROM_CONFIG)
     options.whole("--runs", 1, MOST_RUNS, help=FROM_CONFIG)
     options.whole("--trials", 1, MOST_TRIALS, help=f"of a run, in total; {FROM_CONFIG}")
     options.seed("other bodies, grounds and samplers than the configuration's, to tune on")
     options.out("out/compare/NAME or NAME-seed-N")
-    options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
+    options.text("--storage", "URL", "default: sqlite:///DIR/studies.db")
     options.path("--store", f"store of scores, if the arms read one; {FROM_CONFIG}")
     options.workers()
     options.arch()
@@ -215,7 +206,7 @@ def compare(options: Options) -> None:
 def dashboard(options: Options) -> None:
     """Options of `dashboard`."""
     options.path("folder", "folder of an experiment; default: the newest in out/compare", nargs="?")
-    options.add_argument("--storage", metavar="URL", help="default: sqlite:///DIR/studies.db")
+    options.text("--storage", "URL", "default: sqlite:///DIR/studies.db")
     options.path("--artifacts", "default: DIR/artifacts")
     options.port(8080)
 
@@ -223,9 +214,7 @@ def dashboard(options: Options) -> None:
 def explore(options: Options) -> None:
     """Options of `explore`."""
     options.path("folder", "folder or file of a store")
-    options.add_argument(
-        "--simulator", metavar="FILE:NAME", help="films rows of a store of your own simulator"
-    )
+    options.text("--simulator", "FILE:NAME", "films rows of a store of your own simulator")
     options.port(5006)
     options.flag("--no-browser", "only print the address")
 
@@ -255,16 +244,12 @@ def report(options: Options) -> None:
 def study(options: Options) -> None:
     """Options of `study`."""
     options.config()
-    options.add_argument(
-        "--arm", required=True, metavar="ARM",
-        help="worlds, dog, random or another one; an unknown name lists all",
-    )  # fmt: skip
+    what = "worlds, dog, random or another one; an unknown name lists all"
+    options.text("--arm", "ARM", what, required=True)
     options.run("number of the body and the ground")
     options.whole("--trials", 1, MOST_TRIALS, help=f"in total; {FROM_CONFIG}")
     options.seed()
-    options.add_argument(
-        "--storage", required=True, metavar="URL", help="sqlite:///FILE, or one of PostgreSQL"
-    )
+    options.text("--storage", "URL", "sqlite:///FILE, or one of PostgreSQL", required=True)
     options.path("--store", f"store of scores, if the arm reads one; {FROM_CONFIG}")
     options.out("out/NAME, for the best gains")
     options.arch()
@@ -282,35 +267,25 @@ def validate(options: Options) -> None:
 
 def walk(options: Options) -> None:
     """Options of `walk`."""
-    options.add_argument(
-        "--gains", metavar="NAME|FILE", help="reference (default), published, FILE.json"
-    )
-    options.add_argument("--row", type=int, metavar="N", help="a row of --store")
+    options.text("--gains", "NAME|FILE", "reference (default), published, FILE.json")
+    options.text("--row", "N", "a row of --store", type=int)
     what = "the row of --store that walks at this speed with the least energy"
-    options.add_argument("--speed", type=float, metavar="MPS", help=what)
+    options.text("--speed", "MPS", what, type=float)
     options.path("--store", "a store, for --row or --speed")
-    options.add_argument("--trial", metavar="STUDY/NUMBER", help="a finished trial of --storage")
-    options.add_argument(
-        "--storage", metavar="URL|DIR", help="a study database, or a comparison's folder"
-    )
+    options.text("--trial", "STUDY/NUMBER", "a finished trial of --storage")
+    options.text("--storage", "URL|DIR", "a study database, or a comparison's folder")
     options.config("flat")
     options.run("number of the body and the ground")
     options.seed()
-    options.add_argument("--duration", type=float, metavar="S", help=f"seconds; {FROM_CONFIG}")
+    options.text("--duration", "S", f"seconds; {FROM_CONFIG}", type=float)
     options.out("out/walk/NAME, for the pictures")
-    options.add_argument(
-        "--movie-seconds", type=float, default=8.0, metavar="S",
-        help="length of the film (%(default)s); 0: none",
-    )  # fmt: skip
-    options.add_argument(
-        "--engine", choices=(*ENGINES, BOTH_ENGINES), help="overrides the configuration's"
-    )
+    what = "length of the film (%(default)s); 0: none"
+    options.text("--movie-seconds", "S", what, type=float, default=8.0)
+    engines = (*ENGINES, BOTH_ENGINES)
+    options.add_argument("--engine", choices=engines, help="overrides the configuration's")
     options.path("--mjcf", "write MuJoCo's model there too", "FILE")
-    options.path(
-        "--trajectory",
-        "write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)",
-        "FILE", action="append", default=[],
-    )  # fmt: skip
+    what = "write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)"
+    options.path("--trajectory", what, "FILE", action="append", default=[])
     options.arch()
     options.json()
 
@@ -347,10 +322,8 @@ def parser_of(name: str) -> Options:
 def overview() -> str:
     """A line for each command."""
     width = max(map(len, COMMANDS))
-    lines = [
-        f"  {name:<{width}}  {documentation(file_of(name)).partition(chr(10))[0]}"
-        for name in COMMANDS
-    ]
+    abouts = {name: documentation(file_of(name)).splitlines()[0] for name in COMMANDS}
+    lines = [f"  {name:<{width}}  {about}" for name, about in abouts.items()]
     usage = f"usage: {PROGRAM} COMMAND [OPTION ...]   ({PROGRAM} COMMAND --help)"
     return "\n".join([usage, "", *lines])
 
@@ -430,13 +403,7 @@ def _whole(field: str, text: str, low: int, high: Bound) -> int:
 class _ListConfigs(argparse.Action):
     """Prints the shipped configurations and leaves."""
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: str | Sequence[Any] | None,
-        option_string: str | None = None,
-    ) -> NoReturn:
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """A line each."""
         listed = shipped_configs(self.const)
         width = max(map(len, listed))

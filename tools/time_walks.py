@@ -32,18 +32,19 @@ with guarded_imports():
 ROOT = Path(__file__).resolve().parents[1]
 WORKER = ROOT / "tools" / "time_walks_worker.py"
 
+Measured = dict[str, Any]
+
 MOST_SAMPLES = 10_000_000
-LOADS = {  # of --against: near the published gains, where all stay up; and the search space
-    "steady": "--walkers 512 --steady --duration 3 --repeats 3",
-    "Sobol": "--walkers 2048 --duration 5 --repeats 3",
+# Of --against: near the published gains, where all stay up; and the search space.
+LOADS: dict[str, Measured] = {
+    "steady": {"walkers": 512, "steady": True, "duration_s": 3.0, "repeats": 3},
+    "Sobol": {"walkers": 2048, "duration_s": 5.0, "repeats": 3},
 }
 TURNS = 7
 
 # Seconds for 100,000 points x 5 s, as measured on another 2-core machine (AVX-512).
 REFERENCE_POINTS = 100_000
 REFERENCES_S = {"scalar C, float64": 234.0, "hand-written AVX-512, float32": 14.9}
-
-Measured = dict[str, Any]
 
 
 def main() -> None:
@@ -67,9 +68,9 @@ def parse() -> argparse.Namespace:
 
 def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
     """Lines on a cold start, then on a warm start and a run."""
-    samples, arch = options.samples, f"--arch {options.arch}"
-    cold = worker("cold start", cache / "main", arch)
-    run = worker("run", cache / "main", f"--walkers {samples} --duration 5 {arch}")
+    samples, arch = options.samples, options.arch
+    cold = worker("cold start", cache / "main", arch=arch)
+    run = worker("run", cache / "main", arch=arch, walkers=samples, duration_s=5.0)
     seconds, steps_per_s = run["run_s"], run["steps"] / run["run_s"]
     yield (f"machine        {os.cpu_count()} cores, {platform.system()} {platform.machine()};"
            f" {run['arch']}, {run['precision']}, {run['lanes']} lanes")  # fmt: skip
@@ -91,7 +92,7 @@ def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
     turns: Measured = {load: {name: [] for name in roots} for load in LOADS}
     for turn, (load, words), (name, root) in product(range(TURNS), LOADS.items(), roots.items()):
         what = f"turn {turn + 1} of {TURNS}, {load}, {name}"
-        run = worker(what, cache / name, f"{words} --threads 1 --root", str(root))
+        run = worker(what, cache / name, **words, threads=1, root=str(root))
         turns[load][name].append(1e9 * run["cpu_s"] / run["steps"])
     yield f"CPU ns a walker-step, one thread, median of {TURNS} turns: this, the other, ratio"
     for load, taken in turns.items():
@@ -104,11 +105,11 @@ def turns_line(load: str, this: list[float], other: list[float]) -> str:
     return f"{load:8} {median(this):7.1f}  {median(other):7.1f}  {ratio:.3f}"
 
 
-def worker(what: str, cache: Path, words: str, *more: str) -> Measured:
+def worker(what: str, cache: Path, **words: Any) -> Measured:
     """A measurement by `time_walks_worker.py` in a fresh process with this cache of kernels."""
     print(f"measuring: {what}", file=sys.stderr, flush=True)
     done = subprocess.run(
-        [sys.executable, str(WORKER), *words.split(), *more],
+        [sys.executable, str(WORKER), json.dumps(words)],
         cwd=ROOT,
         env={**os.environ, CACHE_VARIABLE: str(cache)},
         capture_output=True,

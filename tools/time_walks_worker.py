@@ -1,10 +1,10 @@
 """One measurement of the simulator in one fresh process, printed as one JSON object.
 
 `tools/time_walks.py` starts it: start-up and compilation can only be timed in a process that has
-not imported anything, and the peak of memory belongs to a process.
+not imported anything, and the peak of memory belongs to a process. Its one word has the arguments
+of `main` as JSON.
 """
 
-import argparse
 import json
 import resource
 import sys
@@ -18,30 +18,34 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+ROOT = str(Path(__file__).resolve().parents[1])
 SEED = 2016
 TICK_S = 1e-3  # a step, by default
 STEADY_SPREAD = 0.02
 PUBLISHED = "K_T"  # the gait `published` by its name of 0.2.0, which --against may run
 
 
-def main() -> None:
-    options = parse()
-    sys.path.insert(0, options.root)
+def main(
+    walkers: int = 0, duration_s: float = TICK_S, steady: bool = False, repeats: int = 1,
+    arch: str = "auto", root: str = ROOT, threads: int | None = None,
+) -> None:  # fmt: skip
+    """Start a checkout; let walkers near the published gains (`steady`) or of a store walk."""
+    sys.path.insert(0, root)
     began_s = time.perf_counter()
     from taichi_nmm import Settings, load_gains, simulate
 
-    arch = "cpu" if options.threads else options.arch
-    run = partial(simulate, settings=Settings(arch=arch, threads=options.threads))
+    arch = "cpu" if threads else arch
+    run = partial(simulate, settings=Settings(arch=arch, threads=threads))
     run(load_gains(PUBLISHED), duration_s=TICK_S)  # compiles
     measured: dict[str, object] = {"start_s": time.perf_counter() - began_s}
-    if options.walkers:
+    if walkers:
         from taichi_nmm.kernel import backend
         from taichi_nmm.result import COMPLETED
 
-        gains, took = (near_published if options.steady else sobol)(options.walkers), []
-        for _ in range(options.repeats):
+        gains, took = (near_published if steady else sobol)(walkers), []
+        for _ in range(repeats):
             began = time.perf_counter(), time.process_time()
-            result = run(gains, duration_s=options.duration)
+            result = run(gains, duration_s=duration_s)
             took.append((time.perf_counter() - began[0], time.process_time() - began[1]))
         measured |= result.metadata | {
             "run_s": median(wall_s for wall_s, _ in took),
@@ -51,18 +55,6 @@ def main() -> None:
             "lanes": backend.lanes(),
         }
     print(json.dumps(measured | {"peak_rss_mib": peak_rss_mib()}))
-
-
-def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="One measurement, for tools/time_walks.py")
-    parser.add_argument("--walkers", type=int, default=0, help="0 only starts up")
-    parser.add_argument("--duration", type=float, help="seconds that they walk")
-    parser.add_argument("--steady", action="store_true", help="near the published gains; or Sobol")
-    parser.add_argument("--repeats", type=int, default=1, help="of the run; times are medians")
-    parser.add_argument("--arch", default="auto")
-    parser.add_argument("--root", default=str(Path(__file__).resolve().parents[1]))
-    parser.add_argument("--threads", type=int, help="on the CPU")
-    return parser.parse_args()
 
 
 def sobol(walkers: int) -> "NDArray[np.float64]":
@@ -95,4 +87,4 @@ def peak_rss_mib() -> float:
 
 
 if __name__ == "__main__":
-    main()
+    main(**json.loads(sys.argv[1]))

@@ -121,7 +121,7 @@ def attach(
             {"trial_id": ids[name, number], **_attributes({key: value})[0]}
             for name, number, key, value in new
         ]
-        _insert(connection, table, rows)
+        _insert(connection, tables, {"trial_system_attributes": rows})
     return {(name, number) for name, number, *_ in new}
 
 
@@ -149,7 +149,7 @@ def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy
             raise ValueError(f"{study.name}: {have} trials, so none can be number {study.first}")
         numbered = enumerate(study.trials, start=study.first)
         fresh += [(study_id, number, trial) for number, trial in numbered if number >= have]
-    _insert(connection, tables["trials"], [_trial_row(*item) for item in fresh])
+    _insert(connection, tables, {"trials": [_trial_row(*item) for item in fresh]})
     query = sql.select(trials.study_id, trials.number, trials.trial_id).where(
         trials.study_id.in_({study_id for study_id, _, _ in fresh})
     )
@@ -158,7 +158,7 @@ def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy
     for study_id, number, trial in fresh:
         for table, row in _rows_of(trial):
             rows[table].append({"trial_id": trial_ids[study_id, number]} | row)
-    _insert_all(connection, tables, rows)
+    _insert(connection, tables, rows)
     return len(fresh)
 
 
@@ -213,7 +213,7 @@ def _study_ids(
     ids = _pairs(connection, select)
     new = [study for study in batch if study.name not in ids]
     if new:
-        _insert(connection, table, [{"study_name": study.name} for study in new])
+        _insert(connection, tables, {"studies": [{"study_name": study.name} for study in new]})
         ids = _pairs(connection, select)
         direction = {"objective": 0, "direction": StudyDirection.MINIMIZE.name}
         rows: dict[str, list[Row]] = defaultdict(list)
@@ -223,7 +223,7 @@ def _study_ids(
             rows["study_user_attributes"] += [own | row for row in _attributes(study.user_attrs)]
             metric = {METRIC_ATTRIBUTE: [study.metric]} if study.metric else {}
             rows["study_system_attributes"] += [own | row for row in _attributes(metric)]
-        _insert_all(connection, tables, rows)
+        _insert(connection, tables, rows)
     return ids
 
 
@@ -240,11 +240,8 @@ def _pairs(connection: sql.Connection, query: sql.Executable) -> dict[Any, Any]:
     return {key: value for key, value in connection.execute(query)}
 
 
-def _insert(connection: sql.Connection, table: sql.Table, rows: list[Row]) -> None:
-    if rows:
-        connection.execute(sql.insert(table), rows)
-
-
-def _insert_all(connection: sql.Connection, tables: Tables, rows: dict[str, list[Row]]) -> None:
+def _insert(connection: sql.Connection, tables: Tables, rows: dict[str, list[Row]]) -> None:
+    """Rows by the names of their tables."""
     for name, of_table in rows.items():
-        _insert(connection, tables[name], of_table)
+        if of_table:
+            connection.execute(sql.insert(tables[name]), of_table)

@@ -28,16 +28,11 @@ from storage.commit import commit_text
 from storage.databases.studies import public_url
 from storage.pool import Cluster, cores
 from study.cli import ProgressBar
+from study.experiment import robots
 from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.folder import PACKAGES
-from study.experiment.robots import (
-    compare_robots,
-    is_of_robots,
-    read_robots,
-    refuse_walkers_options,
-)
 from study.report.markdown import arms_documents, arms_text, dashboard_summary
 from study.report.numbers import numbers
 from study.report.robots import RobotResults
@@ -49,12 +44,11 @@ from taichi_nmm.walker_simulator import Walker, require_engine
 def main(args: Namespace) -> None:
     """Compare, or go on."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    if is_of_robots(args.config):
+    if robots.is_of_robots(args.config):
         on_robots(args)
         return
     experiment = read_experiment(args.config, args.arch, args.seed)
-    name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
-    out = args.out or Path("out") / "compare" / name
+    out = folder_of(args, experiment.name)
     read_facts(out)  # refused before the work, since the report at the end reads them
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
     if args.store is not None:
@@ -76,22 +70,19 @@ def main(args: Namespace) -> None:
 
 def on_robots(args: Namespace) -> None:
     """Compare on robots of the simulator that the configuration names, or go on."""
-    refuse_walkers_options(args)
+    robots.refuse_walkers_options(args)
     if args.storage is not None:
         raise InputError("storage", args.storage, "none: study runs robots in a database")
-    experiment = read_robots(args.config, args.seed, args.arms, args.runs, args.trials)
+    experiment = robots.read_robots(args.config, args.seed, args.arms, args.runs, args.trials)
     simulator = experiment.simulator
     simulator.require_machine()
-    name = experiment.name if args.seed is None else f"{experiment.name}-seed-{args.seed}"
-    out = args.out or Path("out") / "compare" / name
+    out = folder_of(args, experiment.name)
     workers = simulator.processes(cores()) if args.workers is None else args.workers
-    opened = open_pool(
-        workers, Cluster.asked(args.cluster, args.mixed), out, simulator, PACKAGES,
-        [experiment.store],
-    )  # fmt: skip
+    cluster = Cluster.asked(args.cluster, args.mixed)
+    opened = open_pool(workers, cluster, out, simulator, PACKAGES, [experiment.store])
     began_s = time.monotonic()
     with opened as pool, closing(ProgressBar()) as bar:
-        trials = compare_robots(experiment, out, pool, partial(bar.move, "study"))
+        trials = robots.compare_robots(experiment, out, pool, partial(bar.move, "study"))
     results = RobotResults.of(experiment, trials)
     commit_text(out / "report.md", results.markdown())
     if args.json:
@@ -99,6 +90,12 @@ def on_robots(args: Namespace) -> None:
         print(json.dumps({"out": str(out), "trials": len(trials), "wall_s": wall_s}))
         return
     print(f"{results.markdown()}\n{len(trials)} trials: {out / 'trials.parquet'}")
+
+
+def folder_of(args: Namespace, name: str) -> Path:
+    """The folder of a comparison."""
+    seeded = name if args.seed is None else f"{name}-seed-{args.seed}"
+    return Path(args.out or Path("out") / "compare" / seeded)
 
 
 def report(experiment: Experiment, outcome: Outcome, out: Path) -> dict[str, Any]:

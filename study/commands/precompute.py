@@ -41,17 +41,15 @@ def main(args: Namespace) -> None:
 
 def text(summary: Summary) -> str:
     """For people, a line each."""
+    points = f"{summary.points} in {summary.shards} shards ({summary.points_computed} computed now)"
+    alive = f"{summary.alive_at_horizon} at the horizon ({100 * summary.alive_fraction:.2f} %)"
+    settings = "points on its disturbed settings"
     lines = [
-        f"points      {summary.points} in {summary.shards} shards"
-        f" ({summary.points_computed} computed now)",
-        f"alive       {summary.alive_at_horizon} at the horizon"
-        f" ({100 * summary.alive_fraction:.2f} %)",
-        *([f"searched    {summary.walks_searched} walks"] if summary.walks_searched else []),
-        *(
-            f"{name:<11} {count} points on its disturbed settings"
-            for name, count in summary.evaluated.items()
-        ),
-        f"speed       {summary.walkers_per_s:.0f} walkers/s over {summary.wall_s:.1f} s",
-        f"store       {summary.path}",
+        ("points", points),
+        ("alive", alive),
+        *([("searched", f"{summary.walks_searched} walks")] if summary.walks_searched else []),
+        *((name, f"{count} {settings}") for name, count in summary.evaluated.items()),
+        ("speed", f"{summary.walkers_per_s:.0f} walkers/s over {summary.wall_s:.1f} s"),
+        ("store", summary.path),
     ]
-    return "\n".join(lines)
+    return "\n".join(f"{name:<11} {line}" for name, line in lines)

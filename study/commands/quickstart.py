@@ -36,8 +36,7 @@ from study.experiment.trials import progress_line, simulate_trials, study_line
 from study.options import config_path
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml
-from taichi_nmm.result import Result
-from taichi_nmm.terrain import Terrain, flat
+from taichi_nmm.terrain import flat
 from taichi_nmm.walker_simulator import require_engine
 
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
@@ -73,34 +72,26 @@ def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.St
 
 
 def draw_walks(out: Path, experiment: Experiment, study: optuna.Study) -> list[Path]:
-    """Pictures of the best trial, and of the reference gait on flat ground."""
-    gains = np.array([list(study.best_params.values())])
-    found = simulate_trials(experiment, [RUN], gains, record=True)
-    reference = taichi_nmm.simulate(
-        taichi_nmm.load_gains("reference"),
-        duration_s=REFERENCE_S,
-        settings=experiment.conditions.settings,
-        record=(0,),
-    )
-    title = f"Found by {study.study_name}"
-    return [
-        *draw(out, "found", title, found, experiment.terrain(RUN), experiment.body(RUN)),
-        *draw(out, "reference", "Reference gait", reference, flat(), Bodies.nominal()),
-    ]
-
-
-def draw(
-    out: Path, name: str, title: str, result: Result, ground: Terrain, bodies: Bodies
-) -> list[Path]:
-    """A strip and a gait cycle of a walk."""
+    """A strip and a gait cycle of the best trial, and of the reference gait on flat ground."""
     from study import pictures  # here, where matplotlib is needed
 
-    trajectory, weight_n = result.trajectories[0], float(bodies.mass_kg.sum()) * GRAVITY_MPS2
-    title = f"{title}: {result.end_reason[0]} {result['duration_s'][0]:.0f} s"
-    return [
-        pictures.write_strip(out / f"{name}_strip.png", trajectory, ground, title),
-        pictures.write_gait_cycle(out / f"{name}_gait_cycle.png", trajectory, weight_n, title),
-    ]
+    gains, settings = np.array([list(study.best_params.values())]), experiment.conditions.settings
+    found = simulate_trials(experiment, [RUN], gains, record=True)
+    reference = taichi_nmm.simulate(
+        taichi_nmm.load_gains("reference"), duration_s=REFERENCE_S, settings=settings, record=(0,)
+    )
+    paths = []
+    ground, body = experiment.terrain(RUN), experiment.body(RUN)
+    for name, title, result, terrain, bodies in (
+        ("found", f"Found by {study.study_name}", found, ground, body),
+        ("reference", "Reference gait", reference, flat(), Bodies.nominal()),
+    ):
+        trajectory, weight_n = result.trajectories[0], float(bodies.mass_kg.sum()) * GRAVITY_MPS2
+        title += f": {result.end_reason[0]} {result['duration_s'][0]:.0f} s"
+        strip, cycle = out / f"{name}_strip.png", out / f"{name}_gait_cycle.png"
+        paths.append(pictures.write_strip(strip, trajectory, terrain, title))
+        paths.append(pictures.write_gait_cycle(cycle, trajectory, weight_n, title))
+    return paths
 
 
 def say(*lines: str) -> None:

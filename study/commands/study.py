@@ -19,6 +19,7 @@ import sys
 from argparse import Namespace
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import optuna
 from optuna.trial import FrozenTrial
@@ -27,16 +28,11 @@ from storage.commit import commit_json, writable
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql, public_url
+from study.experiment import robots
 from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
 from study.experiment.folder import live_artifacts
 from study.experiment.live_study import check_study, run_study
-from study.experiment.robots import (
-    is_of_robots,
-    live_study,
-    read_robots,
-    refuse_walkers_options,
-)
 from study.experiment.trials import progress_line, study_facts, study_line
 from study.options import config_path
 from taichi_nmm.walker_simulator import require_engine
@@ -45,7 +41,7 @@ from taichi_nmm.walker_simulator import require_engine
 def main(args: Namespace) -> None:
     """Run the study, or go on with it."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    if is_of_robots(args.config):
+    if robots.is_of_robots(args.config):
         on_robot(args)
         return
     experiment = read_experiment(args.config, args.arch, args.seed)
@@ -69,9 +65,7 @@ def main(args: Namespace) -> None:
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
     with taken as crew, storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
-        with writable(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        commit_json(gains, study.best_params)
+        keep_best(study, gains)
         from study.experiment.artifacts import draw_best  # Matplotlib: a second
 
         with crew.turn() if crew else nullcontext():
@@ -86,14 +80,13 @@ def main(args: Namespace) -> None:
             print(json.dumps(known | commands))
             return
         print(study_line(study))
-        for what, where in {"gains": gains, "database": database, **commands}.items():
-            print(f"{what + ':':<10} {where}")
+        print(lines({"gains": gains, "database": database, **commands}))
 
 
 def on_robot(args: Namespace) -> None:
     """The study of an arm on a robot of the simulator that the configuration names."""
-    refuse_walkers_options(args)
-    experiment = read_robots(args.config, args.seed, trials=args.trials)
+    robots.refuse_walkers_options(args)
+    experiment = robots.read_robots(args.config, args.seed, trials=args.trials)
     experiment.simulator.require_machine()
     storage, folder = open_studies(args.storage), args.out or Path("out") / experiment.name
 
@@ -105,18 +98,24 @@ def on_robot(args: Namespace) -> None:
 
     name = study_name(experiment.name, args.arm, args.run)
     with only_run(args.storage, name), storage_errors(args.storage):
-        study = live_study(experiment, args.arm, args.run, storage, report)
+        study = robots.live_study(experiment, args.arm, args.run, storage, report)
     best = folder / f"{args.arm}-run-{args.run:03d}-best.json"
-    with writable(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    commit_json(best, study.best_params)
+    keep_best(study, best)
     known = {"study": name, "best_cost": study.best_value, "best": str(best),
              "dashboard": dashboard_command(args.storage, folder)}  # fmt: skip
-    print(
-        json.dumps(known)
-        if args.json
-        else "\n".join(f"{k + ':':<10} {v}" for k, v in known.items())
-    )
+    print(json.dumps(known) if args.json else lines(known))
+
+
+def keep_best(study: optuna.Study, file: Path) -> None:
+    """Write the best parameters of a study."""
+    with writable(file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
+    commit_json(file, study.best_params)
+
+
+def lines(known: dict[str, Any]) -> str:
+    """For people, a line each."""
+    return "\n".join(f"{name + ':':<10} {value}" for name, value in known.items())
 
 
 def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = None) -> str:

@@ -1,25 +1,30 @@
-"""The page of a store: what was scored on the left, on the right a gait walks."""
+"""The page of a store: what was scored on the left, on the right a gait walks.
 
+Of other simulators than the walker, the right half has a row's numbers, and a film of it where the
+command was given the simulator (`--simulator my_robot.py:robot`) and that is one of MuJoCo: a store
+is data, and names code that is never looked for.
+"""
+
+import base64
 import html
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
 
+import pyarrow as pa
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import Div
+from bokeh.models import Button, Div, Select
 
 from storage.simulator import WALKER
 from storage.store import Store, open_store
 from study.experiment.folder import EXPERIMENT_NAME, RESULTS_NAME
 from study.experiment.gains import gains_at, gains_of_source
-from study.explore.downloads import file_of_selection
-from study.explore.robot_view import RobotView
-from study.explore.server import Message
-from study.explore.store_view import StoreView
+from study.explore.server import Latest, Message, Saver
+from study.explore.store_view import StoreView, file_of_selection
 from study.explore.walk_view import WalkView
-from study.pictures.movie import filmable
+from study.pictures.movie import filmable, filmed
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder
 
@@ -31,6 +36,103 @@ OF_COMPARISONS = (
     "a store; for a comparison: taichi-nmm report DIR, taichi-nmm dashboard DIR, "
     "or taichi-nmm walk --trial STUDY/NUMBER --storage DIR; for a bench: taichi-nmm bench serve"
 )
+BASE = "base setting"
+DURATIONS_S = (5.0, 10.0, 20.0)
+WIDTH_PX = 720
+
+
+class RobotView:
+    """A row of a store: its parameters, what it did in each family, and a film in a chosen world.
+
+    Of processes, `makers` make films and files.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        makers: Executor,
+        message: Message,
+        store: Store,
+        simulator: str | None,
+    ) -> None:
+        self._message, self._store, self._simulator = message, store, simulator
+        self._place: int | None = None  # of the row that is shown
+        self._films = Latest(document, makers, self._filmed, message.failed)
+        saver = Saver(document, makers, message)
+        self.save = saver.save
+        self._numbers = Div(text="click a point", name="numbers", width=WIDTH_PX, disable_math=True)
+        self._video = Div(text="", name="film", width=WIDTH_PX, disable_math=True)
+        self._video.tags = [saver.source]
+        self._world = Select(title="world", options=[BASE], value=BASE, width=230, name="world")
+        durations = [f"{duration:g} s" for duration in DURATIONS_S]
+        self._duration = Select(title="at most", options=durations, value=durations[0], width=90)
+        film = Button(label="film", width=80, name="film-it", disabled=simulator is None)
+        film.on_click(message.safely(self._film))
+        words = "" if simulator else "films: explore --simulator my_robot.py:robot"
+        above = row(self._world, self._duration, film, Div(text=words, name="no-films"))
+        self.layout = column(above, self._video, self._numbers)
+
+    def show(self, place: int) -> None:
+        """Show a row, by its place among the store's rows."""
+        self._place = place
+        self._world.options = [BASE, *world_names(self._store)]
+        self._numbers.text = numbers_text(self._store, place)
+        self._film()
+
+    def _film(self) -> None:
+        if self._place is None or self._simulator is None:
+            return
+        gains = self._store.gains()[self._place].tolist()
+        point = dict(zip(self._store.gain_names, gains, strict=True))
+        seconds = float(self._duration.value.removesuffix(" s"))
+        self._message.tell("filming ...")
+        world = world_of(self._store, self._world.value)
+        self._films.ask(filmed, self._simulator, point, world, seconds)
+
+    def _filmed(self, content: bytes) -> None:
+        self._message.tell("")
+        film = base64.b64encode(content).decode()
+        self._video.text = (
+            f'<video width="{WIDTH_PX}" autoplay loop controls muted '
+            f'src="data:video/mp4;base64,{film}"></video>'
+        )
+
+
+def world_names(store: Store) -> list[str]:
+    """The worlds of a store's families, in which its rows ran."""
+    return [
+        f"{family} {number}"
+        for family in store.families
+        for number in range(len(_drawn(store, family).get("seed", ())))
+    ]
+
+
+def world_of(store: Store, name: str) -> dict[str, float]:
+    """The numbers of a world, by its name among `world_names`; of the base setting, none."""
+    if name == BASE:
+        return {}
+    family, _, number = name.rpartition(" ")
+    return {key: float(each[int(number)]) for key, each in _drawn(store, family).items()}
+
+
+def _drawn(store: Store, family: str) -> dict[str, list[float]]:
+    drawn: dict[str, list[float]] = store.specification["families"][family].get("drawn", {})
+    return drawn
+
+
+def numbers_text(store: Store, place: int) -> str:
+    """A row's numbers as a table in HTML: parameters, and columns of the base setting and means."""
+    table = store.table().slice(place, 1)
+    shown = []
+    for name, kind in zip(table.column_names, table.schema.types, strict=True):
+        if not pa.types.is_fixed_size_list(kind):
+            value = table[name][0].as_py()
+            text = f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
+            shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
+    third = -(-len(shown) // 3)
+    parts = ["".join(shown[first : first + third]) for first in range(0, len(shown), third)]
+    tables = "".join(f"<table style='font-size:11px'>{part}</table>" for part in parts)
+    return f"<div style='display:flex;gap:24px;align-items:flex-start'>{tables}</div>"
 
 
 def page_of(path: Path, simulator: str | None = None) -> Page:
@@ -59,10 +161,16 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
             if store.simulator == WALKER:
                 view = WalkView(document, walkers, makers, message)
             else:
-                view = RobotView(document, makers, message, simulator)
+                view = RobotView(document, makers, message, store, simulator)
                 title += f" of {store.simulator}"
-            pick, save = partial(_pick, store, view), partial(view.save, file_of_selection, path)
-            points = StoreView(store, message, pick, save)
+
+            def pick(place: int, row: int) -> None:
+                if isinstance(view, WalkView):
+                    view.show(gains_at(store, place, row))
+                else:
+                    view.show(place)
+
+            points = StoreView(store, message, pick, partial(view.save, file_of_selection, path))
         except Exception as error:  # the store cannot be read any more
             message.failed(error)
             document.add_root(message.layout)
@@ -75,14 +183,6 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
             message.safely(partial(view.show, gains_of_source(FIRST_GAIT)))()
 
     return fill
-
-
-def _pick(store: Store, view: WalkView | RobotView, place: int, row: int) -> None:
-    """Show a clicked row of the store."""
-    if isinstance(view, WalkView):
-        view.show(gains_at(store, place, row))
-    else:
-        view.show(store, place)
 
 
 def _store(path: Path) -> Store:

@@ -5,14 +5,17 @@ reads the same text, and so needs no server while a person drags a box.
 """
 
 import html
+import io
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet
 from bokeh.layouts import column, row
 from bokeh.models import (
     Button,
@@ -32,7 +35,7 @@ from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from storage.store import EVOLVED_ROW, ORIGIN, Store
+from storage.store import EVOLVED_ROW, ORIGIN, Store, open_store
 from study.explore.server import SCRIPTS, Message
 from study.pictures import style
 from taichi_nmm.errors import InputError
@@ -83,6 +86,15 @@ def _number(text: str) -> float:
         raise InputError("selection", text, "a number") from None
 
 
+def file_of_selection(store: Path, ranges: Ranges) -> tuple[str, bytes]:
+    """Name and content of a Parquet file: all columns of the selected rows of a store."""
+    table = open_store(store, unfinished=True).table()
+    chosen = selected(ranges, lambda name: table[name].to_numpy(), len(table))
+    content = io.BytesIO()
+    pyarrow.parquet.write_table(table.filter(pa.array(chosen)), content, compression="zstd")
+    return "selection.parquet", content.getvalue()
+
+
 ROLES = ("across", "up", "colour", "besides", "besides")  # of the five columns
 WIDTH_PX = 700
 CLOUD_PX = (600, 330)  # within its axes
@@ -114,10 +126,9 @@ def cloud() -> tuple[Any, ColumnDataSource]:
 def histograms() -> tuple[list[Any], list[ColumnDataSource]]:
     """A small figure for each column, and its bars: of all rows, and of those selected."""
     plots, sources = [], []
+    sides = ("left", "right", "all", "chosen")
     for slot in range(len(ROLES)):
-        bars = ColumnDataSource(
-            {name: np.zeros(BINS) for name in ("left", "right", "all", "chosen")}
-        )
+        bars = ColumnDataSource({name: np.zeros(BINS) for name in sides})
         plot = figure(
             name=f"histogram-{slot}", width=HISTOGRAM_PX[0], height=HISTOGRAM_PX[1], tools="",
             toolbar_location=None, title=" ", x_range=Range1d(0.0, 1.0),
@@ -201,9 +212,10 @@ class StoreView:
                    name=f"column-{slot}")
             for slot, (role, name) in enumerate(zip(ROLES, first_columns(store), strict=True))
         ]  # fmt: skip
-        self._source = ColumnDataSource(
-            {"row": self._rows, "evolved": self._evolved()}, name="rows"
-        )
+        evolved = np.zeros(len(store), np.uint8)
+        if ORIGIN in store.columns:
+            evolved[store.table([ORIGIN])[ORIGIN].to_numpy() == EVOLVED_ROW] = 1
+        self._source = ColumnDataSource({"row": self._rows, "evolved": evolved}, name="rows")
         self._bounds = ColumnDataSource({"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))})
         self.selection = TextInput(
             title="selection: column low..high, ...; drag a box over any of the views",
@@ -264,12 +276,6 @@ class StoreView:
     def _read(self, name: str) -> Floats:
         return np.asarray(self._store.table([name])[name].to_numpy(), dtype=np.float64)
 
-    def _evolved(self) -> NDArray[np.uint8]:
-        if ORIGIN not in self._store.columns:
-            return np.zeros(len(self._rows), np.uint8)
-        origins = self._store.table([ORIGIN])[ORIGIN].to_numpy()
-        return np.asarray(origins == EVOLVED_ROW, np.uint8)
-
     def _load(self, slot: int) -> None:
         name = self._columns[slot].value
         values = self._read(name)
@@ -291,12 +297,11 @@ class StoreView:
             axis.axis_label = PlainText(name)
             span = (self._cloud.x_range, self._cloud.y_range)[slot]
             margin = MARGIN * (high - low)
-            span.update(start=low - margin, end=high + margin, reset_start=low - margin,
-                        reset_end=high + margin)  # fmt: skip
+            start, end = low - margin, high + margin
+            span.update(start=start, end=end, reset_start=start, reset_end=end)
         if slot == 2:
-            self._cloud.title.text = PlainText(
-                f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
-            )
+            title = f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
+            self._cloud.title.text = PlainText(title)
         self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
     def _script(self) -> None:

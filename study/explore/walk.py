@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
-from study.experiment.experiment import Experiment, experiment_of
+from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.trials import row_text
 from study.pictures import style
@@ -160,6 +160,17 @@ def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
 
 def warm_up() -> None:
     """Compile the kernels before the first gait is asked for."""
-    walk(
-        gains_of_source("reference"), chosen_setting("flat", "nominal", 0, "nominal", "taichi", 0.1)
-    )
+    level = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 0.1)
+    walk(gains_of_source("reference"), level)
+
+
+GAINS, CONFIG = NAMES = "gains.json", "walk.toml"  # what every command takes: --gains, --config
+# What does the same without a page, in a folder with both files.
+COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
+
+
+def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
+    """One of `NAMES` and its content, to be taken from the page."""
+    if name == CONFIG:
+        return name, to_toml(as_written(walk.experiment)).encode()
+    return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()

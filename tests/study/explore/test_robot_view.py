@@ -6,8 +6,7 @@ from typing import Any
 import pytest
 
 from storage import Store, make_store
-from study.explore.page import page_of
-from study.explore.robot_view import BASE, numbers_text, world_names, world_of
+from study.explore.page import BASE, numbers_text, page_of, world_names, world_of
 from study.explore.store_view import first_columns
 from taichi_nmm.errors import InputError
 from tests.browser import opened_page

@@ -13,8 +13,17 @@ from storage.store import open_store
 from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.gains import gains_of_source
 from study.explore import walk as walking
-from study.explore.downloads import COMMAND, NAMES, file_of_selection, file_of_walk
-from study.explore.walk import Walk, chosen_setting, frames_of, to_toml, walk
+from study.explore.store_view import file_of_selection
+from study.explore.walk import (
+    COMMAND,
+    NAMES,
+    Walk,
+    chosen_setting,
+    file_of_walk,
+    frames_of,
+    to_toml,
+    walk,
+)
 from study.options import config_path
 from taichi_nmm import GAIN_NAMES, InputError
 from taichi_nmm.config import read_toml
