@@ -15,8 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
 
-import taichi_nmm
-from taichi_nmm import Bodies, Settings, WorldRanges, terrain
+from taichi_nmm import Bodies, Settings, WorldRanges, simulate, terrain
 from taichi_nmm.parameters import load_gains, lower_bounds, upper_bounds
 
 pytestmark = pytest.mark.slow
@@ -48,7 +47,7 @@ def walked(engine: str) -> NDArray[np.void]:
         terrain.ramp(increment=0.02, segment_m=1.0, direction="up"),
         terrain.stairs(rise_m=0.01, run_m=0.5, flat_start_m=1.0),
     ]
-    return taichi_nmm.simulate(
+    return simulate(
         gains, duration_s=DURATION_S, bodies=Bodies.disturbed(range(count)), terrains=grounds,
         terrain_index=np.arange(count) % len(grounds), worlds=WORLDS[engine].draw(range(count)),
         settings=Settings(precision="float64", arch="cpu", engine=engine),

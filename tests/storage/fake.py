@@ -4,10 +4,14 @@ from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pyarrow.parquet as pq
+import pytest
 
+import taichi_nmm
+from storage.precompute import precompute
 from storage.specification import Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import upper_bounds
@@ -90,3 +94,10 @@ def stopping(
         return simulate(*args, **options)
 
     return stopped
+
+
+def interrupt(after: int, specification: Specification, path: Path, **options: Any) -> None:
+    """Fill a store until Ctrl-C comes, in the call of the simulator after so many."""
+    simulator = mock.patch.dict(vars(taichi_nmm), simulate=stopping(after))
+    with simulator, pytest.raises(KeyboardInterrupt):
+        precompute(specification, path, **options)

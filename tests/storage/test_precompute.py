@@ -90,10 +90,8 @@ def test_shards_in_any_order(store: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_a_stop_loses_shards_of_which_a_part_is_missing(store: Path, tmp_path: Path) -> None:
-    with ThreadPoolExecutor(1) as executor, pytest.MonkeyPatch.context() as context:
-        context.setitem(vars(taichi_nmm), "simulate", fake.stopping(6))
-        with pytest.raises(KeyboardInterrupt):
-            precompute(fake.specification(), tmp_path / "b", pool=Pool(executor, 20))
+    with ThreadPoolExecutor(1) as executor:
+        fake.interrupt(6, fake.specification(), tmp_path / "b", pool=Pool(executor, 20))
     assert len([*(tmp_path / "b").glob("part-*")]) <= 1  # of six parts of two rows each
     fill(tmp_path / "b")
     assert content(tmp_path / "b") == content(store)
@@ -183,10 +181,7 @@ def test_a_folder_in_a_files_place_is_refused_before_the_work(store: Path, name:
 
 @pytest.mark.parametrize(("calls", "changes", "done"), STOPS)
 def test_an_interrupt_loses_one_shard(tmp_path: Path, calls: int, changes: Any, done: int) -> None:
-    with pytest.MonkeyPatch.context() as context:
-        context.setitem(vars(taichi_nmm), "simulate", fake.stopping(calls))
-        with pytest.raises(KeyboardInterrupt):
-            fill(tmp_path / "store", **changes)
+    fake.interrupt(calls, fake.specification(**changes), tmp_path / "store")
     assert not (tmp_path / "store" / "manifest.json").exists()
     assert fill(tmp_path / "store", **changes).points_computed == 50 - done * 8
     fill(tmp_path / "other", **changes)

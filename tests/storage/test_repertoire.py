@@ -56,14 +56,6 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
         return path, precompute(evolving(), path)
 
 
-def interrupted(path: Path, after: int) -> None:
-    """A run that is stopped in a call of the simulator."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(vars(taichi_nmm), "simulate", fake.stopping(after))
-        with pytest.raises(KeyboardInterrupt):
-            precompute(evolving(), path)
-
-
 def test_candidates_are_rows_after_the_grid(finished: Finished, tmp_path: Path) -> None:
     path, summary = finished
     store = open_store(path, verify=True)
@@ -123,7 +115,7 @@ def test_two_runs_on_any_executor_are_the_same_bytes(finished: Finished, tmp_pat
 def test_a_stopped_run_goes_on_alike(finished: Finished, tmp_path: Path, after: int) -> None:
     """In the grid's last shard, in the search, and in the candidates' shards."""
     path = tmp_path / "store"
-    interrupted(path, after)
+    fake.interrupt(after, evolving(), path)
     summary = precompute(evolving(), path)
     assert content(path) == content(finished[0])
     sizes = [STARTERS, STARTERS, *[GENERATION] * 6]  # a call of the simulator each
@@ -151,7 +143,7 @@ def other_points(file: Path) -> None:
 @pytest.mark.parametrize("damage", [fake.flip_a_bit, other_points])
 def test_odd_generation(finished: Finished, tmp_path: Path, damage: Callable[[Path], None]) -> None:
     path = tmp_path / "store"
-    interrupted(path, 7 * 3 + 6)
+    fake.interrupt(7 * 3 + 6, evolving(), path)
     files = sorted(path.glob("search-*.parquet"))
     assert len(files) == 6
     damage(files[1])
@@ -161,7 +153,7 @@ def test_odd_generation(finished: Finished, tmp_path: Path, damage: Callable[[Pa
 
 def test_fresh_starts_over(tmp_path: Path) -> None:
     path = tmp_path / "store"
-    interrupted(path, 7 * 3 + 3)
+    fake.interrupt(7 * 3 + 3, evolving(), path)
     precompute(fake.specification(), path, fresh=True)
     assert not [name for name in content(path) if "search" in name or "repertoire" in name]
 

@@ -131,9 +131,8 @@ def test_a_simulator_that_makes_no_store(fault: str, monkeypatch: pytest.MonkeyP
     changes, allowed = FAULTS[fault]
     for name, value in changes.items():
         monkeypatch.setattr(toy.Cart, name, value)
-    with pytest.raises(InputError, match=re.escape(allowed)) as caught:
+    with pytest.raises(InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"):
         specification()
-    assert (caught.value.field, caught.value.value) == ("simulator", CART)
 
 
 def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]]:
@@ -165,9 +164,8 @@ FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
 def test_a_faulty_run(fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run, allowed = FAULTY_RUNS[fault]
     monkeypatch.setattr(toy.Cart, "run", run if callable(run) else lambda *_: (run, {}))
-    with pytest.raises(InputError, match=re.escape(allowed)) as caught:
+    with pytest.raises(InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"):
         precompute(specification(), tmp_path / "store")
-    assert (caught.value.field, caught.value.value) == ("simulator", CART)
     assert not list((tmp_path / "store").glob("part-*"))
 
 

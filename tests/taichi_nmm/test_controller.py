@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import taichi_nmm
-from taichi_nmm import Bodies, Controller, InputError, Observation, Settings
+from taichi_nmm import Bodies, Controller, InputError, Observation, Settings, simulate
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 
 COUNT = 11  # two packs of eight lanes, one of them not full
@@ -131,7 +130,7 @@ def test_another_controller_and_simulation_between_change_nothing(undisturbed: n
         np.testing.assert_array_equal(other_one.step(state), undisturbed[number])
         if number == STEPS // 2:
             other = Settings(precision="float64", arch="cpu", physics_step_s=0.5e-3)
-            taichi_nmm.simulate([PUBLISHED_GAINS], duration_s=0.01, settings=other)
+            simulate([PUBLISHED_GAINS], duration_s=0.01, settings=other)
     np.testing.assert_array_equal(found, undisturbed)
 
 

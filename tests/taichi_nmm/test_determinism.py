@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import taichi_nmm
-from taichi_nmm import Bodies, Settings, Terrain, terrain
+from taichi_nmm import Bodies, Settings, Terrain, simulate, terrain
 from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from tests.processes import printed
@@ -31,7 +30,7 @@ def batch() -> tuple[NDArray[np.float64], Bodies, list[Terrain], NDArray[np.int6
 def rows(index: NDArray[np.int64], settings: Settings = CPU) -> NDArray[np.void]:
     """Results of these walkers of the batch, in this order."""
     gains, bodies, grounds, ground = batch()
-    return taichi_nmm.simulate(
+    return simulate(
         gains[index], duration_s=DURATION_S, bodies=bodies.take(index), terrains=grounds,
         terrain_index=ground[index], settings=settings,
     ).rows  # fmt: skip

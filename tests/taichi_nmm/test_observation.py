@@ -29,9 +29,8 @@ def bad_values() -> list[tuple[str, object]]:
 def test_an_array_that_cannot_be_used_is_named(name: str, value: object) -> None:
     good = two_bodies()
     good.checked(2)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=rf"^observation\.{name}(\.shape)?: "):
         replace(good, **{name: value}).checked(2)
-    assert caught.value.field.removesuffix(".shape") == f"observation.{name}"
 
 
 @pytest.mark.parametrize("value", [2, -1, 0.5])

@@ -11,12 +11,11 @@ from study.options import COMMANDS
 from taichi_nmm.kernel_cache import COMPILER
 from tests.processes import ROOT, python
 from tests.tools import running
-from tests.tools.running import run_with_accident
+from tests.tools.running import INTERRUPTED, run_with_accident
 
 pytestmark = pytest.mark.slow
 
 WALK = ("walk", "--duration", 1, "--movie-seconds", 0)
-INTERRUPTED = "interrupted: finished work is kept; the same command resumes\n"
 # The tools beside the commands, and one command: all commands begin in study/cli.py.
 TOOLS = ["walk", *(tool for tool in running.TOOLS if tool not in COMMANDS)]
 FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
@@ -25,7 +24,7 @@ FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
 @pytest.mark.parametrize("tool", TOOLS)
 def test_ctrl_c_during_imports_is_one_line(tool: str, tmp_path: Path) -> None:
     done = run_with_accident(tmp_path, [ROOT / "tools" / f"{tool}.py"], interrupted=FIRST[tool])
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", INTERRUPTED)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{INTERRUPTED}\n")
 
 
 def last_line(done: "subprocess.CompletedProcess[str]", code: int) -> str:
@@ -38,7 +37,7 @@ def last_line(done: "subprocess.CompletedProcess[str]", code: int) -> str:
 @pytest.mark.parametrize("package", [COMPILER, "matplotlib"])
 def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -> None:
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *WALK), interrupted=package)
-    assert last_line(done, 130) == INTERRUPTED
+    assert last_line(done, 130) == f"{INTERRUPTED}\n"
 
 
 @pytest.mark.parametrize(("words", "package"), [

@@ -17,10 +17,9 @@ from optuna.artifacts import get_all_artifact_meta
 from optuna.trial import TrialState
 from optuna_dashboard import get_note
 
-import taichi_nmm
 from storage.databases.studies import only_run
 from study.experiment.experiment import read_experiment
-from taichi_nmm import GAIN_NAMES, Result
+from taichi_nmm import GAIN_NAMES, Result, load_gains
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import ROOT, load_command
@@ -57,7 +56,7 @@ def test_json_is_one_object(command: Study) -> None:
     assert f"{NAME}  4/4  cost " in command.tool.err
     gains = command.folder / "out" / "dog-run-000-best.json"
     assert tuple(json.loads(gains.read_text())) == GAIN_NAMES
-    taichi_nmm.load_gains(str(gains))
+    load_gains(str(gains))
     assert command.run(arm="random", store="") == 0  # needs none
     assert "rough8/random/run-000: " in command.tool.out
 

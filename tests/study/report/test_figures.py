@@ -13,6 +13,7 @@ from study.report import figures
 from study.report.figures import End, Look, looks, spread_out, write_report
 from study.report.runs import Results, read_results
 from taichi_nmm import InputError
+from tests.cases import cases
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
 
@@ -28,11 +29,7 @@ def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> Non
     assert front == {"dog", "worlds", "cmaes-warm"}
 
 
-@pytest.mark.parametrize(("places", "apart", "high", "expected"), [
-    ([0.0, 10.0, 20.0], 5.0, 100.0, [0.0, 10.0, 20.0]), ([10.0, 10.0], 4.0, 100.0, [8.0, 12.0]),
-    ([0.0, 0.0, 0.0], 4.0, 100.0, [0.0, 4.0, 8.0]), ([99.0, 100.0], 4.0, 100.0, [96.0, 100.0]),
-    ([], 4.0, 1.0, []),
-])  # fmt: skip
+@cases("spread-labels.toml", "places", "apart", "high", "expected")
 def test_spread_out(places: list[float], apart: float, high: float, expected: list[float]) -> None:
     assert spread_out(places, apart, 0.0, high) == expected
 

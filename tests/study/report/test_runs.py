@@ -15,12 +15,13 @@ from study.experiment.experiment import store_digest
 from study.report.markdown import facts
 from study.report.runs import Results, known_stores, read_results, runs_of
 from taichi_nmm.errors import InputError
-from tests.cases import asset
+from tests.cases import ASSETS, asset
 from tests.study.report import synthetic
 
 TWO = {"dog": (0.02, 0.002), "random": (0.01, 0.0)}
 RUNS, TRIALS = 4, 6
 COUNT = len(TWO) * RUNS * TRIALS
+NULLS = json.loads((ASSETS / "null-facts.json").read_text())  # documents, and parts of them
 
 
 @pytest.fixture
@@ -149,13 +150,7 @@ def test_parts_of_another_form(folder: Path, part: dict[str, Any]) -> None:
     assert refusal(folder).startswith(f"{name}: {next(iter(part))}")
 
 
-@pytest.mark.parametrize(("name", "part"), [
-    ("run.json", {"sessions": None}), ("run.json", {"sessions": [{"stores": None}]}),
-    ("run.json", {"sessions": [{"stores": {"flat": None}}]}),
-    ("run.json", {"sessions": [{"wall_s": None, "machine": None, "started": None}]}),
-    ("experiment.json", {"simulation": {"duration_s": None}, "objective": {"cost": None}}),
-    ("experiment.json", {"terrain": None, "searched": None, "stores": None, "body": None}),
-])  # fmt: skip
+@pytest.mark.parametrize(("name", "part"), NULLS)
 def test_a_null_is_not_there(folder: Path, name: str, part: dict[str, Any]) -> None:
     (folder / name).write_text(json.dumps({}))
     without = facts(read_results(folder))

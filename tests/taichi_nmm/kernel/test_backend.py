@@ -38,9 +38,9 @@ def test_a_driver_that_refuses_a_kernel_is_bad_input_each_time(on: Callable[[str
     for arch in ("cuda", "vulkan"):
         on(arch)
         for _ in range(2):
-            with pytest.raises(InputError, match=r"no shader float64 in driver") as caught:
+            line = rf"^simulation\.arch: '{arch}' .*no shader float64 in driver"
+            with pytest.raises(InputError, match=line):
                 backend.launch(failing)
-            assert (caught.value.field, caught.value.value) == ("simulation.arch", arch)
 
 
 def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(on: Callable[[str], None]) -> None:

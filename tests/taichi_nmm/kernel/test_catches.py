@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import taichi_nmm
-from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, initial
+from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, initial, simulate
 from taichi_nmm.body import BALL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.kernel.layout import COORDINATES, SEGMENT_COUNT, Const, Signal, Work
 from taichi_nmm.mujoco_engine import engine as mujoco_engine
@@ -79,7 +78,7 @@ def test_a_catch_in_the_air_takes_its_impulse_and_its_moment(engine: str, monkey
     if engine == "mujoco":
         monkeypatch.setattr(mujoco_engine, "PENETRATION_M", 0.0)
     worlds = vars(Worlds.nominal()) | {"noise_seed": [SEED], "catch_ns": [4.0]}
-    flown = taichi_nmm.simulate(
+    flown = simulate(
         PUBLISHED_GAINS, duration_s=FLIGHT_S, worlds=Worlds(**worlds), record=[0],
         settings=Settings(engine=engine, arch="cpu", precision="float64"), record_rate_hz=1000,
     ).trajectories[0]  # fmt: skip

@@ -10,8 +10,7 @@ import pytest
 from mujoco.batch import Batch as Simulations
 from mujoco.batch import SimulationError
 
-import taichi_nmm
-from taichi_nmm import Result, Trajectory, terrain
+from taichi_nmm import Result, Trajectory, simulate, terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
@@ -29,7 +28,7 @@ LONG_S = 30.0
 def long_walk() -> Result:
     """The published gains and the reference on level ground."""
     gains = [PUBLISHED_GAINS, load_gains("reference")]
-    return taichi_nmm.simulate(gains, duration_s=LONG_S, settings=MUJOCO, record=[0, 1])
+    return simulate(gains, duration_s=LONG_S, settings=MUJOCO, record=[0, 1])
 
 
 def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(long_walk: Result) -> None:
@@ -71,7 +70,7 @@ def some(rows: Any = slice(None), **options: Any) -> Result:
         terrain.ramp(direction="down", segment_m=0.5),
     )
     index = np.arange(WALKERS)[rows]
-    return taichi_nmm.simulate(
+    return simulate(
         gains[index], bodies=options.pop("bodies", bodies()).take(index), terrains=kinds,
         terrain_index=index % len(kinds), duration_s=SHORT_S,
         settings=options.pop("settings", MUJOCO), **options,
@@ -94,7 +93,7 @@ def test_nobody_feels_the_others(together: Result) -> None:
 
 def test_recording_and_another_simulation_change_nothing(together: Result) -> None:
     other = Settings(precision="float64", arch="cpu")
-    taichi_nmm.simulate(PUBLISHED_GAINS, duration_s=0.01, settings=other)
+    simulate(PUBLISHED_GAINS, duration_s=0.01, settings=other)
     recorded = some(record=[1, 7], record_rate_hz=500.0, progress=lambda *_: None)
     assert recorded.rows.tobytes() == together.rows.tobytes()
 
