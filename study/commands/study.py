@@ -17,8 +17,10 @@ import os
 import shlex
 import sys
 from argparse import Namespace
+from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import optuna
@@ -65,7 +67,7 @@ def main(args: Namespace) -> None:
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
     with taken as crew, storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
-        keep_best(study, gains)
+        keep_best(study, gains, experiment.fixed_by_name)
         from study.experiment.artifacts import draw_best  # Matplotlib: a second
 
         with crew.turn() if crew else nullcontext():
@@ -106,11 +108,13 @@ def on_robot(args: Namespace) -> None:
     print(json.dumps(known) if args.json else lines(known))
 
 
-def keep_best(study: optuna.Study, file: Path) -> None:
-    """Write the best parameters of a study."""
+def keep_best(
+    study: optuna.Study, file: Path, fixed: Mapping[str, float] = MappingProxyType({})
+) -> None:
+    """Write the best parameters of a study, after those that were fixed."""
     with writable(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)
-    commit_json(file, study.best_params)
+    commit_json(file, {**fixed, **study.best_params})
 
 
 def lines(known: dict[str, Any]) -> str:

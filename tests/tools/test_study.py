@@ -20,6 +20,7 @@ from optuna_dashboard import get_note
 from storage.databases.studies import only_run
 from study.experiment.experiment import read_experiment
 from taichi_nmm import GAIN_NAMES, Result, load_gains
+from taichi_nmm.parameters import PUBLISHED_GAINS, load_all_gains
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Command, Simulator, Tool
 from tests.tools.running import ROOT, load_command
@@ -92,6 +93,15 @@ def test_the_best_trial_has_its_picture_in_the_dashboard(command: Study, walks: 
     assert get_note(command.study()).startswith("## ")  # what the features were worth
     find_artifacts = load_command("dashboard").find_artifacts
     assert find_artifacts(None, command.url, None) == file.parent
+
+
+@pytest.mark.slow
+def test_fixed_gains_stand_beside_the_best(command: Study, walks: list[int]) -> None:
+    top = 'fixed_gains = "published"\nsearched = ["exo_torque"]'
+    config = fake_walker.write_config(command.folder, top)
+    found = command.json(config=config, store="", arm="random")
+    gains, low_level = load_all_gains(found["gains"])
+    assert gains.tolist() == PUBLISHED_GAINS.tolist() and low_level[8] > 0.0
 
 
 @pytest.mark.slow
