@@ -14,10 +14,10 @@ A control holds for some physics steps, in which no Python runs.
 
 import hashlib
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +80,6 @@ def gymnasium_model(file: str) -> Path:
     Raises:
         InputError: Gymnasium is not installed, or has no such file.
     """
-    from importlib.util import find_spec
-
     found = find_spec("gymnasium")
     if found is None or found.origin is None:
         raise InputError("model", file, "Gymnasium's: pip install gymnasium")
@@ -134,7 +132,9 @@ class MujocoSimulator(FunctionSimulator):
         Raises:
             InputError: MuJoCo is missing, the model does not load or lacks ground or actuators.
         """
-        _require_mujoco()
+        if find_spec("mujoco") is None or find_spec("mujoco.batch") is None:
+            allowed = "MuJoCo 4.0 or newer: pip install 'taichi-nmm[mujoco]'"
+            raise InputError("simulator", "MujocoSimulator", allowed)
         given = dict(worlds or {})
         for name in given:
             if name not in WORLDS:
@@ -236,13 +236,19 @@ class MujocoSimulator(FunctionSimulator):
         watch: Callable[[Floats], None] = lambda qpos: None,
     ) -> dict[str, Floats]:
         """Columns of n points in w worlds with these models, [n, w]."""
+        import mujoco
+
         herd = _Herd(self, points, worlds, models)
         steps = max(round(seconds / self.control_step_s), 1)
-        with _quiet():
+        warn = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(lambda text: None)  # no lines, nor a file, on who diverges
+        try:
             for step in range(steps):
                 watch(herd.qpos)
                 if not herd.advance(step):
                     break
+        finally:
+            mujoco.set_mju_user_warning(warn)
         return herd.columns(steps)
 
     def _require_worlds(self, worlds: DrawnNumbers) -> None:
@@ -493,27 +499,6 @@ class _Herd:
         due = self._world[self._up]
         due = np.where(self._pushed_at[due] == step, self._push[due], 0.0)
         self._qvel[self._up, 0] += due
-
-
-def _require_mujoco() -> None:
-    from importlib.util import find_spec
-
-    if find_spec("mujoco") is None or find_spec("mujoco.batch") is None:
-        allowed = "MuJoCo 4.0 or newer: pip install 'taichi-nmm[mujoco]'"
-        raise InputError("simulator", "MujocoSimulator", allowed)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Without MuJoCo's lines, on the screen and in a file, about robots that diverge."""
-    import mujoco
-
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda text: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def _one(worlds: Mapping[str, Any], place: int) -> dict[str, float]:

@@ -80,16 +80,10 @@ def precompute(
 ) -> Summary:
     """Finish the store at `path`, or make it.
 
-    However this ends, it loses the shards in work and no others. The next call goes on, and the
-    manifest at the end is that of a run that nothing stopped.
-
-    Args:
-        specification: of the store.
-        path: of its folder.
-        fresh: start over.
-        progress: called within a shard by a pool in this process, by others a shard at a time.
-        pool: that computes the shards; the files do not depend on it. A single shard is computed
-            in this process.
+    However this ends, it loses the shards in work and no others. The next call goes on, unless it
+    is to start over, `fresh`, and the manifest at the end is that of a run that nothing stopped.
+    Files do not depend on the pool, by which shards are computed; a single one, in this process.
+    Progress is told within a shard by a pool in this process, by others a shard at a time.
 
     Raises:
         InputError: see `StoreFolder.claim`; the disk is full, or a process of the pool was killed.

@@ -321,7 +321,13 @@ def open_store(path: str | Path, verify: bool = False, unfinished: bool = False)
             files = tuple(path / name for name in manifest.hashes)
     footers = tuple(map(_checked_footer, files))
     if manifest is not None:
-        _check_folder(files, footers, manifest)
+        expected = document_hash(manifest.specification)
+        for number, (file, footer) in enumerate(zip(files, footers, strict=True)):
+            if (footer["specification_hash"], footer["shard"]) != (expected, number):
+                raise InputError("store", str(file), f"shard {number} of this store")
+        rows = sum(footer["rows"] for footer in footers)
+        if rows != manifest.rows:
+            raise InputError("store", f"{rows} rows", f"{manifest.rows} rows, as the manifest says")
     elif len({footer["specification_hash"] for footer in footers}) > 1:
         raise InputError("store", str(path), "a folder of shards of one store")
     specification = footers[0]["specification"]
@@ -342,18 +348,6 @@ def merge(source: str | Path, target: str | Path) -> Store:
         footer[key] = values[0] if all(value == values[0] for value in values) else values
     write_table(target, store.table(), footer | {"rows": len(store)})
     return open_store(target)
-
-
-def _check_folder(
-    files: tuple[Path, ...], footers: tuple[dict[str, Any], ...], manifest: Manifest
-) -> None:
-    expected = document_hash(manifest.specification)
-    for number, (file, footer) in enumerate(zip(files, footers, strict=True)):
-        if (footer["specification_hash"], footer["shard"]) != (expected, number):
-            raise InputError("store", str(file), f"shard {number} of this store")
-    rows = sum(footer["rows"] for footer in footers)
-    if rows != manifest.rows:
-        raise InputError("store", f"{rows} rows", f"{manifest.rows} rows, as the manifest says")
 
 
 def _verify(file: Path) -> None:

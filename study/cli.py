@@ -50,10 +50,9 @@ REFUSALS = {
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Run the command that the first word names; leave with its exit code.
+    """Run the command that the first word names, with the others as options; leave with its code.
 
-    Args:
-        words: command and options; None: those that this process was called with.
+    None: the words that this process was called with.
     """
     words = sys.argv[1:] if words is None else words
     with guarded_imports():

@@ -68,11 +68,8 @@ def guarded(application: Application, artifacts: Path | None) -> Application:
     """A WSGI application that answers loopback names alone, and serves only images and films.
 
     A database may give its artifacts any type, so files of other types than pictures and films are
-    refused. No answer may be read by pages of other sites.
-
-    Args:
-        application: whose paths below /artifacts/ are files of the folder.
-        artifacts: the folder; links in it are not followed. None: there are no files.
+    refused. No answer may be read by pages of other sites. The application's paths below
+    /artifacts/ are files of the folder, in which links are not followed; None: there are none.
     """
 
     def answer(environment: Environment, start: Callable[..., Any]) -> Iterable[bytes]:

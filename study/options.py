@@ -48,12 +48,10 @@ LARGEST_SEQUENCE = later("storage.points", "LARGEST_SEQUENCE")
 
 
 class Options(argparse.ArgumentParser):
-    """The parser of one command.
+    """The parser of the command in a file, which is called `prog`; by default, as this process was.
 
-    Args:
-        file: of the command; its docstring is the description. It is read from the source, since
-            `python -OO` drops docstrings.
-        prog: how the command is called; default: as this process was.
+    The file's docstring is the description. It is read from the source, since `python -OO` drops
+    docstrings.
     """
 
     def __init__(self, file: str | Path, prog: str | None = None) -> None:

@@ -125,13 +125,9 @@ class Versus(NamedTuple):
 
 
 class Comparison:
-    """The figures of all runs, for each (problem, arm).
+    """The figures of all runs: for each (problem, arm) costs [seeds, trials], median seconds.
 
     A sampler that draws nothing repeats one run, and its seeds are then no sample.
-
-    Args:
-        costs: of trials, [seeds, trials] for each (problem, arm).
-        seconds: of a run, the median.
     """
 
     def __init__(
