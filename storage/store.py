@@ -229,6 +229,18 @@ class Store:
         robust = () if self.specification.get("robust") is None else ("robust",)
         return (*robust, *self.specification.get("families", {}))
 
+    @checks.checked(family=checks.text)
+    def settings_of(self, family: str) -> dict[str, Any]:
+        """What the specification has of a family: its horizon, the worlds drawn and so on.
+
+        Raises:
+            InputError: not one of `families`.
+        """
+        checks.word(*self.families)("family", family)
+        known = {"robust": self.specification.get("robust"),
+                 **self.specification.get("families", {})}  # fmt: skip
+        return dict(known[family])
+
     @checks.checked(family=checks.text, column=checks.text)
     def outcomes(self, family: str, column: str) -> NDArray[np.float32]:
         """What each row gave in each world of a family, [n, w]; NaN where it was not run.

@@ -97,11 +97,11 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     """
     if not store.families:
         raise InputError("store", str(store.path), "a store with families of worlds")
-    known = store.specification.get("families", {})
+    known = {family: store.settings_of(family) for family in store.families}
     read = cache(partial(_in_families, store))
     found: dict[str, Floats] = {}
-    for family in sorted(store.families, key=lambda name: "after" in known.get(name, {})):
-        settings = store.specification["robust"] if family == "robust" else known[family]
+    for family in sorted(store.families, key=lambda name: "after" in known[name]):
+        settings = known[family]
         costs = cost(Given(family, read), float(settings["horizon_s"]))
         if "after" in settings:
             missing, before = np.isnan(costs).any(axis=1), found[settings["after"]]

@@ -85,8 +85,7 @@ def row_at_speed(store: Path, speed_mps: float) -> int:
     known_simulator(opened.specification)
     names = (SURVIVED, "mean_speed_mps", "cost_of_transport_jpkgpm")
     if opened.families:
-        known = {"robust": opened.specification["robust"], **opened.specification["families"]}
-        longest = max(opened.families, key=lambda family: known[family]["horizon_s"])
+        longest = max(opened.families, key=lambda name: opened.settings_of(name)["horizon_s"])
         lasted, speeds, energies = (opened.outcomes(longest, name) for name in names)
     else:
         rows = opened.numpy(names)

@@ -116,7 +116,7 @@ def world_of(store: Store, name: str) -> dict[str, float]:
 
 
 def _drawn(store: Store, family: str) -> dict[str, list[float]]:
-    drawn: dict[str, list[float]] = store.specification["families"][family].get("drawn", {})
+    drawn: dict[str, list[float]] = store.settings_of(family).get("drawn", {})
     return drawn
 
 

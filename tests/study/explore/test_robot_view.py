@@ -34,6 +34,13 @@ def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
     assert f"<td>thrust_n</td><td>{cart.gains()[3, 0]:.4g}</td>" in text and "_worlds" not in text
 
 
+def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
+    store = make_store(robot.Cart, tmp_path / "cart", workers=1, samples=8, robust=GALE)
+    drawn = store.specification["robust"]["drawn"]
+    assert world_names(store) == ["robust 0", "robust 1"]
+    assert world_of(store, "robust 1") == {name: float(each[1]) for name, each in drawn.items()}
+
+
 def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
     with pytest.raises(InputError, match=r"^simulator: .* a MujocoSimulator"):
         page_of(cart.path, "tests/storage/robot.py:Cart")
