@@ -212,19 +212,19 @@ class Covariance:
     def towards(self, theta: Floats, a: Floats, precision: type[np.floating[Any]]) -> Towards:
         """The covariance, without noise, of rows a [n, p] and others; in 32 or 64 bits.
 
-        Distances are differences of large numbers, and are taken in 64 bits always.
+        Distances are taken in 64 bits always; what is of size [n, m] after that may be in 32.
         """
         sides = []
         for term, variance, scales in self.valued(theta):
             own = a[:, term.first : term.end]
-            left = _left(_scaled(own, scales)).T if len(scales) else own.astype(precision)
+            left = _left(_scaled(own, scales)).T if len(scales) else own
             sides.append((term, variance, scales, left))
 
         def cross(x: Floats) -> AnyFloats:
             total: Any = None
             for term, variance, scales, left in sides:
                 seen = x[:, term.first : term.end]
-                right = _right(_scaled(seen, scales)) if len(scales) else seen.astype(precision).T
+                right = _right(_scaled(seen, scales)) if len(scales) else seen.T
                 k = (left @ right).astype(precision, copy=False)
                 if len(scales):
                     np.exp(k, out=k)
