@@ -182,11 +182,14 @@ def facts(results: Results) -> dict[str, str]:
         "wall time": _wall_time(sessions),
         "versions": _words(results.facts.get("versions")),
         "cost": results.cost,
+        "what it weighs": _words(results.facts.get("objective", {}).get("terms")),
         "a trial": f"{simulation['duration_s']:g} s" if "duration_s" in simulation else "",
         "simulation": _words({k: v for k, v in simulation.items() if k != "duration_s"}),
         "body": _words(results.facts.get("body")),
         "terrain": str(results.facts.get("terrain", {}).get("name", "")),
-        "searched beside the 16 gains": ", ".join(results.facts.get("searched", [])),
+        f"searched {'alone' if 'fixed_gains' in results.facts else 'beside the 16 gains'}": (
+            ", ".join(results.facts.get("searched", []))
+        ),
         "seed": str(results.facts.get("seed", "")),
     }
     return {name: escaped(value) for name, value in found.items() if value}

@@ -80,6 +80,14 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
     assert words == "system &lt;script&gt;alert(1)&lt;/script&gt; # b \\| c"
 
 
+def test_facts_say_what_a_goal_weighs_and_what_is_searched() -> None:
+    known = {"searched": ["exo_peak"], "objective": {"terms": {"mean_speed_mps": 2.0}}}
+    for more, where in (({}, "beside the 16 gains"), ({"fixed_gains": {"K_GAS": 1.0}}, "alone")):
+        found = facts(Results(Path(), "exo", "weighted", {}, known | more))
+        assert found["what it weighs"] == "mean_speed_mps 2.0"
+        assert found[f"searched {where}"] == "exo_peak"
+
+
 def test_one_table_a_quantity_of_several_experiments() -> None:
     stairs = arm("worlds-stairs", [1, 1, 1, 4], trials=10)
     first = counted(arm("dog", [2] * 4, trials=10), stairs, name="a")
