@@ -42,10 +42,12 @@ def filming_of(bench: Bench, simulator: str | None) -> Filming | None:
             raise InputError("simulator", simulator, f"one with the parameters {', '.join(space)}")
         numbers = {name: each.to_internal_repr for name, each in space.items()}
         return partial(_of_robot, simulator, numbers)
-    store = bench.plan.candidates.unread.get("store")
-    if store is None or open_store(bench.plan.candidates.folder / store).simulator != WALKER:
+    candidates = bench.plan.candidates
+    if "store" not in candidates.unread:
         return None
-    return of_walker
+    store = open_store(candidates.folder / candidates.unread["store"])
+    fixed = store.specification.get("fixed_gains", {})
+    return partial(of_walker, fixed) if store.simulator == WALKER else None
 
 
 def _of_robot(
@@ -55,11 +57,13 @@ def _of_robot(
     return filmed(simulator, point, {}, SECONDS)
 
 
-def of_walker(params: Mapping[str, Any]) -> bytes:
-    """An MP4 of our walker on level ground, with the nominal body."""
+def of_walker(fixed: Mapping[str, float], params: Mapping[str, Any]) -> bytes:
+    """An MP4 of our walker on level ground, with the nominal body; `fixed` gains count too."""
     level = {"seed": 0, "simulation": {"duration_s": SECONDS}, "terrain": {"kind": "flat"}}
     experiment = experiment_of(Table(level), "candidate")
-    walk = recorded_walk(named_gains("candidate", params), experiment, 0, SMALL.rate_hz)
+    walk = recorded_walk(
+        named_gains("candidate", {**fixed, **params}), experiment, 0, SMALL.rate_hz
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "walk.mp4"
         write_movie(path, walk.trajectories[0], experiment.terrain(0), SECONDS, film=SMALL)
