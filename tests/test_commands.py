@@ -19,7 +19,7 @@ from study.commands import quickstart
 from study.experiment import artifacts
 from study.options import config_path, shipped_configs
 from study.pictures import trajectory_files
-from taichi_nmm.parameters import GAIN_NAMES
+from taichi_nmm.parameters import DEVICE, GAIN_NAMES
 from tests.study import fake_walker
 from tests.test_docs import code_blocks
 from tests.tools.conftest import Tool, tool
@@ -107,9 +107,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / name).write_text(text)
         out = folder / "out"
         fake_walker.write_store(out / "store")
-        for kind in ("worlds", "stairs", "worlds-large"):
+        for kind in ("worlds", "stairs", "worlds-large", "speed"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
+        device = [each.name for each in DEVICE]
+        fake_walker.write_store(out / "store-exo", searched=device, fixed_gains="reference")
         for name in ("walker2d", "ant"):
             few = ("--config", name, "--samples", 96, "--workers", 1)
             assert run_tool(patch, "precompute", *few) == 0

@@ -2,7 +2,7 @@
 
     taichi-nmm walk --gains reference --config flat --out out/walk/reference
     taichi-nmm walk --store out/store --row 17
-    taichi-nmm walk --store out/store --speed 0.8
+    taichi-nmm walk --store out/store-speed --speed 1.0
     taichi-nmm walk --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
         --config rough8-smooth --run 7
 

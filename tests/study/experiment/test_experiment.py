@@ -100,8 +100,8 @@ def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file
     assert experiment.until_walker == (elsewhere or hardly_any)
     trials = {"rough8-smooth": 100, "rough6-walking": 60}.get(file.stem, 40)
     trials = 100 if file.stem.startswith("stairs-up") else trials
-    at_speed = file.stem.startswith("speed-")
-    assert (experiment.runs, experiment.trials) == ((20, 50) if at_speed else (50, trials))
+    own = {"speed": (20, 50), "exo": (20, 30)}.get(file.stem.partition("-")[0])
+    assert (experiment.runs, experiment.trials) == (own or (50, trials))
     assert experiment.conditions.build.disturbance > 0
 
 
