@@ -237,8 +237,7 @@ class Store:
             InputError: not one of `families`.
         """
         checks.word(*self.families)("family", family)
-        known = {"robust": self.specification.get("robust"),
-                 **self.specification.get("families", {})}  # fmt: skip
+        known = self.specification if family == "robust" else self.specification["families"]
         return dict(known[family])
 
     @checks.checked(family=checks.text, column=checks.text)

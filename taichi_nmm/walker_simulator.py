@@ -154,8 +154,9 @@ class Walker:
             if gain not in (*self.searched, *DEVICE)
         }
         document = {"low_level_gains": fixed, "simulation": self.settings.document()}
-        gains = dict(zip(GAIN_NAMES, self.fixed, strict=True)) if self.fixed else {}
-        return document | ({"fixed_gains": gains} if gains else {})
+        if self.fixed:
+            document["fixed_gains"] = dict(zip(GAIN_NAMES, self.fixed, strict=True))
+        return document
 
     def versions(self) -> dict[str, str]:
         """The version of another engine than our own."""

@@ -17,10 +17,8 @@ import os
 import shlex
 import sys
 from argparse import Namespace
-from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import optuna
@@ -67,7 +65,7 @@ def main(args: Namespace) -> None:
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
     with taken as crew, storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
-        keep_best(study, gains, experiment.fixed_by_name)
+        keep_best({**experiment.fixed_by_name, **study.best_params}, gains)
         from study.experiment.artifacts import draw_best  # Matplotlib: a second
 
         with crew.turn() if crew else nullcontext():
@@ -102,19 +100,17 @@ def on_robot(args: Namespace) -> None:
     with only_run(args.storage, name), storage_errors(args.storage):
         study = robots.live_study(experiment, args.arm, args.run, storage, report)
     best = folder / f"{args.arm}-run-{args.run:03d}-best.json"
-    keep_best(study, best)
+    keep_best(study.best_params, best)
     known = {"study": name, "best_cost": study.best_value, "best": str(best),
              "dashboard": dashboard_command(args.storage, folder)}  # fmt: skip
     print(json.dumps(known) if args.json else lines(known))
 
 
-def keep_best(
-    study: optuna.Study, file: Path, fixed: Mapping[str, float] = MappingProxyType({})
-) -> None:
-    """Write the best parameters of a study, after those that were fixed."""
+def keep_best(params: dict[str, Any], file: Path) -> None:
+    """Write the best parameters of a study."""
     with writable(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)
-    commit_json(file, {**fixed, **study.best_params})
+    commit_json(file, params)
 
 
 def lines(known: dict[str, Any]) -> str:

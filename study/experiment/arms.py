@@ -178,9 +178,8 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     try:
         store = open_store(stores[arm.store])
         base = store.specification
-        known = {"robust": base.get("robust"), **base.get("families", {})}
         families = store.families if in_worlds else ()
-        for setting in (base, *(known[name] for name in families)):
+        for setting in (base, *map(store.settings_of, families)):
             percent = 100.0 * setting["body"]["disturbance"]
             body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
             body += ", in worlds that differ" * ("world" in setting)

@@ -21,7 +21,7 @@ from storage.simulator import SURVIVED
 from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost, walking_cost
+from taichi_nmm.result import COMPLETED, FELL, NEEDED, RESULT_DTYPE, smooth_cost, walking_cost
 
 Floats = NDArray[np.float64]
 
@@ -30,11 +30,7 @@ WEIGHTED = "weighted"
 SUCCESS_SPEED_MPS = 1.0  # people walk at 1.3; with 1.1, up a ramp, first walkers come later
 WALKING_SUCCESS = 150.0  # walking_cost: who falls pays 300 less the distance, who lasts below 130
 MOST_WEIGHT = 1e9
-TRIAL_DTYPE = np.dtype([
-    (name, RESULT_DTYPE[name])  # what the paper's costs depend on
-    for name in ("end_reason", "duration_s", "distance_m", "mean_speed_mps",
-                 "cost_of_transport_jpkgpm")
-])  # fmt: skip
+TRIAL_DTYPE = np.dtype([(name, RESULT_DTYPE[name]) for name in NEEDED])  # by the paper's costs
 
 
 @dataclass(frozen=True)
