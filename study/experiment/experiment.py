@@ -197,8 +197,7 @@ def as_written(experiment: Experiment) -> dict[str, Any]:
     """All that decides trials, as the tables of a configuration; `experiment_of` reads it back."""
     # A switch that is off changes no digest of before there was one.
     switches: dict[str, Any] = {"until_walker": True} if experiment.until_walker else {}
-    if experiment.fixed:
-        switches["fixed_gains"] = experiment.fixed_by_name
+    switches |= {"fixed_gains": experiment.fixed_by_name} if experiment.fixed else {}
     return {
         "name": experiment.name,
         "seed": experiment.seed,

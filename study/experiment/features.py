@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from storage.store import Store, open_store, outcome_name
+from storage.store import Store, evaluated_name, open_store, outcome_name
 from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
@@ -117,7 +117,9 @@ def _in_families(store: Store, column: str) -> dict[str, NDArray[Any]]:
     """A column [n, w] by family; where no world has kept it, as it was in the base setting."""
     if any(outcome_name(family, column) in store.columns for family in store.families):
         return store.all_outcomes(column, store.families)
-    return dict.fromkeys(store.families, store.numpy([column])[column][:, None])
+    ran = {family: evaluated_name(family) for family in store.families}
+    rows = store.numpy([column, *ran.values()])
+    return {name: np.where(rows[flag], rows[column], np.nan)[:, None] for name, flag in ran.items()}
 
 
 @checks.checked(path=checks.path, cost=checks.optional(checks.function))

@@ -176,6 +176,7 @@ def facts(results: Results) -> dict[str, str]:
     """How the runs were made, a line a fact; facts that the folder lacks are left out."""
     sessions = results.facts.get("sessions", [])
     simulation = results.facts.get("simulation", {})
+    how = "alone" if "fixed_gains" in results.facts else "beside the 16 gains"
     found = {
         "date": _days(sessions),
         "machine": "; ".join(dict.fromkeys(_words(each.get("machine")) for each in sessions)),
@@ -187,9 +188,7 @@ def facts(results: Results) -> dict[str, str]:
         "simulation": _words({k: v for k, v in simulation.items() if k != "duration_s"}),
         "body": _words(results.facts.get("body")),
         "terrain": str(results.facts.get("terrain", {}).get("name", "")),
-        f"searched {'alone' if 'fixed_gains' in results.facts else 'beside the 16 gains'}": (
-            ", ".join(results.facts.get("searched", []))
-        ),
+        f"searched {how}": ", ".join(results.facts.get("searched", [])),
         "seed": str(results.facts.get("seed", "")),
     }
     return {name: escaped(value) for name, value in found.items() if value}

@@ -8,6 +8,7 @@ from numpy.testing import assert_array_equal
 from storage.store import open_store
 from study.experiment.arms import ARMS, check_arms
 from study.experiment.experiment import candidates
+from study.experiment.features import world_table
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -30,3 +31,15 @@ def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
         assert ran[rows[rows >= 0]].all()  # others are between rows
         with refused(f"trials: {count + 1} .* at most {count}, the rows that {arm} may"):
             check_arms(experiment, (arm,), count + 1)
+
+
+def test_what_no_world_has_kept_is_that_of_level_ground_for_rows_that_ran(fake_simulator, tmp_path):
+    strict = {"settings": 1, "min_survival_s": 2.8}  # a third of the fake's points falls sooner
+    fake_walker.write_store(tmp_path / "strict", robust=strict, families={"rough": strict})
+    store = open_store(tmp_path / "strict")
+    known = world_table(store.path, lambda given, horizon_s: given["phi_printed"]).rows
+    ran, own = world_table(store.path).rows.offered, store.numpy(["phi_printed"])["phi_printed"]
+    assert 0 < ran.sum() < len(store)
+    assert_array_equal(known.offered, ran)
+    for costs in known.worlds.costs[ran].T:
+        assert_array_equal(costs, own[ran])
