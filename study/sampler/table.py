@@ -136,13 +136,16 @@ class Rows:
         """
         pools = [self._once(("pool", c.tobytes()), partial(self._pool, c)) for c in centres]
         pool = np.unique(np.concatenate(pools))
-        distance = scipy.spatial.distance.cdist(points, self.unit[pool])
+        unit = self.unit[pool]
+        # |a|^2 + |b|^2 - 2 a . b, with one product of matrices.
+        squares = (points**2).sum(axis=1)[:, None] + (unit**2).sum(axis=1) - 2.0 * points @ unit.T
         count = min(NEAR_ROWS, len(pool))
-        near = np.argpartition(distance, count - 1, axis=1)[:, :count]
-        weight = 1.0 / (np.take_along_axis(distance, near, axis=1) + 1e-3) ** NEAR_POWER
+        near = np.argpartition(squares, count - 1, axis=1)[:, :count]
+        square = np.maximum(np.take_along_axis(squares, near, axis=1), 0.0)
+        weight = 1.0 / (np.sqrt(square) + 1e-3) ** NEAR_POWER
         weight /= weight.sum(axis=1, keepdims=True)
-        matrix = np.zeros(distance.shape)
-        np.put_along_axis(matrix, near, weight, axis=1)
+        starts = np.arange(0, near.size + 1, count)
+        matrix = scipy.sparse.csr_array((weight.ravel(), near.ravel(), starts), squares.shape)
         return np.asarray(matrix @ columns[pool])
 
     def mixed_at(self, points: Points, place: Floats) -> Floats:
