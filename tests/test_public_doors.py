@@ -77,7 +77,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
     table = study.FeatureTable.from_arrays({"x": np.linspace(0, 1, 20)}, np.linspace(0, 1, 20))
     sampler = study.FeatureKernelSampler(table, seed=1)
     options: dict[str, Any] = {
-        "seed": 1, "prior": "-feature_0", "kernel": "rbf", "feature_function": np.sin,
+        "seed": 1, "kernel": "rbf", "feature_function": np.sin,
         "off_grid": 2, "space": None, "strict": True, "extra_parameters": ("y",),
         "independent_sampler": optuna.samplers.RandomSampler(seed=1), "success": 0.5,
         "allowed": None, "constraints_func": None,

@@ -180,7 +180,7 @@ class Comparison:
             for at in dict.fromkeys((first, every[-1])):
                 what = f"ahead of TPESampler after {at} (p < {AHEAD_P:g})"
                 check(what, ours, ["tpe"], [at], to_lead=True)
-            if ours == "ours-prior":
+            if ours == "ours-ranked":
                 check(f"never behind the ranking alone {behind}", ours, ["ranking"], every)
             elif 5 in every:
                 what = f"after {first} not behind the ranking after 5 {behind}"

@@ -17,7 +17,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from itertools import repeat
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -202,13 +202,14 @@ def rows_by_ranking(problem: OutsideProblem, seed: int) -> NDArray[np.int64]:
     return np.lexsort((among_equals, problem.ranking))
 
 
-def table(problem: OutsideProblem, ranking: bool) -> FeatureTable:
-    """The pool with its features as they come; with `ranking`, the ranking is one more."""
-    features, names = problem.features, [*problem.feature_meanings]
+def table(problem: OutsideProblem, ranking: bool = False) -> FeatureTable:
+    """The pool with its features as they come; with `ranking`, that is an outcome of each row."""
+    known: dict[str, Any] = {"features": problem.features, "space": problem.space}
     if ranking:
-        features, names = np.column_stack([features, problem.ranking]), [*names, RANKING]
+        known |= {"outcomes": problem.ranking, "better": "lower"}
     with warnings.catch_warnings(action="ignore", category=UserWarning):  # of infinite features
-        return FeatureTable.from_arrays(problem.columns, features, names, space=problem.space)
+        names = [*problem.feature_meanings]
+        return FeatureTable.from_arrays(problem.columns, feature_names=names, **known)
 
 
 @dataclass(frozen=True)
@@ -246,9 +247,14 @@ def of_optuna(sampler: Callable[..., BaseSampler], **options: Any) -> Costs:
     return lambda problem, seed, trials: study_costs(problem, sampler(seed=seed, **options), trials)
 
 
-def _ours(problem: OutsideProblem, seed: int, trials: Batches, prior: str | None = None) -> Floats:
-    pool = table(problem, ranking=prior is not None)
-    return study_costs(problem, FeatureKernelSampler(pool, seed=seed, prior=prior), trials)
+def _ours(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
+    return study_costs(problem, FeatureKernelSampler(table(problem), seed=seed), trials)
+
+
+def _ours_ranked(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
+    """A cost was computed for the rows of the pool alone: no other point is proposed."""
+    sampler = FeatureKernelSampler(table(problem, ranking=True), seed=seed, off_grid=0)
+    return study_costs(problem, sampler, trials)
 
 
 def _by_formula(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
@@ -358,9 +364,7 @@ class Arm(NamedTuple):
 # CmaEsSampler draws choices at random, as always in Optuna.
 ARMS = {
     "ours": Arm("ours", FEATURES, _ours, ours=True),
-    "ours-prior": Arm(
-        "ours, ranking as prior", RANKED, partial(_ours, prior=f"-{RANKING}"), ours=True
-    ),
+    "ours-ranked": Arm("ours, with the ranking", RANKED, _ours_ranked, ours=True),
     "ours-formulas": Arm("ours, formulas alone", FORMULAS, _by_formula, ours=True),
     "ranking": Arm("the ranking alone", RANKED, _ranking_alone),
     "tpe-ranking": Arm(

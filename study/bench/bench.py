@@ -36,7 +36,7 @@ WHOLE, VALUE = checks.whole(0), checks.optional(checks.number())
 COLUMNS = checks.optional(checks.by_name(checks.number()))
 Own = tuple[Mapping[str, Any], float, Mapping[str, float], str]
 """Parameters, value, columns and note of a trial that nobody proposed."""
-BEFORE = "as before"  # the feature, or the world, that other contexts tell of
+BEFORE = "as before"  # the world that other contexts tell of
 MOST_BATCH = 1000
 TOLD = {True: TrialState.COMPLETE, False: TrialState.RUNNING}
 
@@ -248,15 +248,12 @@ class Bench:
         return str(sampler.worth(self._study(self.state))) if sampler.has_features else ""
 
     def simulated(self) -> dict[int, float]:
-        """The mean over the worlds, or the feature of the prior, of each finished trial."""
-        rows, prior = self.candidates.table.rows, self.candidates.prior
+        """The mean over the worlds of each finished trial; none without worlds."""
+        rows = self.candidates.table.rows
         told = [trial for trial in self.state.trials.values() if trial.value is not None]
-        if not told or (rows.worlds is None and prior is None):
+        if not told or rows.worlds is None:
             return {}
-        if rows.worlds is not None:
-            known = rows.worlds.costs @ rows.worlds.weights
-        else:
-            known = rows.features[:, rows.feature_names.index(str(prior).removeprefix("-"))]
+        known = rows.worlds.costs @ rows.worlds.weights
         places = rows.space.unit(np.array([rows.space.row(trial.params) for trial in told]))
         values = rows.mixed(known[rows.numbers][:, None], places, places)[:, 0].tolist()
         return dict(zip([trial.number for trial in told], values, strict=True))
@@ -435,8 +432,7 @@ class Bench:
 def with_before(candidates: Candidates, told: Any, *, maximise: bool) -> Candidates:
     """Candidates of which k other contexts tell something too.
 
-    It is a family of worlds with the weight of all others; without worlds, a feature, the mean of
-    what the contexts tell, whose ranking is believed as far as trials confirm it.
+    It is a family of worlds with the weight of all others.
 
     Args:
         candidates: as they are.
@@ -444,20 +440,17 @@ def with_before(candidates: Candidates, told: Any, *, maximise: bool) -> Candida
         maximise: high values are good.
     """
     rows, k = candidates.table.rows, told.shape[1]
-    if rows.worlds is None:
-        features = np.column_stack([rows.features, told.mean(axis=1)])
-        names = (*rows.feature_names, BEFORE)
-        table = FeatureTable(replace(rows, features=features, feature_names=names))
-        return Candidates(table, BEFORE if maximise else f"-{BEFORE}")
-    own = rows.worlds
+    before, own = tuple(f"{BEFORE} {place}" for place in range(k)), rows.worlds
+    if own is None:
+        worlds = Worlds(before, told, np.full(k, 1.0 / k))
+        return Candidates(FeatureTable(replace(rows, worlds=worlds)))
     if own.better is not None:  # in units of their own: as many standard deviations
         sign = 1.0 if maximise is (own.better == "higher") else -1.0
         spread = float(np.nanstd(told)) or 1.0
         told = sign * (told - np.nanmean(told)) / spread * np.nanstd(own.costs)
         told = told + np.nanmean(own.costs)
     weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
-    names = (*own.names, *(f"{BEFORE} {place}" for place in range(k)))
-    worlds = Worlds(names, np.hstack([own.costs, told]), weights, own.better)
+    worlds = Worlds((*own.names, *before), np.hstack([own.costs, told]), weights, own.better)
     return Candidates(FeatureTable(replace(rows, worlds=worlds)))
 
 

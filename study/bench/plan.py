@@ -4,7 +4,7 @@ name = "walk"
 [candidates]
 file = "candidates.csv"            # or a Parquet file; or store = "out/store-worlds"
 parameters = ["stiffness", "damping"]
-outcomes = ["cost in world *"]     # or features = [...], and prior = "-simulated_cost"
+outcomes = ["cost in world *"]     # or features = [...], or both
 [goal]
 value = "J/m"
 success = 0.3
@@ -140,14 +140,10 @@ class Plan:
             InputError: naming the key of the file, or the column and row.
         """
         table = Table(self.candidates.unread, "candidates", self.candidates.folder)
-        prior = table.text("prior", "") or None
         with warnings.catch_warnings(action="ignore", category=UserWarning):  # of rows left out
             found = _of_store(table, self.goal) if "store" in table.unread else _of_file(table)
         table.done()
-        if prior is not None and prior.removeprefix("-") not in found.rows.feature_names:
-            names = ", ".join(found.rows.feature_names) or "none: there are no features"
-            raise InputError("candidates.prior", prior, f"one of {names}")
-        return Candidates(found, prior)
+        return Candidates(found)
 
 
 @dataclass(frozen=True)
@@ -155,7 +151,6 @@ class Candidates:
     """What may be tried, and what is known of it before."""
 
     table: FeatureTable
-    prior: str | None = None  # of the sampler
 
     def sampler(self, plan: Plan, allowed: NDArray[np.bool_] | None = None) -> FeatureKernelSampler:
         """The sampler over them; trials off the table have what their nearest rows have."""
@@ -166,7 +161,7 @@ class Candidates:
                 places = rows.space.unit(points)
                 return rows.mixed(rows.features[rows.numbers], places, places)
 
-            options = {"feature_function": features, "prior": self.prior}
+            options = {"feature_function": features}
         return FeatureKernelSampler(
             self.table, seed=plan.seed, success=plan.goal.success, allowed=allowed, **options
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from study.sampler.gp import Covariance, Kernel, Posterior, condition, learn, new_covariance
 from study.sampler.similarity import Relation
-from study.sampler.transforms import Points, PriorMean, log_excess, of_log_excess, squarable
+from study.sampler.transforms import Points, log_excess, of_log_excess, squarable
 from study.sampler.worlds import Ensemble
 
 Floats = NDArray[np.float64]
@@ -42,7 +42,6 @@ class Model:
     """The posterior after some trials, and the improvement that it lets expect."""
 
     kernel: Kernel  # of this trial
-    prior_mean: PriorMean | None  # None: zero, or it is not believed
     parameters: int  # d
     trials: Points  # the finished ones, n, at least one
     costs: Floats  # what they showed, lower is better, finite, [n]
@@ -79,7 +78,7 @@ class Model:
 
     @cached_property
     def posterior(self) -> Posterior:
-        """Of the cost less the prior mean; running trials count with their expected costs."""
+        """Of the cost less what is expected; running trials count with their expected costs."""
 
         def y(some: slice) -> Floats:
             cost = self.cost(some)
@@ -122,12 +121,8 @@ class Model:
         return of_log_excess(cost, self.costs) if self.kernel.by_order else cost
 
     def expected(self, points: Points, cost: Floats) -> Floats:
-        """The prior mean at points, [m], in the unit of these costs."""
-        mean = np.zeros(len(points))
-        if self.ensemble is not None:
-            mean = points.features[:, -1]
-        elif self.prior_mean is not None:
-            mean = self.prior_mean.cost(points.features)
+        """The mean over the worlds at points, [m], in the unit of these costs; 0 without worlds."""
+        mean = np.zeros(len(points)) if self.ensemble is None else points.features[:, -1]
         return mean if self._in_costs is not None else (float(cost.std()) or 1.0) * mean
 
     @property

@@ -98,7 +98,6 @@ class Worth:
         errors: None: too few trials, or all cost the same.
         is_doubted: every other trial is left to the parameters at present.
         maximised: the study's value is; costs are minus the values.
-        prior: remarks on the option `prior`, in sentences.
     """
 
     trials: int
@@ -107,7 +106,6 @@ class Worth:
     errors: Errors | None
     is_doubted: bool
     maximised: bool
-    prior: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -161,7 +159,6 @@ class Worth:
 
     def _remarks(self) -> Iterator[str]:
         """Notes on how to read the figures."""
-        yield from self.prior
         if not self.names:
             return
         yield (
@@ -188,7 +185,6 @@ class Present:
     features: Floats  # of the n trials, in units of their own, NaN where unknown, [n, k]
     model: Model  # the sampler's, for trials that follow the features
     is_doubted: bool  # whether every other trial is left to the parameters at present
-    first: Mapping[int, Floats]  # rows that the prior ranks first, with their features, {row: [k]}
 
 
 def worth_of(present: Present | None, *, maximised: bool) -> Worth:
@@ -205,24 +201,7 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
     cost, names = present.model.costs, present.names
     correlations = tuple(RankCorrelation.of(feature, cost) for feature in present.features.T)
     errors = _errors(present.model) if len(cost) >= LEAST_TRIALS else None
-    prior = tuple(_of_prior(present))
-    return Worth(len(cost), names, correlations, errors, present.is_doubted, maximised, prior)
-
-
-def _of_prior(present: Present) -> Iterator[str]:
-    """Which rows it ranks first, and whether the trials contradict its sign."""
-    prior = present.model.prior_mean
-    if prior is None:
-        return
-    name = present.names[prior.column]
-    if present.first:
-        rows = ", ".join(map(str, present.first))
-        values = ", ".join(f"{features[prior.column]:.4g}" for features in present.first.values())
-        yield f"By the prior, rows {rows} come first ({name}: {values})."
-    r = RankCorrelation.of(prior.merit(present.features), present.model.costs)
-    if r is not None and r.errors > NORMAL_95:
-        good = "high" if prior.sign > 0 else "low"
-        yield f"The trials contradict the prior: {good} values of {name} go with high costs."
+    return Worth(len(cost), names, correlations, errors, present.is_doubted, maximised)
 
 
 def _errors(model: Model) -> Errors | None:
@@ -240,7 +219,7 @@ def _errors(model: Model) -> Errors | None:
     with_features, other, without = residuals(model.posterior), constant, None
     if model.kernel.of_parameters:
         alike = Points(np.zeros_like(model.trials.features), model.trials.coordinates)
-        blind = residuals(replace(model, trials=alike, prior_mean=None).posterior)
+        blind = residuals(replace(model, trials=alike).posterior)
         without = rms(blind) / unit
         other = blind if without < 1.0 else constant
     less = np.abs(other) - np.abs(with_features)

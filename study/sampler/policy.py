@@ -1,8 +1,9 @@
 """The common part of proposals from a table and from a space.
 
-The first trials come before there is a model: with a `prior` they are the best `RANKED` of that
-ranking; with features the `ENDS` of their first principal component, where candidates are extreme
-by most of them at once, so that one end is good where several predict the cost; else `RANDOM` ones.
+The first trials come before there is a model. With worlds they are the best rows by their mean: one
+where outcomes are costs, `RANKED` where they only rank. With features they are the `ENDS` of their
+first principal component, where candidates are extreme by most of them at once, so that one end is
+good where several predict the cost; else `RANDOM` ones.
 """
 
 import warnings
@@ -24,10 +25,10 @@ from threadpoolctl import ThreadpoolController
 
 from study.sampler.acquisition import Learned, Model
 from study.sampler.draws import Purpose, generator
-from study.sampler.gp import ADDITIVE, NEARNESS, WORLDS, Kernel
+from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
-from study.sampler.transforms import Points, PriorMean, is_doubtful
+from study.sampler.transforms import Points, is_doubtful
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -46,7 +47,6 @@ class Options:
     """The options of `FeatureKernelSampler`, where they are explained; `kernel` is looked up."""
 
     kernel: Kernel
-    prior: str | None
     off_grid: int
     space: Mapping[str, BaseDistribution] | None
     extra_parameters: frozenset[str]
@@ -81,11 +81,8 @@ class Policy:
         self.independent = independent  # for what is not proposed here
         # Whether features are trusted as far as trials confirm them.
         self.learns_trust = options.kernel == ADDITIVE
-        unranked = ENDS if self.learns_trust else RANDOM
         # How many trials have to finish before there is a model.
-        self.first_trials = unranked if options.prior is None else RANKED
-        if options.kernel == WORLDS:
-            self.first_trials = 1  # the worlds are a model before any trial
+        self.first_trials = ENDS if self.learns_trust else RANDOM
         self.known: Learned = {}  # in this process
         self._proposals: dict[tuple[int, datetime | None], Proposal] = {}
         self._said: set[str] = set()
@@ -108,13 +105,11 @@ class Policy:
         """The proposal for a trial, which is forgotten."""
         return self._proposals.pop((trial.number, trial.datetime_start), None)
 
-    def merit(self, prior_mean: PriorMean | None, features: Floats, turn: int) -> Floats:
+    def merit(self, features: Floats, turn: int) -> Floats:
         """How good each is as one of the first trials, [m], by features in standard units [m, k].
 
         Equal where any will do.
         """
-        if prior_mean is not None:
-            return prior_mean.merit(features)
         if not self.learns_trust or turn >= ENDS:  # of a batch, when the ends are taken
             return np.zeros(len(features))
         centred = features - features.mean(axis=0)
@@ -124,7 +119,6 @@ class Policy:
 
     def model(
         self,
-        prior_mean: PriorMean | None,
         history: History,
         seen: Points,
         ensemble: Relation | None = None,
@@ -137,7 +131,7 @@ class Policy:
         """
         kernel, cost, nowhere = self.options.kernel, history.cost, seen.take(np.arange(0))
         no_limits, d = np.empty((len(cost), 0)), history.parameters.shape[1]
-        model = Model(kernel, prior_mean, d, seen, cost, no_limits, nowhere, self.known, ensemble)
+        model = Model(kernel, d, seen, cost, no_limits, nowhere, self.known, ensemble)
         if running is None:
             return model
         success = self.options.success
@@ -145,13 +139,13 @@ class Policy:
         limits = read_limits(history.trials)
         model = replace(model, limits=limits, running=running, success=success)
         kept = cost[model.feasible]
-        if self.learns_trust and is_doubtful(kept, own_turn, prior_mean is not None):
-            return replace(model, kernel=NEARNESS, prior_mean=None)
+        if self.learns_trust and is_doubtful(kept, own_turn):
+            return replace(model, kernel=NEARNESS)
         return model
 
     def doubts(self, model: Model) -> bool:
         """Whether every other trial is left to the parameters at present."""
-        return self.learns_trust and is_doubtful(model.costs, 1, model.prior_mean is not None)
+        return self.learns_trust and is_doubtful(model.costs, 1)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""

@@ -56,7 +56,8 @@ class FeatureKernelSampler(BaseSampler):
 
     - a `FeatureTable`: a trial is a row of the table that no trial has taken, named by the user
       attribute `row`; with `feature_function` and `off_grid`, also a point near the best rows;
-      with outcomes in simulated worlds, also a point near the best trials;
+      with outcomes in simulated worlds, also a point near the best trials; these may be any
+      ranking of the rows, in units of its own;
     - a function, params [n, d] -> features [n, k]: a trial is any point of the space;
     - None: a Gaussian process over the parameters themselves, the usual baseline.
 
@@ -86,16 +87,12 @@ class FeatureKernelSampler(BaseSampler):
         features: see above. A function gets its columns in the order of `space` or, without it, of
             the names; logarithmic parameters as they are, categorical ones as indices of choices.
         seed: of all draws; None takes one from the machine's entropy.
-        prior: a feature whose high values are expected to be good; with a minus before its name,
-            its low ones. The first three trials are the best rows of that ranking, in its order;
-            then the cost is expected to follow it, as far as trials confirm that
-            (`study.sampler.transforms.PriorMean`).
         kernel: None: the model above with features, "euclidean" without. "additive": the model
             above; a kernel that is named leaves outcomes out. "rbf": f alone, of features as they
             are (standardised), one length scale for all and the cost as it is, the paper's;
             "rbf_ard": the same with a length scale a feature.
             "euclidean": over the parameters alone, a length scale each, as Hvarfner, Hellsten,
-            Nardi 2024. All but the first start with three random trials, unless there is a prior.
+            Nardi 2024. All but the first start with three random trials.
         feature_function: for a table, features of points off it, in the table's order and units.
         off_grid: with such a function, the number of points near the best ones that are added to
             the candidates of each trial; by default none. With outcomes in worlds, of points near
@@ -127,7 +124,6 @@ class FeatureKernelSampler(BaseSampler):
 
     @checks.checked(
         seed=checks.optional(checks.whole(0, checks.LARGEST_SEED)),
-        prior=checks.optional(checks.text),
         kernel=checks.optional(checks.text),
         feature_function=checks.optional(checks.function),
         off_grid=checks.optional(checks.whole(0, MOST_OFF_GRID)),
@@ -144,7 +140,6 @@ class FeatureKernelSampler(BaseSampler):
         features: FeatureTable | Features | None = None,
         *,
         seed: int | None = None,
-        prior: str | None = None,
         kernel: str | None = None,
         feature_function: Features | None = None,
         off_grid: int | None = None,
@@ -169,7 +164,7 @@ class FeatureKernelSampler(BaseSampler):
         if off_grid is None:
             off_grid = OFF_GRID if chosen == WORLDS and allowed is None else 0
         extra = frozenset(extra_parameters)
-        options = Options(chosen, prior, off_grid, space, extra, strict, success, allowed)
+        options = Options(chosen, off_grid, space, extra, strict, success, allowed)
         _require_sense(features, feature_function, options, self._kernel)
         seed = secrets.randbits(64) if seed is None else seed
         self._independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
@@ -338,12 +333,11 @@ def _require_sense(
         if is_wrong:
             raise InputError(field, value, allowed)
 
-    off_grid, prior, mask = options.off_grid, options.prior, options.allowed
+    off_grid, mask = options.off_grid, options.allowed
     given, worlds, of_features = "given", options.kernel.worlds, options.kernel.of_features
     if worlds:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
         refuse(function is not None, "feature_function", given, allowed)
-        refuse(prior is not None, "prior", prior, allowed)
     if isinstance(features, FeatureTable):
         rows, pool = len(features.rows), options.kernel == SIMILARITY
         if mask is not None:
@@ -361,7 +355,6 @@ def _require_sense(
     refuse(function is not None, "feature_function", given, allowed)
     if features is None:
         refuse(of_features, "kernel", kernel, "euclidean: there are no features")
-        refuse(prior is not None, "prior", prior, "none without features")
         refuse(off_grid, "off_grid", off_grid, "0: points are off any grid without features")
     elif not callable(features):
         name = type(features).__name__

@@ -29,7 +29,7 @@ from study.sampler.policy import (
     set_attributes,
 )
 from study.sampler.space import Space, anywhere, nearby, not_among
-from study.sampler.transforms import NormalScores, Points, PriorMean, Scale, Standard
+from study.sampler.transforms import NormalScores, Points, Scale, Standard
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -100,11 +100,10 @@ class SpacePolicy(Policy):
             return None
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
         features, shown, _ = self._features(self._candidates(space, history, rng), history)
-        scale, prior_mean = self._scales(features)
-        seen = _placed(scale, shown, space, history.parameters)
-        model = self.model(prior_mean, history, seen)
+        seen = _placed(self._scale(features), shown, space, history.parameters)
+        model = self.model(history, seen)
         names, rows, doubts = _names(features), (None,) * len(shown), self.doubts(model)
-        return Present(history.trials, rows, names, shown, model, doubts, {})
+        return Present(history.trials, rows, names, shown, model, doubts)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""
@@ -140,8 +139,7 @@ class SpacePolicy(Policy):
             return anywhere(space, 1, rng)[0], np.empty(0)
         points = anywhere(space, CANDIDATES, rng)
         features = call_features(self.function, points)
-        scale, prior_mean = self._scales(features)
-        merit = self.merit(prior_mean, scale.standard(features), own_turn)
+        merit = self.merit(self._scale(features).standard(features), own_turn)
         merit[np.isnan(features).any(axis=1)] = -np.inf
         best = argmax_random_tie(merit, rng)
         return points[best], features[best]
@@ -154,10 +152,10 @@ class SpacePolicy(Policy):
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         points = self._candidates(space, history, rng)
         features, shown, running = self._features(points, history)
-        scale, prior_mean = self._scales(features)
+        scale = self._scale(features)
         seen = _placed(scale, shown, space, history.parameters)
         elsewhere = _placed(scale, running, space, history.running)
-        model = self.model(prior_mean, history, seen, None, elsewhere, own_turn)
+        model = self.model(history, seen, None, elsewhere, own_turn)
         taken = np.vstack([history.parameters, history.running])
         known = np.asarray(~np.isnan(features).any(axis=1))
         new = not_among(points, taken) & known
@@ -199,10 +197,10 @@ class SpacePolicy(Policy):
             known[place] = values
         return features[:m], known, features[m : m + r]
 
-    def _scales(self, features: Floats) -> tuple[Scale, PriorMean | None]:
-        """The scale of features [m, k] of points anywhere, and the prior mean by one of them."""
+    def _scale(self, features: Floats) -> Scale:
+        """The scale of features [m, k] of points anywhere."""
         scale = NormalScores if self.options.kernel.by_order else Standard
-        return scale.of(features), PriorMean.of(self.options.prior, _names(features))
+        return scale.of(features)
 
 
 def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:

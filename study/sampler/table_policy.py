@@ -20,6 +20,7 @@ from optuna.trial import FrozenTrial, TrialState
 from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.diagnostics import Prediction, Present, prediction_of
 from study.sampler.draws import Purpose, turn
+from study.sampler.gp import WORLDS
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,
@@ -55,7 +56,7 @@ from study.sampler.policy import (
 from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among
 from study.sampler.table import FeatureTable, Rows
-from study.sampler.transforms import Points, PriorMean
+from study.sampler.transforms import Points
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -97,7 +98,9 @@ class TablePolicy(Policy):
         self._table = table
         self._suggested: Rows | None = None
         self._looked_up: LookedUp = {}
-        self.prior_mean = PriorMean.of(options.prior, self.own_rows.feature_names)
+        if options.kernel == WORLDS and self.own_rows.worlds is not None:
+            # Costs in worlds are a model before any trial. What only ranks tells no cost.
+            self.first_trials = 1 if self.own_rows.worlds.better is None else RANKED
 
     @cached_property
     def own_rows(self) -> Rows:
@@ -276,8 +279,8 @@ class TablePolicy(Policy):
     @property
     def _places_all(self) -> bool:
         """Whether any point has features, or none are needed."""
-        looked_at = self.options.kernel.of_features or self.options.prior is not None
-        return self.function is not None or self.rows.worlds is not None or not looked_at
+        found = self.function is not None or self.rows.worlds is not None
+        return found or not self.options.kernel.of_features
 
     def _ensemble(self, history: History) -> Relation | None:
         """The worlds, with costs that are minimised; None where they do not count."""
@@ -290,7 +293,7 @@ class TablePolicy(Policy):
         if ensemble is not None:
             merit = -points.features[:, -1]
         else:
-            merit = self.merit(self.prior_mean, points.features, own_turn)
+            merit = self.merit(points.features, own_turn)
         merit = np.where(offered[rows.numbers], merit, -np.inf)
         best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
         return self._of_row(int(rows.numbers[best]))
@@ -298,12 +301,6 @@ class TablePolicy(Policy):
     def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Proposal:
         """The candidate of the largest utility after some trials, of equal ones any."""
         rows = self.rows
-        first, enough = history.cost[:RANKED], len(history.cost) > 2 * RANKED
-        if self.prior_mean is not None and enough and first.min() > np.median(history.cost):
-            self.warn(
-                f"prior: the {RANKED} rows that it ranks first cost more than the median of the "
-                f"trials; is the sign of {self.options.prior!r} right? See sampler.worth(study)"
-            )
         model = self._model(history, own_turn)
         points, free = self._points(model.ensemble), offered[rows.numbers]
         utility = np.full(len(free), -np.inf)
@@ -320,7 +317,7 @@ class TablePolicy(Policy):
         ensemble = self._ensemble(history)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
         running = self._seen(history.running, history.running_rows, (), ensemble)
-        return self.model(self.prior_mean, history, seen, ensemble, running, own_turn)
+        return self.model(history, seen, ensemble, running, own_turn)
 
     def _off_table(
         self, history: History, utility: Floats, model: Model, own_turn: int
@@ -427,15 +424,10 @@ class TablePolicy(Policy):
         ensemble = self._ensemble(history)
         shown = self._features(history.parameters, history.rows, history.trials)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        model = self.model(self.prior_mean, history, seen, ensemble)
-        first = {}
-        if self.prior_mean is not None:
-            merit = self.prior_mean.merit(self._points().features)
-            best = np.argsort(-merit, kind="stable")[:RANKED]
-            first = {row: self.rows.features[row] for row in self.rows.numbers[best].tolist()}
+        model = self.model(history, seen, ensemble)
         rows = tuple(row_of(self.rows, trial) for trial in history.trials)
         names, doubts = self.rows.feature_names, self.doubts(model)
-        return Present(history.trials, rows, names, shown, model, doubts, first)
+        return Present(history.trials, rows, names, shown, model, doubts)
 
     def predict(
         self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None

@@ -1,4 +1,4 @@
-"""Candidates, trials and costs as a Gaussian process takes them, and what users say of features.
+"""Candidates, trials and costs as a Gaussian process takes them, and trust in features.
 
 Tables may have tens of millions of rows. A proposal needs all features, and of the parameters those
 of a few rows. So the parameters of a large table lie in a file without a name, a column after the
@@ -8,7 +8,7 @@ other, which ends with the process; memory holds what is used.
 import mmap
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
@@ -27,9 +27,7 @@ BLOCK = 2**13  # rows at a time, to stay in the cache
 LARGEST = float(np.finfo(np.float64).max)
 MOST = 2.0**500
 LEAST_GAPS = 0.02  # share of missing values from which having none is a feature of its own
-SLOPE = 1.0  # of the prior mean, in standard deviations of the cost by one of the feature
 PATIENCE = 3  # trials without a better cost
-PATIENCE_WITH_PRIOR = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,38 +226,7 @@ def _scores(known: Floats, values: Floats) -> Floats:
     return _at_ranks(np.clip(0.5 * (rank + 1.0), 1.0, len(known)), len(known))
 
 
-@dataclass(frozen=True)
-class PriorMean:
-    """The mean of the process before any trial, from the option `prior`.
-
-    The option names the good end of a feature. Until trials say otherwise, m(x) = -SLOPE phi(x), in
-    standard units, with the uncertainty of `gp.SLOPE` about the slope (Rasmussen, Williams 2006,
-    section 2.7; Cully et al. 2015 use a simulated performance as the mean of theirs).
-    """
-
-    column: int  # of the feature
-    sign: float  # 1 where high values are good, -1 where low ones are
-
-    @classmethod
-    def of(cls, prior: str | None, names: Sequence[str]) -> "PriorMean | None":
-        """The prior mean of an option; an InputError where no feature has its name."""
-        if prior is None:
-            return None
-        sign, name = (-1.0, prior[1:]) if prior not in names and prior[:1] == "-" else (1.0, prior)
-        if name not in names:
-            raise InputError("prior", prior, f"one of {', '.join(names)}, or one with a minus")
-        return cls(names.index(name), sign)
-
-    def merit(self, features: Floats) -> Floats:
-        """How good candidates [m, k] are expected to be, in the units of the features, [m]."""
-        return self.sign * features[:, self.column]
-
-    def cost(self, features: Floats) -> Floats:
-        """m(x) of features [m, k], in standard units, [m]."""
-        return -SLOPE * self.merit(features)
-
-
-def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
+def is_doubtful(cost: Floats, turn: int) -> bool:
     """Whether this trial is left to the parameters: features are followed while they succeed.
 
     The likelihood cannot tell a feature that follows the cost everywhere from one that follows it
@@ -272,7 +239,7 @@ def is_doubtful(cost: Floats, turn: int, has_prior: bool) -> bool:
     if not len(cost):
         return False
     age = len(cost) - 1 - int(np.argmin(cost))
-    return turn % 2 == 1 and age >= (PATIENCE_WITH_PRIOR if has_prior else PATIENCE)
+    return turn % 2 == 1 and age >= PATIENCE
 
 
 # Of tables that are larger than memory.

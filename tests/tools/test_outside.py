@@ -206,12 +206,13 @@ def test_a_seed_draws_half_of_the_pool_and_breaks_the_rankings_ties() -> None:
     np.testing.assert_array_equal(first, rows_by_ranking(whole, 1))
 
 
-@pytest.mark.parametrize("more", [(), ("ranking",)])
-def test_our_arms_get_the_pool_as_it_is(more: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("ranking", [False, True])
+def test_our_arms_get_the_pool_as_it_is(ranking: bool) -> None:
     problem = outside_problem(PROBLEM)
-    table = outside.table(problem, ranking=bool(more))
+    table = outside.table(problem, ranking=ranking)
     assert len(table) == len(problem)
-    assert table.rows.feature_names == (*problem.feature_meanings, *more)
+    assert table.rows.feature_names == (*problem.feature_meanings,)
+    assert (table.rows.worlds is not None) is ranking
 
 
 def compared(ours: list[float], tpe: list[float], ranking: list[float]) -> Any:

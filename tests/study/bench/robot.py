@@ -26,7 +26,7 @@ unit = "N m"
 most = 90
 """
 WORLDS = 'outcomes = ["world*"]'
-FEATURES = 'features = ["world0", "world1"]\nprior = "-world0"'
+FEATURES = 'features = ["world0", "world1"]'
 
 
 def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:

@@ -1,4 +1,4 @@
-"""Expected improvement against its integral, ties, the prior mean, and kept constraints."""
+"""Expected improvement against its integral, ties, and kept constraints."""
 
 from typing import Any
 
@@ -13,10 +13,10 @@ from scipy.stats import norm
 from study import FeatureTable
 from study.sampler import acquisition
 from study.sampler.acquisition import Model, argmax_random_tie, log_expected_improvement
-from study.sampler.gp import KERNELS
+from study.sampler.gp import KERNELS, WORLDS, Kernel
 from study.sampler.history import read_limits
-from study.sampler.transforms import SLOPE, Points, PriorMean, log_excess
-from taichi_nmm.errors import InputError
+from study.sampler.transforms import Points
+from study.sampler.worlds import Ensemble, Worlds
 from tests.study.sampler.studies import study_of
 
 
@@ -62,61 +62,11 @@ def test_log_improvement_has_the_tail_of_its_series(z):
         assert_allclose(found, norm.logpdf(z) - 2 * np.log(-z) + np.log1p(-3 / z**2), rtol=1e-7)
 
 
-# The model, and the prior mean.
-NAMES = ("score", "error", "-odd")
-
-
-@pytest.mark.parametrize(("prior", "column", "sign"), [
-    ("score", 0, 1.0), ("-error", 1, -1.0), ("-odd", 2, 1.0), ("--odd", 2, -1.0),
-])  # fmt: skip
-def test_a_minus_stands_for_low_values(prior, column, sign):
-    found = PriorMean.of(prior, NAMES)
-    assert found is not None and (found.column, found.sign) == (column, sign)
-    features = np.arange(12.0).reshape(4, 3)
-    assert_allclose(found.merit(features), sign * features[:, column])
-
-
-@pytest.mark.parametrize("prior", ["", "-", "speed", "-speed", "+score"])
-def test_what_is_no_feature_is_refused(prior):
-    with pytest.raises(InputError, match=r"prior: .* one of score, error, -odd, or one with a mi"):
-        PriorMean.of(prior, NAMES)
-
-
-def predicted(model: Model, points: Points) -> np.ndarray:
-    """The mean of the cost of points, as the expected improvement is given it, [m]."""
-    means = []
-
-    def spied(mean: np.ndarray, sd: np.ndarray, best: float) -> np.ndarray:
-        means.append(mean)
-        return log_expected_improvement(mean, sd, best)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("study.sampler.acquisition.log_expected_improvement", spied)
-        model.utility(points, np.ones(len(points), dtype=bool), np.random.default_rng(0))
-    return np.asarray(means[0])
-
-
-def costs_that_fall_by(shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Costs whose `log_excess` has this shape, [n], and that logarithm; n is even."""
-    fall = shape - shape.min()
-    fall *= np.log(2.0) / np.median(fall[fall > 0])
-    cost = np.expm1(fall)  # the median excess is 1
-    assert_allclose(log_excess(cost, cost), fall, atol=1e-12)
-    return cost, fall
-
-
-def points(scores: np.ndarray, seed: int) -> Points:
-    """With the score as the second of two features, and two coordinates."""
-    rng = np.random.default_rng(seed)
-    other = rng.standard_normal(len(scores))
-    return Points(np.column_stack([other, scores]), rng.uniform(size=(len(scores), 2)))
-
-
-def model_of(seen: Points, cost: Any, kernel: str = "additive", sign: float = 1.0) -> Model:
-    """After trials without limits, with high or low values of the second feature thought good."""
-    limits = np.empty((len(seen), 0))
-    prior_mean = PriorMean(1, sign) if sign else None
-    return Model(KERNELS[kernel], prior_mean, 2, seen, cost, limits, seen.take(np.arange(0)), {})
+# The model.
+def model_of(seen: Points, cost: Any, kernel: Kernel, ensemble: Any = None) -> Model:
+    """After trials without limits."""
+    limits, nowhere = np.empty((len(seen), 0)), seen.take(np.arange(0))
+    return Model(kernel, 2, seen, cost, limits, nowhere, {}, ensemble)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -124,66 +74,26 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
     """Costs at random; where parameters are looked at, candidates that are alike are the same."""
     seen = Points(np.zeros((40, 1)), np.full((40, 2), 0.5))
     cost = np.random.default_rng(0).uniform(1.0, 2.0, 40)
-    model = model_of(seen, cost, kernel, sign=0.0)
+    model = model_of(seen, cost, KERNELS[kernel])
     visible = {"features": model.kernel.of_features, "coordinates": model.kernel.of_parameters}
     _, variance = model.posterior.predict(seen.take(np.arange(1)).only(**visible))
     share = float(variance[0]) / float(np.var(model.cost()))
     assert share > 0.9 if kernel in ("rbf", "rbf_ard") else share < 0.1
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_where_nothing_is_left_to_explain_the_cost_falls_by_the_slope(kernel, sign):
-    """Costs that follow the prior mean exactly: their scale alone is left to learn.
-
-    The scores of the trials have unit variance, so that the costs' own spread is their slope.
-    """
-    scores = np.array([-1.5, -0.7, 0.1, 0.4, 0.9, 1.6])
-    scores = (scores - scores.mean()) / scores.std()
-    fall = -sign * scores
-    if KERNELS[kernel].by_order:
-        cost, fall = costs_that_fall_by(fall)
-    else:
-        cost = 100.0 + 3.0 * fall
-        fall = cost
-    model = model_of(points(scores, 0), cost, kernel, sign)
-    some = points(np.array([-3.0, -0.2, 0.0, 0.7, 5.0]), 1)
-    mean = predicted(model, some)
-    expected = -SLOPE * fall.std() * sign * (some.features[:, 1] - some.features[0, 1])
-    assert_allclose(mean - mean[0], expected, rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.parametrize("cost", [0.0, 1e9])
-def test_after_one_trial_the_ranking_is_the_order_of_the_utility(cost):
-    """One cost has no spread, which is taken to be one: candidates differ by the prior mean."""
-    model = model_of(points(np.zeros(1), 0), np.array([cost]))
-    features = np.column_stack([np.zeros(5), [0.0, 0.1, 0.2, 0.3, 0.4]])
-    alike = Points(features, np.full((5, 2), 0.5))
-    assert np.diff(predicted(model, alike)) == pytest.approx(-SLOPE * 0.1)
-    utility = model.utility(alike, np.ones(5, dtype=bool), np.random.default_rng(0))
-    assert np.all(np.diff(utility) > 0)
-
-
-def test_a_prior_that_trials_contradict_is_turned():
-    scores = np.linspace(-2, 2, 15)
-    model = model_of(points(scores, 0), np.exp(scores))
-    bad, good = predicted(model, points(np.array([-1.8, 1.8]), 1))
-    assert bad < good
-
-
-def test_of_many_candidates_those_that_the_prior_ranks_first_are_looked_at():
-    """Costs follow it but for a hundredth, which another feature explains."""
-    scores = np.linspace(-2, 2, 12)
-    seen = points(scores / scores.std(), 0)
-    other, scores = seen.features.T
-    cost, _ = costs_that_fall_by(-scores + 0.01 * other)
-    model = model_of(seen, cost)
-    many = points(np.random.default_rng(1).standard_normal(2 * acquisition.MOST_CANDIDATES), 2)
-    offered = np.ones(len(many), dtype=bool)
-    looked_at = model._looked_at(many, offered, np.random.default_rng(0))
+def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
+    """Costs follow them but for a hundredth."""
+    rng = np.random.default_rng(1)
+    outcomes = rng.standard_normal((2 * acquisition.MOST_CANDIDATES, 3))
+    ensemble = Ensemble(Worlds.of(outcomes, "lower"), np.arange(len(outcomes)), 1.0)
+    many = Points(ensemble.columns, rng.uniform(size=(len(outcomes), 2)))
+    seen = many.take(np.arange(12))
+    cost = np.exp(ensemble.mean[:12] + 0.01 * rng.standard_normal(12))
+    model = model_of(seen, cost, WORLDS, ensemble)
+    looked_at = model._looked_at(many, np.ones(len(many), dtype=bool), rng)
     assert len(looked_at) == acquisition.MOST_CANDIDATES
-    best = np.argsort(-many.features[:, 1])[:200]  # half of what is looked at: ten times as many
-    assert set(best) <= set(looked_at)
+    best = np.argsort(ensemble.mean)[:200]  # half of what is looked at: ten times as many
+    assert len(set(best) & set(looked_at)) > 190
 
 
 # Constraints.

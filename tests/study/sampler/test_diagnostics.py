@@ -132,9 +132,8 @@ def test_without_enough_there_is_no_correlation(feature, cost):
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("prior", [None, "-error"])
-def test_leaving_out_is_that_of_refits_with_the_same_constants(kernel, prior):
-    posterior = model_of(drawn_rows(12), kernel=kernel, prior=prior).posterior
+def test_leaving_out_is_that_of_refits_with_the_same_constants(kernel):
+    posterior = model_of(drawn_rows(12), kernel=kernel).posterior
     y = posterior.cost_mean + posterior.cost_sd * posterior.y
     missed = []
     for left in range(len(y)):
@@ -226,13 +225,10 @@ def by_hand(points: Floats) -> Floats:
 BY_HAND = new_table(by_hand(np.column_stack(list(columns().values()))), ("error", "b"))
 FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
     "table": lambda: FeatureKernelSampler(TABLE, seed=1),
-    "prior": lambda: FeatureKernelSampler(TABLE, seed=1, prior="-error"),
     "dog": lambda: DoGSampler(new_table(good_features()[:, :1], ("error",)), seed=1),
     "off_grid":
         lambda: FeatureKernelSampler(BY_HAND, seed=1, feature_function=by_hand, off_grid=20),
     "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
-    "function, prior":
-        lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE, prior="-feature_0"),
     "function, found": lambda: FeatureKernelSampler(by_hand, seed=1),
     "function, rbf": lambda: FeatureKernelSampler(by_hand, seed=1, kernel="rbf_ard"),
 }  # fmt: skip
@@ -327,20 +323,3 @@ def test_turns_that_are_left_to_the_parameters_are_said():
         add(study, row, 9.0)
     assert "left to the parameters" in str(worth_of(study))
     assert "left to the parameters" not in str(worth_of(study, kernel="rbf"))
-
-
-@pytest.mark.parametrize(("prior", "is_wrong"), [("-error", False), ("error", True)])
-def test_the_sign_of_a_prior_is_held_against_the_trials(prior, is_wrong):
-    """Its first rows can be read before a trial; the trials then agree or contradict."""
-    error = good_features()[:, 0]
-    ranked = np.argsort(error)[:: -1 if is_wrong else 1][:3]
-    study = study_of(TABLE, prior=prior)
-    rows, first = ", ".join(map(str, ranked)), ", ".join(f"{error[r]:.4g}" for r in ranked)
-    expected = f"By the prior, rows {rows} come first (error: {first})."
-    assert expected in str(worth_of(study, prior=prior))
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        study.optimize(objective, n_trials=20)
-    assert sum(str(w.message).startswith("prior: ") for w in said) == is_wrong
-    note = worth_of(study, prior=prior).markdown()
-    assert ("The trials contradict the prior" in note) == is_wrong

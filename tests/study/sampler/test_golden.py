@@ -143,10 +143,6 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
         "space-rbf_ard":
             lambda: proposals(fks(features_of, space=SPACE, kernel="rbf_ard", seed=5), 8),
         "off-grid": lambda: proposals(fks(table(60), seed=6, **near), 12),
-        "off-grid-prior": lambda: proposals(fks(table(60), prior="-f0", seed=7, **near), 9),
-        "prior": lambda: proposals(fks(table(), prior="-f1", seed=8), 8),
-        "prior-rbf": lambda: proposals(fks(table(), prior="f2", kernel="rbf", seed=9), 7),
-        "prior-long": lambda: proposals(fks(table(40), prior="f2", seed=18), 14, tied),
         "constraints": lambda: proposals(fks(table(), seed=10), 10, limit=limit_of),
         "constraints-space": lambda: proposals(fks(space=SPACE, seed=11), 8, limit=limit_of),
         "enqueued": lambda: proposals(fks(table(), seed=12), 8, enqueued=two_rows),
@@ -161,18 +157,19 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
         "one-feature": lambda: proposals(DoGSampler(table(count=1), seed=22), 12),
         "dog": lambda: proposals(DoGSampler(table(), seed=23), 8),
         "file": lambda: proposals(fks(file_table(), seed=24), 6),
-        "survival": lambda: proposals(fks(survival_rows(), prior="survival", seed=25), 8),
+        "survival": lambda: proposals(fks(survival_rows(), seed=25), 8),
         "large": lambda: proposals(fks(table(6000, 9), seed=26), 6),
         "many-trials": lambda: proposals(fks(table(60), seed=28), 40, tied),
     }  # fmt: skip
 
 
 def survival_rows() -> FeatureTable:
-    """A table with a feature to rank by."""
+    """A table with a ranking, and a feature beside it."""
     rows = columns(70, 3)
     rng = np.random.default_rng(3)
     features = rng.random((70, 2))
-    return FeatureTable.from_arrays(rows, features, ("survival", "speed"), space=SPACE)
+    ranking: dict[str, Any] = {"outcomes": features[:, 0], "better": "higher"}
+    return FeatureTable.from_arrays(rows, features[:, 1], ["speed"], space=SPACE, **ranking)
 
 
 GOLDEN = json.loads((ASSETS / "golden-proposals.json").read_text())

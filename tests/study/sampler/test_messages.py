@@ -91,7 +91,6 @@ CASES: dict[str, Callable[[], object]] = {
         lambda: FeatureKernelSampler(kernel="rbf"),
     "kernel: … allowed: one that uses features, or there is nothing to report":
         lambda: (FeatureKernelSampler().worth(optuna.create_study())),
-    "prior: … allowed: one of …, or one with a minus": lambda: sampler(prior="phi"),
     "constraints_func: … allowed: None: call trial.set_constraint(key, value) in the objective":
         lambda: sampler(constraints_func=3),
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
@@ -120,8 +119,6 @@ CASES: dict[str, Callable[[], object]] = {
         lambda: run(sampler(lambda params: np.ones((7, 2)), space=SPACE)),
     "features(params): 'no row without NaN' …":
         lambda: run(sampler(lambda params: params * np.nan, space=SPACE)),
-    "prior: … cost more than the median of the trials; …":
-        lambda: study_of(FeatureTable.from_arrays({"a": LINE}, LINE), only_a, 8, prior="feature_0"),
     "… the independent sampler takes over": lambda: run(sampler(strict=False)),
     "trials whose parameters are no row of the table are ignored: …":
         lambda: study_of(new_table(), both, 3, enqueued=[{"a": 0.33, "b": 2.0}]),
@@ -277,9 +274,8 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
 
 
 @pytest.mark.parametrize(("features", "options", "message"), [
-    (FEATURES, {"prior": "-speed"}, "prior: '-speed' .*feature_0, or one with a minus"),
     (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
-    (None, {"prior": "p"}, "prior"), (None, {"off_grid": 3}, "off_grid"),
+    (None, {"off_grid": 3}, "off_grid"),
     (None, {"feature_function": len}, "feature_function"),
 ])  # fmt: skip
 def test_options_that_cannot_be_used(features, options, message):

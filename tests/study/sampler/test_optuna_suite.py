@@ -21,7 +21,6 @@ NEAR = {"feature_function": lambda params: params[:, 0], "off_grid": 16}
 # The suite has spaces of its own, with the table's names (x, y) and with others.
 FORMS = {
     "table": {"features": TABLE, "strict": False},
-    "ranked table": {"features": TABLE, "strict": False, "prior": "-feature_0"},
     "paper": {"features": TABLE, "strict": False, "kernel": "rbf"},
     "worlds": {"features": FeatureTable.from_arrays({"x": LINE, "y": LINE[::-1]}, outcomes=WORLDS),
                "strict": False},

@@ -14,8 +14,8 @@ from study.experiment.one_study import OneStudy
 from study.experiment.trials import simulate_trials
 from study.sampler import acquisition
 from study.sampler.acquisition import Model
-from study.sampler.gp import ADDITIVE, KERNELS, NEARNESS
-from study.sampler.transforms import PATIENCE, PATIENCE_WITH_PRIOR, is_doubtful
+from study.sampler.gp import ADDITIVE, NEARNESS
+from study.sampler.transforms import PATIENCE, is_doubtful
 from tests.study.sampler.studies import Floats, bowl, rows_of, run_code, study_of
 
 ROWS = 70
@@ -33,33 +33,35 @@ def drawn(seed: int) -> Floats:
     return np.exp(0.8 * common[:, None] + 0.4 * own) * [1.0, 1e3, 1e-3]
 
 
-def table_of(features: Floats) -> FeatureTable:
-    return FeatureTable.from_arrays({"x": np.linspace(0, 1, ROWS)}, features)
+def table_of(features: Floats, **known: Any) -> FeatureTable:
+    return FeatureTable.from_arrays({"x": np.linspace(0, 1, ROWS)}, features, **known)
 
 
-def first_rows(features: Floats, trials: int, *, seed: int = 0, **options: Any) -> list[Any]:
+def first_rows(
+    features: Floats, trials: int, *, seed: int = 0, kernel: str | None = None, **known: Any
+) -> list[Any]:
     """Rows of the first trials, whose costs have nothing to do with them."""
     costs = np.random.default_rng(seed).uniform(size=ROWS)
 
     def cost(trial: optuna.Trial) -> float:
         return float(costs[trial.number] + 0 * only_x(trial))
 
-    return rows_of(study_of(table_of(features), cost, trials, seed=seed, **options))
+    return rows_of(study_of(table_of(features, **known), cost, trials, seed=seed, kernel=kernel))
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("sign", ["", "-"])
+@pytest.mark.parametrize("better", ["higher", "lower"])
 @pytest.mark.parametrize("column", range(3))
-def test_with_a_prior_they_are_the_first_three_of_the_ranking(kernel, sign, column):
+def test_with_a_ranking_they_are_its_first_three(better, column):
+    """A ranking tells no cost, so that one trial is no model yet."""
     for seed in range(3):
         features = drawn(seed)
-        best_first = np.argsort(features[:, column] if sign else -features[:, column])
-        rows = first_rows(features, 3, seed=seed, kernel=kernel, prior=f"{sign}feature_{column}")
+        best_first = np.argsort(features[:, column] * (1.0 if better == "lower" else -1.0))
+        rows = first_rows(features, 3, seed=seed, outcomes=features[:, column], better=better)
         assert rows == best_first[:3].tolist()
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_without_one_they_are_the_ends_of_the_first_principal_component(seed):
+def test_with_features_they_are_the_ends_of_the_first_principal_component(seed):
     features = drawn(seed)
     scores = table_of(features).rows.scores.standard(features)
     centred = scores - scores.mean(axis=0)
@@ -74,52 +76,47 @@ def test_one_feature_is_tried_at_its_ends_an_infinite_score_first_and_other_kern
     features = drawn(1)
     feature = features[:, 0]
     assert first_rows(feature, 2) == [int(np.argmax(feature)), int(np.argmin(feature))]
-    features[[5, 6], 0] = np.inf, -np.inf
-    assert first_rows(features, 1, prior="feature_0") == [5]
-    assert first_rows(features, 1, prior="-feature_0") == [6]
+    feature[[5, 6]] = np.inf, -np.inf
+    assert first_rows(features, 1, outcomes=feature, better="higher") == [5]
+    assert first_rows(features, 1, outcomes=feature, better="lower") == [6]
     for kernel in ("rbf", "rbf_ard", "euclidean"):
         first = {tuple(first_rows(drawn(0), 3, seed=seed, kernel=kernel)) for seed in range(6)}
         assert len(first) == 6
 
 
-@pytest.mark.parametrize("prior", [None, "feature_0"])
-def test_trials_that_can_be_learned_from_count_among_them(prior):
+@pytest.mark.parametrize("ranked", [False, True])
+def test_trials_that_can_be_learned_from_count_among_them(ranked):
     """Two finished rows, enqueued: the third trial is the model's, or still the ranking's."""
     features = drawn(2)
-    table = table_of(features)
+    table = table_of(features, outcomes=features[:, 0] if ranked else None,
+                     better="higher" if ranked else None)  # fmt: skip
     middle = map(table.rows.as_parameters, np.argsort(features[:, 0])[[30, 40]].tolist())
-    study = study_of(table, only_x, 3, enqueued=middle, prior=prior)
-    constants = study.sampler._policy.known
-    assert bool(constants) is (prior is None)
-    assert prior is None or rows_of(study)[2] == features[:, 0].argmax()
+    study = study_of(table, only_x, 3, enqueued=middle)
+    assert bool(study.sampler._policy.known) is not ranked
+    assert not ranked or rows_of(study)[2] == features[:, 0].argmax()
 
 
 def ends_first(params: Floats) -> Floats:
     return np.column_stack([np.exp(9.0 * params[:, 0]), params[:, 0] ** 3])
 
 
-@pytest.mark.parametrize(
-    ("prior", "low", "high"), [(None, [0.99, 0.0], [1.0, 0.01]), ("-feature_1", [0.0], [0.01])]
-)
-def test_of_a_space_they_are_the_ends_too(prior, low, high):
+def test_of_a_space_they_are_the_ends_too():
     """Of 2,048 points anywhere, the last lies within a hundredth of an end: 1 - 1e-9 are sure."""
     space = {"x": FloatDistribution(0, 1)}
-    study = study_of(ends_first, only_x, len(low), seed=3, prior=prior, space=space)
-    for trial, least, most in zip(study.trials, low, high, strict=True):
-        assert least <= trial.params["x"] <= most
+    first, second = study_of(ends_first, only_x, 2, seed=3, space=space).trials
+    assert first.params["x"] >= 0.99 and second.params["x"] <= 0.01
 
 
 # How long features are followed.
-@pytest.mark.parametrize(("has_prior", "patience"), [(False, 3), (True, 20)])
-def test_every_other_trial_is_doubtful_once_patience_is_over(has_prior, patience):
-    assert (PATIENCE, PATIENCE_WITH_PRIOR)[has_prior] == patience
+def test_every_other_trial_is_doubtful_once_patience_is_over():
+    patience = PATIENCE
     for turn in range(6):
         for age in (0, patience - 1, patience, patience + 1, patience + 40):
             costs = np.array([5.0, 1.0] + [1.0] * age)  # an equal one is no better one
             doubtful = age >= patience and turn % 2 == 1
-            assert is_doubtful(costs, turn, has_prior) is doubtful
-    assert not is_doubtful(np.array([3.0]), 1, has_prior)
-    assert not is_doubtful(np.empty(0), 1, has_prior)  # no trial has kept its limits
+            assert is_doubtful(costs, turn) is doubtful
+    assert not is_doubtful(np.array([3.0]), 1)
+    assert not is_doubtful(np.empty(0), 1)  # no trial has kept its limits
 
 
 X, Y = np.random.default_rng(0).uniform(size=(2, 60))
@@ -132,14 +129,14 @@ def without_success(trial: optuna.Trial) -> float:
     return 0.0 if trial.number == 1 else 1.0 + 0.01 * trial.number
 
 
-def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int, tuple[Any, Any]]:
-    """Kernel and prior mean of the model of each trial, by its number."""
-    asked: dict[int, tuple[Any, Any]] = {}
+def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int, Any]:
+    """Kernel of the model of each trial, by its number."""
+    asked: dict[int, Any] = {}
     made = Model.__init__
 
     def spied(model: Model, *given: Any, **named: Any) -> None:
         made(model, *given, **named)
-        asked[len(model.costs)] = (model.kernel, model.prior_mean)
+        asked[len(model.costs)] = model.kernel
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Model, "__init__", spied)
@@ -147,16 +144,13 @@ def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int,
     return asked
 
 
-# 3, or 20, trials after number 1; then odd
-@pytest.mark.parametrize(("prior", "first"), [(None, 5), ("feature_0", 23)])
-def test_a_doubtful_trial_looks_at_parameters_alone(prior, first):
-    study = study_of(FeatureTable.from_arrays(XY, FEATURES), prior=prior)
+def test_a_doubtful_trial_looks_at_parameters_alone():
+    first = 5  # 3 trials after number 1; then odd
+    study = study_of(FeatureTable.from_arrays(XY, FEATURES))
     asked = kernels_asked(study, without_success, first + 5)
-    for turn, (kernel, prior_mean) in asked.items():
-        doubtful = turn >= first and turn % 2 == 1
-        assert kernel is (NEARNESS if doubtful else ADDITIVE)
-        assert (prior_mean is None) is (doubtful or prior is None)
-    assert sum(kernel is NEARNESS for kernel, _ in asked.values()) == 3
+    for turn, kernel in asked.items():
+        assert kernel is (NEARNESS if turn >= first and turn % 2 == 1 else ADDITIVE)
+    assert sum(kernel is NEARNESS for kernel in asked.values()) == 3
 
 
 def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
@@ -169,7 +163,7 @@ def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
 
     asked = kernels_asked(study_of(FeatureTable.from_arrays(XY, FEATURES)), objective, 10)
     # Kept after number 1: 3, 4, 6, 7, ...; the third of them is told before number 7.
-    assert [turn for turn, (kernel, _) in asked.items() if kernel is NEARNESS] == [7, 9]
+    assert [turn for turn, kernel in asked.items() if kernel is NEARNESS] == [7, 9]
 
 
 @pytest.mark.parametrize("number", [5, 6])

@@ -6,6 +6,7 @@ import re
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import study
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
+from study.sampler.worlds import Worlds
 from tests.study.sampler.studies import bowl, params_of, resumed, rows_of, run_code, study_of
 
 Floats = NDArray[np.float64]
@@ -44,7 +46,6 @@ FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
     "table": lambda: FeatureKernelSampler(small_table(), seed=1),
     "off_grid":
         lambda: FeatureKernelSampler(small_table(), seed=1, off_grid=30, feature_function=features),
-    "ranked": lambda: FeatureKernelSampler(small_table(), seed=1, prior="-size"),
     "paper": lambda: FeatureKernelSampler(small_table(), seed=1, kernel="rbf"),
     "callable": lambda: FeatureKernelSampler(features, seed=1),
     "plain": lambda: FeatureKernelSampler(seed=1),
@@ -81,10 +82,9 @@ def test_another_process_proposes_the_same():
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize("prior", [None, "-size"])
 @pytest.mark.parametrize(("direction", "sign"), [("minimize", 1.0), ("maximize", -1.0)])
-def test_every_kernel_finds_good_rows(kernel, prior, direction, sign):
-    options = {"seed": 3, "kernel": kernel, "prior": prior, "direction": direction}
+def test_every_kernel_finds_good_rows(kernel, direction, sign):
+    options = {"seed": 3, "kernel": kernel, "direction": direction}
     study = study_of(small_table(), lambda trial: sign * bowl(trial), 16, **options)
     assert sign * study.best_value < 0.04
 
@@ -153,10 +153,10 @@ def test_a_trial_off_the_table_may_have_gaps_and_none_near_it_is_tried_twice(gap
     assert len({trial.params["n"] for trial in study.trials}) == 7
 
 
-def test_a_prior_that_is_wrong_is_left():
-    table = small_table()
-    size = np.sort(table.rows.features[:, 0])
-    study = study_of(table, lambda trial: -bowl(trial), 40, seed=0, prior="-size")
+def test_a_ranking_that_is_wrong_is_left():
+    table, size = small_table(), np.sort(small_table().rows.features[:, 0])
+    rows = replace(table.rows, worlds=Worlds.of(table.rows.features[:, 0], "lower"))
+    study = study_of(FeatureTable(rows), lambda trial: -bowl(trial), 40, seed=0)
     assert max(abs(trial.params["a"]) for trial in study.trials) >= size[-3]
 
 
@@ -171,7 +171,7 @@ def test_rows_left_out_change_no_choice(kernel):
     def proposed(rows):
         columns, bounds = dict(zip("ab", params[:rows].T, strict=True)), {"a": (-1, 1), "b": (0, 5)}
         table = FeatureTable.from_arrays(columns, values[:rows], ["size", "side"], bounds=bounds)
-        return params_of(study_of(table, bowl, 12, seed=3, kernel=kernel, prior="-size"))
+        return params_of(study_of(table, bowl, 12, seed=3, kernel=kernel))
 
     assert proposed(300) == proposed(100)
 

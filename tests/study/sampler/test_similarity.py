@@ -59,7 +59,7 @@ def test_the_posterior_is_that_of_the_gram_matrix() -> None:
     alike, limits = Alike(factor_of_gram(GRAM)), np.empty((9, 0))
     points = Points(alike.columns, np.empty((300, 0)))
     seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
-    model = Model(SIMILARITY, None, 1, seen, COST[:9], limits, nobody, {}, alike)
+    model = Model(SIMILARITY, 1, seen, COST[:9], limits, nobody, {}, alike)
     size, noise = np.exp(model.posterior.theta)
     y = log_excess(COST[:9], COST[:9])
     gain = size * GRAM[:, :9] @ np.linalg.inv(size * GRAM[:9, :9] + noise * np.eye(9))

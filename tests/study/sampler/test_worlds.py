@@ -70,7 +70,7 @@ def after_nine_trials(phi: Any = ROWS[:, :0]) -> tuple[Ensemble, Points, Model]:
     points = Points(np.hstack([phi, ensemble.columns]), ROWS)
     seen, nobody, limits = points.take(np.arange(9)), points.take(np.arange(0)), np.empty((9, 0))
     costs = COSTS[:9, 2] + 0.2
-    return ensemble, points, Model(WORLDS, None, 2, seen, costs, limits, nobody, {}, ensemble)
+    return ensemble, points, Model(WORLDS, 2, seen, costs, limits, nobody, {}, ensemble)
 
 
 @pytest.mark.parametrize("features", [0, 2])
@@ -231,7 +231,6 @@ GAPS = np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0)
      "^table.better: 'more' .* lower or higher"),
     (lambda: FeatureTable.from_arrays(X, COSTS, better="higher"),
      "^table.better: 'higher' .* none without outcomes"),
-    (lambda: FeatureKernelSampler(table(), prior="a"), "^prior: 'a' .* none beside outcomes"),
     (lambda: FeatureKernelSampler(table(), feature_function=np.sin),
      "^feature_function: 'given' .* none beside outcomes"),
     (lambda: FeatureKernelSampler(table(), kernel="rbf"),
