@@ -51,7 +51,7 @@ def feature_table(
     if feature == RANKING:
         rows = table_of_worlds(store, objective.in_worlds).rows
         values = np.full(len(rows), np.nan)
-        values[rows.numbers] = -rows.ensemble(maximise=False).columns[:, -1]
+        values[rows.numbers] = -rows.ensemble(np.ones(1)).columns[:, -1]
     else:
         values = store.table([feature])[feature].to_numpy().astype(np.float64)
     return _table(store, space, features=values[:, None], feature_names=[feature])

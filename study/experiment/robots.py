@@ -359,7 +359,7 @@ def _study(
         study.enqueue_trial(left.params)
     begun = len(study.get_trials(False, (TrialState.COMPLETE, TrialState.WAITING)))
     first = experiment.trials if chosen.first is None else chosen.first
-    mean = table.rows.ensemble(maximise=False).columns[:, -1]  # over the worlds
+    mean = table.rows.ensemble(np.ones(1)).columns[:, -1]  # over the worlds
     ranking = table.rows.numbers[np.argsort(mean, kind="stable")]  # the best first, [m]
     for row in ranking[begun:first].tolist():
         study.enqueue_trial(table.rows.as_parameters(row))

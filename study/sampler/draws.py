@@ -39,6 +39,7 @@ class Purpose(IntEnum):
     SAMPLER = 12
     WORLD = 13
     COST_NOISE = 14
+    GOALS = 15
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:

@@ -17,6 +17,7 @@ from optuna.distributions import BaseDistribution, FloatDistribution, IntDistrib
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
+from study.sampler.goals import Goals
 from study.sampler.space import Number, Space
 from study.sampler.table import Rows
 from study.sampler.transforms import clip_infinities, squarable
@@ -42,12 +43,19 @@ class History:
     parameters: Floats  # of each, [n, d]
     rows: NDArray[np.int64]  # of each, the row that it is, or OFF_TABLE, [n]
     cost: Floats  # of each, lower is better, finite, [n]
-    sign: float  # of costs in the study's values: -1 where these are maximised
+    costs: Floats  # of each, for each of the k goals of the study, [n, k]
+    signs: Floats  # of costs in the study's values: -1 where these are maximised, [k]
     running: Floats  # parameters of those running elsewhere, [r, d]
     running_rows: NDArray[np.int64]  # of each, [r]
     tried: NDArray[np.bool_]  # rows that any trial has taken, whatever became of it, [table rows]
     unplaced: tuple[FrozenTrial, ...]  # finished trials left out, being no row of the table
     fixed: Mapping[str, Any]  # settled values of the trial itself: the user's, or suggested already
+    goals: Goals | None = None  # what made one cost of several
+
+    @property
+    def sign(self) -> float:
+        """Of the only goal."""
+        return float(self.signs[0])
 
 
 def next_trial(study: optuna.Study) -> FrozenTrial:
@@ -97,12 +105,15 @@ def read_history(
         return found.reshape(len(rows), len(space)), rows
 
     trials = tuple(trial for trial, _, _ in placed[TrialState.COMPLETE])
-    values = np.array([trial.values[0] for trial in trials], dtype=np.float64)
-    sign = -1.0 if study.direction is StudyDirection.MAXIMIZE else 1.0
-    costs, settled = sign * clip_infinities(values), values_of(before)
+    values = np.array([trial.values for trial in trials], dtype=np.float64)
+    values = values.reshape(len(trials), len(study.directions))
+    signs = [-1.0 if each is StudyDirection.MAXIMIZE else 1.0 for each in study.directions]
+    costs = np.column_stack([s * clip_infinities(v) for s, v in zip(signs, values.T, strict=True)])
+    settled = values_of(before)
     fixed = {name: settled[name] for name in space.names if name in settled}
     done, running = points(TrialState.COMPLETE), points(TrialState.RUNNING)
-    return History(trials, *done, costs, sign, *running, tried, tuple(unplaced), fixed)
+    return History(trials, *done, costs[:, 0], costs, np.array(signs), *running, tried,
+                   tuple(unplaced), fixed)  # fmt: skip
 
 
 def _looked_up(

@@ -25,6 +25,7 @@ from threadpoolctl import ThreadpoolController
 
 from study.sampler.acquisition import Learned, Model
 from study.sampler.draws import Purpose, generator
+from study.sampler.goals import Goals
 from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
@@ -104,6 +105,17 @@ class Policy:
     def forget(self, trial: FrozenTrial) -> Proposal | None:
         """The proposal for a trial, which is forgotten."""
         return self._proposals.pop((trial.number, trial.datetime_start), None)
+
+    def one_goal(self, history: History, turn: int, known: Floats | None = None) -> History:
+        """The history with one cost in place of several; `known` [n, k] tells their scale."""
+        if len(history.signs) == 1:
+            return history
+        if self.options.success is not None:
+            allowed = f"none in a study of {len(history.signs)} goals"
+            raise InputError("success", self.options.success, allowed)
+        known = history.costs if known is None else history.signs * known
+        goals = Goals.drawn(known, self.rng(Purpose.GOALS, turn))
+        return replace(history, cost=goals.cost(history.costs), goals=goals)
 
     def merit(self, features: Floats, turn: int) -> Floats:
         """How good each is as one of the first trials, [m], by features in standard units [m, k].

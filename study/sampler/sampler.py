@@ -79,6 +79,8 @@ class FeatureKernelSampler(BaseSampler):
     `trial.set_constraint(key, value)`, feasible where the value is <= 0: improvement is multiplied
     by the probability that all are kept (Gelbart, Snoek, Adams 2014).
 
+    Of a study with several objectives each trial has weights of its own (`study.sampler.goals`).
+
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
     the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED
     trials are not learned from; infinite values count as the worst or best finite one.
@@ -119,7 +121,7 @@ class FeatureKernelSampler(BaseSampler):
             values enqueued that no row has, or a function that raises or returns other than finite
             [n, k]. At a trial's end: it has not suggested all of the table (strict).
         TableExhaustedError: in a trial, when no row is left (strict).
-        ValueError: a study with several objectives.
+        ValueError: `best`, `predict` or `worth` of a study with several objectives.
     """
 
     @checks.checked(
@@ -261,7 +263,6 @@ class FeatureKernelSampler(BaseSampler):
         self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
     ) -> dict[str, Any]:
         """The parameters of one candidate."""
-        self._raise_error_if_multi_objective(study)
         return self._policy.propose(study, trial, search_space)
 
     def sample_independent(
@@ -272,7 +273,6 @@ class FeatureKernelSampler(BaseSampler):
         param_distribution: BaseDistribution,
     ) -> Any:
         """Parameters that the features do not cover go to the independent sampler."""
-        self._raise_error_if_multi_objective(study)
         return self._policy.propose_one(study, trial, param_name, param_distribution)
 
     def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:

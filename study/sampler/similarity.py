@@ -30,6 +30,7 @@ class Alike:
     def __init__(self, factor: Floats) -> None:
         self.parts = factor  # F, [m, r]
         self.columns = np.pad(factor, ((0, 0), (0, 2)))  # none is expected to be better
+        self.kept: dict[Any, Any] = {}
 
 
 Relation = Ensemble | Alike

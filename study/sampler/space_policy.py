@@ -61,7 +61,8 @@ class SpacePolicy(Policy):
         space = Space.of(search_space).pinned(values_of(trial))
         try:
             self._require_declared(study, search_space)
-            history, own_turn = read_history(study, trial, space), turn(study, trial)
+            own_turn = turn(study, trial)
+            history = self.one_goal(read_history(study, trial, space), own_turn)
             with one_thread():
                 if len(history.cost) < self.first_trials:
                     point, features = self._first(space, own_turn)

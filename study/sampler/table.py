@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import BaseDistribution
 
 from study.sampler.columns import Bounds, FileColumns, checked_columns, feature_matrix
+from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation, factor_of_gram, factor_of_graph
 from study.sampler.space import Space, first_not_taken
 from study.sampler.transforms import (
@@ -117,15 +118,22 @@ class Rows:
                 features = np.hstack([features, ensemble.columns])
             return Points(features, self.unit if coordinates else np.empty((len(features), 0)))
 
-        return self._once((by_order, coordinates, id(ensemble)), made)
+        kept = self._kept if ensemble is None else ensemble.kept
+        return _once(kept, (by_order, coordinates), made)
 
-    def ensemble(self, *, maximise: bool) -> Relation:
-        """Worlds, or likeness, as the model takes them, of rows that may be proposed; made once."""
-        worlds, alike, sign = self.worlds, self.alike, -1.0 if maximise else 1.0
+    def ensemble(self, signs: Floats, goals: Goals | None = None) -> Relation:
+        """Worlds, or likeness, as the model takes them, of rows that may be proposed.
+
+        `signs` are -1 where values are maximised, [k]. Made once, unless `goals` make one of k.
+        """
+        worlds, alike = self.worlds, self.alike
         if alike is not None:
             return self._once("alike", lambda: Alike(self._chosen(alike)))
         assert worlds is not None
-        return self._once(("ensemble", sign), lambda: Ensemble(worlds, self.numbers, sign))
+        costs = partial(worlds.of_rows, self.numbers, signs, goals)
+        if goals is not None:
+            return Ensemble(worlds, costs())
+        return self._once(("ensemble", *signs), lambda: Ensemble(worlds, costs()))
 
     def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
         """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
@@ -151,7 +159,7 @@ class Rows:
     def mixed_at(self, points: Points, place: Floats) -> Floats:
         """The features of rows that may be proposed, as points, mixed at a place [e]: [k]."""
         made = partial(self.mixed, points.features, place[None], place[None])
-        return np.asarray(self._once(("mixed", id(points), place.tobytes()), made)[0])
+        return np.asarray(_once(points.kept, place.tobytes(), made)[0])
 
     def _pool(self, centre: Floats) -> NDArray[np.int64]:
         """Places of the rows that are nearest to a point of the unit cube [e]."""
@@ -227,10 +235,11 @@ class Rows:
 
     def _once(self, key: Any, made: Callable[[], T]) -> T:
         """A result that each proposal needs, computed in the first one."""
-        kept: dict[Any, T] = self.__dict__.setdefault("_kept", {})
-        if key not in kept:
-            kept[key] = made()
-        return kept[key]
+        return _once(self._kept, key, made)
+
+    @cached_property
+    def _kept(self) -> dict[Any, Any]:
+        return {}
 
     @cached_property
     def _known(self) -> NDArray[np.bool_]:
@@ -260,6 +269,14 @@ class Rows:
         first = np.ones(len(self), dtype=bool)
         first[order[1:]] = hashes[1:] != hashes[:-1]
         return first
+
+
+def _once(kept: dict[Any, Any], key: Any, made: Callable[[], T]) -> T:
+    """What is kept under a key; made where nothing is."""
+    if key not in kept:
+        kept[key] = made()
+    found: T = kept[key]
+    return found
 
 
 def _hash(parameters: Floats) -> NDArray[np.uint64]:

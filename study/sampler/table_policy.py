@@ -248,7 +248,11 @@ class TablePolicy(Policy):
     ) -> Proposal | None:
         """A row that no trial has taken, or a point off the table."""
         rows, own_turn = self.rows, turn(study, trial)
-        history = self._history(study, trial)
+        try:
+            history = self._history(study, trial)
+        except InputError as error:  # of worlds with other goals than the study
+            self.misfit(error)
+            return None
         if history.unplaced:
             self.warn(
                 "trials whose parameters are no row of the table are ignored: such as trial "
@@ -274,7 +278,14 @@ class TablePolicy(Policy):
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows = self.rows
-        return read_history(study, trial, rows.space, rows, self._places_all, self._looked_up)
+        found = read_history(study, trial, rows.space, rows, self._places_all, self._looked_up)
+        known, k = None, len(found.signs)
+        if rows.worlds is not None and self.options.kernel.worlds:
+            if rows.worlds.goals != k:
+                allowed = f"those of {k} goals, as many as the study has: [n, w, {k}]"
+                raise InputError("table.outcomes", f"costs of {rows.worlds.goals}", allowed)
+            known = rows.worlds.costs[rows.numbers].reshape(-1, k)
+        return self.one_goal(found, turn(study, trial), known)
 
     @property
     def _places_all(self) -> bool:
@@ -285,7 +296,7 @@ class TablePolicy(Policy):
     def _ensemble(self, history: History) -> Relation | None:
         """The worlds, with costs that are minimised; None where they do not count."""
         worlds = self.options.kernel.worlds
-        return self.rows.ensemble(maximise=history.sign < 0) if worlds else None
+        return self.rows.ensemble(history.signs, history.goals) if worlds else None
 
     def _first_row(self, offered: Mask, own_turn: int, ensemble: Relation | None) -> Proposal:
         """A row before there is a model, of equal ones any."""
@@ -454,7 +465,7 @@ class TablePolicy(Policy):
 
         At its start, so that other workers see it; none of its parameters will be sampled here.
         """
-        if len(study.directions) > 1 or not values_of(trial):
+        if not values_of(trial):
             return
         rows, row = self.own_rows, self.own_rows.find(values_of(trial))
         if row is not None and row_of(rows, trial) != trial.user_attrs.get(ROW_ATTRIBUTE):
@@ -468,8 +479,6 @@ class TablePolicy(Policy):
                 no choice of some parameter (strict).
         """
         proposal = self.forget(trial) or NOTHING
-        if len(study.directions) > 1:
-            return
         rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
         missing, ran = not_suggested(rows.names, trial) if is_complete else None, trial.params
         other = next((name for name, v in proposal.values.items() if ran.get(name, v) != v), None)

@@ -54,6 +54,11 @@ class Points:
         return side_by_side(self.features, self.coordinates)
 
     @cached_property
+    def kept(self) -> dict[bytes, Any]:
+        """What was computed of them, for whoever asks again."""
+        return {}
+
+    @cached_property
     def distinct(self) -> tuple[Floats, NDArray[np.int64]]:
         """The values of a single feature, ascending, and the place of each row among them, [m]."""
         values, place = np.unique(self.features[:, 0], return_inverse=True)
@@ -83,7 +88,7 @@ def log_excess(values: Floats, cost: Floats) -> Floats:
     ends = -LARGEST / 4, LARGEST / 4  # so that excess, and two of them, are finite
     cost = np.clip(cost, *ends)
     with np.errstate(over="ignore"):
-        ratio = (np.clip(values, *ends) - cost.min()) / _typical_excess(cost)
+        ratio = (np.clip(values, *ends) - cost.min()) / typical_excess(cost)
     return np.asarray(np.copysign(np.log1p(np.minimum(np.abs(ratio), LARGEST)), ratio))
 
 
@@ -92,10 +97,10 @@ def of_log_excess(y: Floats, cost: Floats) -> Floats:
     cost = np.clip(cost, -LARGEST / 4, LARGEST / 4)
     with np.errstate(over="ignore"):
         above = np.copysign(np.expm1(np.abs(y)), y)
-        return np.asarray(cost.min() + _typical_excess(cost) * above)
+        return np.asarray(cost.min() + typical_excess(cost) * above)
 
 
-def _typical_excess(cost: Floats) -> float:
+def typical_excess(cost: Floats) -> float:
     """The median of what costs [n] are above the least; 1 if they are equal."""
     excess = cost - cost.min()
     above = excess[excess > 0]

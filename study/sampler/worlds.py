@@ -23,6 +23,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from study.sampler.goals import Goals
 from study.sampler.transforms import clip_infinities, squarable
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
@@ -42,13 +43,15 @@ class Worlds:
     """Outcomes of n rows in w worlds."""
 
     names: tuple[str, ...]  # of the worlds
-    costs: Floats  # [n, w]; NaN where unknown
+    costs: Floats  # [n, w], or [n, w, k] of k goals; NaN where unknown
     weights: Floats  # of the worlds, sum 1, [w]
     better: Better | None = None  # of outcomes in units of their own; None: the study's
 
     @classmethod
     def of(cls, outcomes: Outcomes, better: Better | None = None) -> "Worlds":
         """The worlds of outcomes [n, w] (or [n]: one world), or of such outcomes by family.
+
+        [n, w, k] are those of k goals, in the units of the study's k values.
 
         Refused are, by family: no numbers, other rows than the others', no row without gaps.
         """
@@ -58,9 +61,18 @@ class Worlds:
         names, parts, weights = list[str](), list[Floats](), list[Floats]()
         for family, given in families.items():
             field = f"table.outcomes.{family}" if outcomes is families else "table.outcomes"
-            part = squarable(clip_infinities(matrix_of(field, given, "w")))  # as the worst or best
+            part = matrix_of(field, given, "w")
+            for goal in np.moveaxis(part, -1, 0) if part.ndim > 2 else (part,):
+                goal[:] = squarable(clip_infinities(goal))  # infinities as the worst or the best
             if parts and len(part) != len(parts[0]):
                 raise InputError(field, f"{len(part)} rows", f"{len(parts[0])}, as the others")
+            if part.ndim > 2 and (better is not None or not part.shape[2]):
+                raise InputError(
+                    f"{field}.shape", part.shape, "[n, w], or [n, w, k] without better"
+                )
+            if parts and part.shape[2:] != parts[0].shape[2:]:
+                allowed = f"goals as the others: {parts[0].shape[2:]}"
+                raise InputError(f"{field}.shape", part.shape, allowed)
             count = part.shape[1]
             names += [f"{family} {world}" for world in range(count)]
             parts.append(part)
@@ -74,17 +86,32 @@ class Worlds:
     @cached_property
     def known(self) -> NDArray[np.bool_]:
         """Rows with a cost in every world, [n]."""
-        return np.asarray(~np.isnan(self.costs).any(axis=1))
+        return np.asarray(~np.isnan(self.costs.reshape(len(self.costs), -1)).any(axis=1))
+
+    @property
+    def goals(self) -> int:
+        """k, 1 where outcomes have two axes."""
+        return self.costs.shape[2] if self.costs.ndim > 2 else 1
+
+    def of_rows(self, rows: NDArray[np.int64], signs: Floats, goals: Goals | None) -> Floats:
+        """Costs [m, w] of some rows; `signs` are -1 where values are maximised, [k]."""
+        if goals is not None:
+            return goals.cost(signs * self.costs[rows].reshape(len(rows), len(self.names), -1))
+        sign = {"higher": -1.0, "lower": 1.0, None: float(signs[0])}[self.better]
+        return sign * self.costs[rows].reshape(len(rows), -1)
 
 
 def matrix_of(field: str, given: Any, count: str) -> Floats:
-    """Numbers as [n, count], of [n] or [n, count]; NaN is a gap, infinity a value."""
+    """Numbers as [n, count], of [n] or [n, count]; NaN is a gap, infinity a value.
+
+    With count "w" they may be of several goals, [n, w, k].
+    """
     try:
         matrix = np.array(checks.unmasked(given), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError(field, type(given).__name__, f"numbers, [n, {count}]") from None
     matrix = matrix[:, None] if matrix.ndim == 1 else matrix
-    if matrix.ndim != 2 or not matrix.size:
+    if matrix.ndim not in ((2, 3) if count == "w" else (2,)) or not matrix.size:
         allowed = f"[n, {count}], n and {count} at least 1"
         raise InputError(f"{field}.shape", matrix.shape, allowed)
     return matrix
@@ -93,13 +120,11 @@ def matrix_of(field: str, given: Any, count: str) -> Floats:
 class Ensemble:
     """The worlds' costs of m rows as a Gaussian process takes them."""
 
-    def __init__(self, worlds: Worlds, rows: NDArray[np.int64], sign: float) -> None:
-        """Of these rows; `sign` is -1 in a study that maximises."""
+    def __init__(self, worlds: Worlds, costs: Floats) -> None:
+        """Of costs [m, w], as `Worlds.of_rows` has them."""
         self.names = worlds.names
+        self.kept: dict[Any, Any] = {}  # what was computed of it, for whoever asks again
         self.in_costs = worlds.better is None  # whether outcomes and values have one unit
-        if not self.in_costs:
-            sign = -1.0 if worlds.better == "higher" else 1.0
-        costs = sign * worlds.costs[rows]
         # Units of their own may have any zero: no logarithm.
         self._least = float(costs.min()) if self.in_costs else 0.0
         own = self._spread(costs)

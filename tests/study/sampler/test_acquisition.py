@@ -85,7 +85,7 @@ def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
     """Costs follow them but for a hundredth."""
     rng = np.random.default_rng(1)
     outcomes = rng.standard_normal((2 * acquisition.MOST_CANDIDATES, 3))
-    ensemble = Ensemble(Worlds.of(outcomes, "lower"), np.arange(len(outcomes)), 1.0)
+    ensemble = Ensemble(Worlds.of(outcomes, "lower"), outcomes)
     many = Points(ensemble.columns, rng.uniform(size=(len(outcomes), 2)))
     seen = many.take(np.arange(12))
     cost = np.exp(ensemble.mean[:12] + 0.01 * rng.standard_normal(12))

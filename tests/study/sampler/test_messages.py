@@ -97,7 +97,7 @@ CASES: dict[str, Callable[[], object]] = {
     "space: … allowed: none: a table knows its own": lambda: sampler(space=SPACE),
     "features: … allowed: a FeatureTable, a function, or None": lambda: sampler(FEATURES),
     "If the study is being used for multi-objective optimization, … cannot be used.": lambda: (
-        optuna.create_study(sampler=sampler(), directions=["minimize", "maximize"]).ask(SPACE)
+        sampler().worth(optuna.create_study(directions=["minimize", "maximize"]))
     ),
     "…: … allowed: a range that holds all rows: …": lambda: run(sampler(), a_within(0, 0.7)),
     "…: … allowed: choices that hold all rows: …":
@@ -177,15 +177,6 @@ def test_a_range_that_shrinks_is_an_error_where_it_leaves_the_row_out(table):
     study.optimize(bowl, n_trials=1)  # what another trial suggested is no fault of this one
     with pytest.raises(InputError, match=r"b: .* a range that holds all rows: row \d+ has"):
         study.optimize(shrunk, n_trials=1)
-
-
-@pytest.mark.parametrize("given", [new_table(), lambda params: params, None])
-def test_several_objectives_are_refused(given):
-    study = optuna.create_study(sampler=FeatureKernelSampler(given), directions=["minimize"] * 2)
-    with pytest.raises(ValueError, match="multi-objective"):
-        study.ask(BOX)
-    with pytest.raises(ValueError, match="multi-objective"):
-        study.ask().suggest_float("other", 0, 1)
 
 
 def test_extra_parameters_come_after_the_tables_or_are_named(table):

@@ -33,9 +33,9 @@ FORMS = {
 @pytest.mark.filterwarnings("ignore:.*the independent sampler takes over")
 @pytest.mark.filterwarnings("ignore:trials whose parameters are no row")
 class TestSampler(
-    suite.BasicSamplerTestCase, suite.RelativeSamplerTestCase, suite.SingleOnlySamplerTestCase
+    suite.BasicSamplerTestCase, suite.RelativeSamplerTestCase, suite.MultiObjectiveSamplerTestCase
 ):
-    """What Optuna asks of a sampler for one objective."""
+    """What Optuna asks of a sampler for one objective and for several."""
 
     @pytest.fixture(params=FORMS)
     def sampler(self, request):

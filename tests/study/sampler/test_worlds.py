@@ -28,6 +28,7 @@ def cost(unit: Any, place: Any) -> Any:
 
 
 COSTS = np.column_stack([cost(ROWS, place) for place in PLACES])
+ONE = np.ones(1)
 DIRECTIONS = {1.0: "minimize", -1.0: "maximize"}
 SPREAD = np.log(1.0 + (COSTS / COSTS.min() - 1.0) / 0.3)
 
@@ -35,6 +36,10 @@ SPREAD = np.log(1.0 + (COSTS / COSTS.min() - 1.0) / 0.3)
 def table(outcomes: Any = COSTS, features: Any = None, better: Any = None) -> FeatureTable:
     columns, given = {"x": ROWS[:, 0], "y": 100.0 ** ROWS[:, 1]}, {"outcomes": outcomes}
     return FeatureTable.from_arrays(columns, features, **given, better=better, space=SPACE)
+
+
+def of_all(worlds: Worlds) -> Ensemble:
+    return Ensemble(worlds, worlds.of_rows(np.arange(len(worlds.costs)), ONE, None))
 
 
 def robot(trial: optuna.Trial, place: Any = (0.85, 0.75)) -> float:
@@ -50,7 +55,7 @@ def studied(sampler: FeatureKernelSampler, trials: int, sign: float = 1.0) -> op
 
 def test_an_ensemble_is_the_mean_and_the_covariance_over_the_worlds() -> None:
     worlds = Worlds.of({"near": COSTS[:, :1], "far": COSTS[:, 1:]})
-    ensemble = Ensemble(worlds, np.arange(60), 1.0)
+    ensemble = of_all(worlds)
     y = (SPREAD - SPREAD.mean()) / SPREAD.std()
     np.testing.assert_allclose(ensemble.standard(COSTS), y, rtol=1e-12)
     least, below = ensemble.standard(COSTS.min() * np.array([1.0, 0.5]))
@@ -59,14 +64,14 @@ def test_an_ensemble_is_the_mean_and_the_covariance_over_the_worlds() -> None:
     np.testing.assert_allclose(ensemble.mean, y @ weights)
     away = y - (y @ weights)[:, None]
     np.testing.assert_allclose(ensemble.parts @ ensemble.parts.T, (away * weights) @ away.T)
-    below = Ensemble(Worlds.of(COSTS - 1.0), np.arange(60), 1.0)  # costs without a logarithm
+    below = of_all(Worlds.of(COSTS - 1.0))  # costs without a logarithm
     expected = (COSTS - COSTS.mean()) / COSTS.std()
     np.testing.assert_allclose(below.standard(COSTS - 1.0), expected, atol=1e-12)
 
 
 def after_nine_trials(phi: Any = ROWS[:, :0]) -> tuple[Ensemble, Points, Model]:
     """Of the first rows, in a world like the third; phi are features beside the worlds."""
-    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
+    ensemble = of_all(Worlds.of(COSTS))
     points = Points(np.hstack([phi, ensemble.columns]), ROWS)
     seen, nobody, limits = points.take(np.arange(9)), points.take(np.arange(0)), np.empty((9, 0))
     costs = COSTS[:9, 2] + 0.2
@@ -102,7 +107,7 @@ def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features: int)
 
 def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighbours() -> None:
     rows = table().rows
-    columns = rows.ensemble(maximise=False).columns
+    columns = rows.ensemble(ONE).columns
     np.testing.assert_allclose(rows.mixed(columns, rows.unit, rows.unit[:3]), columns, atol=1e-3)
     point = np.array([[0.5, 0.5]])
     distance = np.sqrt(((rows.unit - point) ** 2).sum(axis=1))
@@ -222,7 +227,7 @@ GAPS = np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0)
     (lambda: table({"a": COSTS, "b": COSTS[:9]}),
      r"^table.outcomes.b: '9 rows' .* 60, as the others"),
     (lambda: table({"a": [["x"]]}), r"^table.outcomes.a: 'list' .* numbers, \[n, w\]"),
-    (lambda: table(np.ones((60, 2, 2))), r"^table.outcomes.shape: \(60, 2, 2\) .* \[n, w\]"),
+    (lambda: table(np.ones((60, 2, 0))), r"^table.outcomes.shape: \(60, 2, 0\) .* \[n, w\]"),
     (lambda: table(np.empty((60, 0))), r"^table.outcomes.shape: \(60, 0\) .* \[n, w\]"),
     (lambda: FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS),
      r"^table.outcomes: '60 rows' .* 59 rows, as the features"),
@@ -286,7 +291,7 @@ def test_the_chance_of_success_is_that_of_the_posterior() -> None:
 def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_worlds() -> None:
     sampler = FeatureKernelSampler(table(), seed=1, success=0.3)
     blank = sampler.predict(optuna.create_study())
-    ensemble = Ensemble(Worlds.of(COSTS), np.arange(60), 1.0)
+    ensemble = of_all(Worlds.of(COSTS))
     np.testing.assert_allclose(blank.value, ensemble.costs(ensemble.mean))
     assert (blank.low < blank.value).all() and (blank.value < blank.high).all()
     study = studied(sampler, 12)

@@ -1,0 +1,157 @@
+"""Studies with several goals: the one cost of a trial, and the fronts that are found."""
+
+import json
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from optuna.distributions import FloatDistribution
+from optuna.samplers import RandomSampler
+from optuna.trial import TrialState
+
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler.goals import Goals
+from taichi_nmm.errors import InputError
+from tests.study.sampler.studies import Floats, params_of, run_code
+
+SPACE = {"x": FloatDistribution(0, 1), "y": FloatDistribution(0, 1)}
+ROWS = np.random.default_rng(8).random((400, 2))
+COLUMNS = dict(zip(SPACE, ROWS.T, strict=True))
+MAXIMISED = np.array([1.0, -1.0])
+
+
+def goals_of(points: Floats, bend: float = 0.0) -> Floats:
+    """Two goals, [n, 2]: near the left end, and near the right one; y is best at 0.3 for both."""
+    x, y = points.T
+    off = 4.0 * (y - 0.3) ** 2
+    return np.column_stack([(x - bend) ** 2 + off, (1.0 - x) ** 2 + off])
+
+
+def table(**known: Any) -> FeatureTable:
+    return FeatureTable.from_arrays(COLUMNS, space=SPACE, **known)
+
+
+WORLDS = np.stack([goals_of(ROWS, bend) for bend in (-0.1, 0.0, 0.1)], axis=1)
+FORMS = {
+    "worlds": lambda: table(outcomes=WORLDS),
+    "worlds, second maximised": lambda: table(outcomes={"all": WORLDS * MAXIMISED}),
+    "features": lambda: table(features=goals_of(ROWS)),
+    "function": lambda: goals_of,
+    "none": lambda: None,
+}
+
+
+def studied(form: str, trials: int, sampler: Any = None, seed: int = 3) -> optuna.Study:
+    signs = MAXIMISED if "maximised" in form else np.ones(2)
+    directions = ["minimize" if sign > 0 else "maximize" for sign in signs]
+    sampler = sampler or FeatureKernelSampler(FORMS[form](), seed=seed)
+    study = optuna.create_study(directions=directions, sampler=sampler)
+
+    def objective(trial: optuna.Trial) -> tuple[float, ...]:
+        point = [trial.suggest_float(name, 0, 1) for name in SPACE]
+        return tuple((signs * goals_of(np.array([point]), 0.05)[0]).tolist())
+
+    study.optimize(objective, n_trials=trials)
+    return study
+
+
+def volume(study: optuna.Study) -> float:
+    """The area that the trials dominate, up to a cost of 2 each."""
+    signs = [1.0 if d is optuna.study.StudyDirection.MINIMIZE else -1.0 for d in study.directions]
+    costs = np.array([np.multiply(signs, trial.values) for trial in study.trials])
+    front, area, reach = costs[np.lexsort(costs.T[::-1])], 0.0, 2.0
+    for first, second in front:
+        if second < reach and first < 2.0:
+            area, reach = area + (2.0 - first) * (reach - second), second
+    return area
+
+
+def test_the_one_cost_is_the_largest_weighted_excess_and_a_twentieth_of_the_sum() -> None:
+    goals = Goals(np.array([0.25, 0.75]), np.array([1.0, 10.0]), np.array([2.0, 5.0]))
+    costs = np.array([[3.0, 10.0], [1.0, 20.0], [np.inf, 10.0]])
+    found = goals.cost(costs)
+    np.testing.assert_allclose(found[:2], [1 + 0.25 * 1.05, 1 + 1.5 * 1.05])
+    assert np.isfinite(found).all() and found[2] > 1e100
+    known = np.array([[1.0, 4.0], [5.0, 4.0], [3.0, np.nan], [2.0, 8.0]])
+    drawn = Goals.drawn(known, np.random.default_rng(0))
+    assert drawn.weights.sum() == pytest.approx(1.0) and (drawn.weights > 0).all()
+    assert drawn.least.tolist() == [1.0, 4.0] and drawn.typical.tolist() == [2.0, 4.0]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_fronts_are_better_than_those_of_random_trials(form: str) -> None:
+    """Nearer to the whole front than to them; where nothing is known, just better."""
+    study = studied(form, 25)
+    random = np.median([volume(studied("none", 25, RandomSampler(seed=s))) for s in range(5)])
+    share = 0.0 if form == "none" else 0.5
+    assert volume(study) > random + share * (volume_of_the_front() - random)
+    firsts = [trial.params["x"] for trial in study.best_trials]
+    assert max(firsts) - min(firsts) > 0.5  # from one end to the other
+
+
+def volume_of_the_front() -> float:
+    study = optuna.create_study(directions=["minimize"] * 2)
+    for x in np.linspace(0.05, 1.0, 400):
+        values = goals_of(np.array([[x, 0.3]]), 0.05)[0].tolist()
+        study.add_trial(optuna.create_trial(values=values))
+    return volume(study)
+
+
+def test_a_trial_of_worlds_begins_at_the_front() -> None:
+    """The worlds know it before any trial."""
+    (trial,) = studied("worlds", 1).trials
+    assert trial.params["y"] == pytest.approx(0.3, abs=0.1)
+
+
+ELSEWHERE = """
+import json
+from tests.study.sampler.test_goals import params_of, studied
+print(json.dumps(params_of(studied("worlds", 6))))
+"""
+
+
+@pytest.mark.slow
+def test_another_process_proposes_the_same() -> None:
+    there = run_code(ELSEWHERE)
+    assert json.loads(there.stdout) == params_of(studied("worlds", 6)), there.stderr
+
+
+@pytest.mark.parametrize(("given", "goals", "message"), [
+    ({"outcomes": WORLDS}, 1, "table.outcomes: 'costs of 2' .* 1 goals"),
+    ({"outcomes": WORLDS}, 3, "table.outcomes: 'costs of 2' .* 3 goals"),
+    ({"outcomes": WORLDS[..., 0]}, 2, "table.outcomes: 'costs of 1' .* 2 goals"),
+])  # fmt: skip
+def test_worlds_have_as_many_goals_as_the_study(given: Any, goals: int, message: str) -> None:
+    study = optuna.create_study(
+        directions=["minimize"] * goals, sampler=FeatureKernelSampler(table(**given), seed=1)
+    )
+    with pytest.raises(InputError, match=message):
+        study.ask(SPACE)
+    lenient = FeatureKernelSampler(table(**given), seed=1, strict=False)
+    study = optuna.create_study(directions=["minimize"] * goals, sampler=lenient)
+    with pytest.warns(UserWarning, match="the independent sampler takes over"):
+        assert study.ask(SPACE).params
+
+
+def test_what_needs_one_goal_is_refused() -> None:
+    study = studied("features", 3)
+    for look in (study.sampler.best, study.sampler.worth, study.sampler.predict):
+        with pytest.raises(ValueError, match="multi-objective"):
+            look(study)
+    sampler = FeatureKernelSampler(table(outcomes=WORLDS), success=0.5)
+    study = optuna.create_study(directions=["minimize"] * 2, sampler=sampler)
+    with pytest.raises(InputError, match=r"success: 0.5 .* none in a study of 2 goals"):
+        study.ask(SPACE)
+    for outcomes, better in ((WORLDS, "lower"), ({"a": WORLDS, "b": WORLDS[..., 0]}, None)):
+        with pytest.raises(InputError, match=r"table.outcomes.*shape"):
+            table(outcomes=outcomes, better=better)
+
+
+def test_rows_are_noted_and_infinite_costs_are_learned_from() -> None:
+    study = studied("features", 3)
+    assert all(trial.user_attrs["row"] >= 0 for trial in study.trials)
+    study.tell(study.ask(SPACE), (np.inf, 1.0))
+    study.tell(study.ask(SPACE), (1.0, np.inf))
+    study.ask(SPACE)
+    assert study.trials[-1].state is TrialState.RUNNING and study.trials[-1].params
