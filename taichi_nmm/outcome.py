@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from taichi_nmm import checks
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     FIRST_EVENT,
@@ -16,16 +17,17 @@ from taichi_nmm.kernel.layout import (
     FIRST_SUM,
     LEGS,
     MUSCLE_COUNT,
+    MUSCLES_PER_LEG,
     WALKER_ROWS,
     Gait,
     Muscle,
     State,
     Sums,
 )
-from taichi_nmm.kernel.muscle_table import FMAX_N
+from taichi_nmm.kernel.muscle_table import FMAX_N, MUSCLE_DATA, TORQUES_NM
 from taichi_nmm.packs import Packs
 from taichi_nmm.result import EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
-from taichi_nmm.settings import CONTROL_TICK_S
+from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 
 Array = NDArray[np.float64]
 
@@ -105,11 +107,18 @@ def _quotient(a: Array, b: Array) -> Array:
     return np.divide(a, b, out=np.zeros(len(a)), where=b > 0)
 
 
+OPTIMAL_M = np.tile([muscle.optimal_length_m for muscle in MUSCLE_DATA.values()], LEGS)
+FASTEST_PER_S = np.tile([muscle.vmax_per_s for muscle in MUSCLE_DATA.values()], LEGS)
+
+
 class Recorder:
     """Cuts chunks of ticks at the sample times, and keeps the rows of chosen walkers there."""
 
-    def __init__(self, walkers: Sequence[int], rate_hz: float, count: int) -> None:
+    def __init__(
+        self, walkers: Sequence[int], rate_hz: float, count: int, settings: Settings
+    ) -> None:
         self._walkers = tuple(checks.row_numbers("record", walkers, count).tolist())
+        self._settings = settings
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
             raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
         self._interval = round(TICKS_PER_SECOND / rate_hz)
@@ -147,16 +156,26 @@ class Recorder:
         rows = np.array(list(samples.values())).reshape(-1, WALKER_ROWS)
         q, fibres = rows[:, State.q : State.q + COORDINATES], rows[:, FIRST_FIBRE:]
         touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(-1, LEGS, 2)
-        force = fibres[:, Muscle.force : Muscle.force + MUSCLE_COUNT]
+        activation, length, velocity, force = (
+            fibres[:, first : first + MUSCLE_COUNT]
+            for first in (Muscle.activation, Muscle.length, Muscle.velocity, Muscle.force)
+        )
+        swing = [
+            row + side for side in range(LEGS) for row in (State.hip_torque, State.knee_torque)
+        ]
         return Trajectory(
             walker=walker,
             time_s=np.array(list(samples), dtype=np.float64) * CONTROL_TICK_S,
             q=q,
             qdot=rows[:, State.qdot : State.qdot + COORDINATES],
             joint_rad=q[:, 3:] - q[:, [2, 3, 4, 2, 6, 7]],
-            activation=fibres[:, Muscle.activation : Muscle.activation + MUSCLE_COUNT],
+            activation=activation,
             muscle_force_n=force * np.tile(FMAX_N, LEGS),
             ground_force_n=_mean_forces(rows, self._interval),
+            joint_torque_nm=_joint_torques(rows, self._settings),
+            swing_torque_nm=rows[:, swing],
+            fibre_length_m=length * OPTIMAL_M,
+            fibre_velocity_mps=velocity * OPTIMAL_M * FASTEST_PER_S,
             stance=np.any(touching > 0.5, axis=2),
             events=_events(rows),
         )
@@ -171,6 +190,47 @@ def _mean_forces(rows: Array, interval: int) -> Array:
     restarted = np.diff(ticks, prepend=0.0) <= 0
     before[restarted] = 0.0
     return (impulse - before) / (interval * CONTROL_TICK_S)
+
+
+STOPS = (  # of hip, knee, ankle: range in rad, relaxation in rad/s
+    (-np.inf, stops.HIP_EXTENSION_LIMIT_RAD, stops.HIP_RELAXATION_RADPS),
+    (stops.KNEE_STRAIGHTEST_RAD, np.inf, stops.STOP_RELAXATION_RADPS),
+    (
+        stops.ANKLE_DORSIFLEXION_LIMIT_RAD,
+        stops.ANKLE_PLANTARFLEXION_LIMIT_RAD,
+        stops.STOP_RELAXATION_RADPS,
+    ),
+)
+
+
+def _joint_torques(rows: Array, settings: Settings) -> Array:
+    """Torques of the last physics step, from the pose before it: `kernel.joints`, [t, 6]."""
+    step_s = settings.physics_step_s
+    rates = rows[:, State.qdot : State.qdot + COORDINATES]
+    q = rows[:, State.q : State.q + COORDINATES] - step_s * rates
+    torques = np.empty((len(rows), 3 * LEGS))
+    for leg in range(LEGS):
+        first = FIRST_FIBRE + Muscle.force + MUSCLES_PER_LEG * leg
+        hip, *rest = (rows[:, first : first + MUSCLES_PER_LEG] @ TORQUES_NM).T
+        links = [2, 3 + 3 * leg, 4 + 3 * leg, 5 + 3 * leg]
+        angle, rate = np.diff(q[:, links]).T, np.diff(rates[:, links]).T
+        knee, ankle = (
+            rest[2 * joint - 2] * np.cos(angle[joint]) + rest[2 * joint - 1] * np.sin(angle[joint])
+            for joint in (stops.KNEE, stops.ANKLE)
+        )
+        weight = rows[:, State.stance_weight + leg]
+        torque = np.column_stack([
+            weight * hip + rows[:, State.hip_torque + leg],
+            weight * knee + rows[:, State.knee_torque + leg],
+            ankle + rows[:, State.device_torque + leg],
+        ])  # fmt: skip
+        for joint, (low, high, slow) in enumerate(STOPS if settings.engine == OWN_ENGINE else ()):
+            excess = np.clip(angle[joint], low, high) - angle[joint]
+            stop = excess - (np.abs(excess) / slow + step_s * (joint > 0)) * rate[joint]
+            stop[stop * excess <= 0.0] = 0.0
+            torque[:, joint] += stops.STOP_STIFFNESS_NMPRAD * stop
+        torques[:, 3 * leg : 3 * leg + 3] = torque
+    return torques
 
 
 def _events(rows: Array) -> NDArray[np.void]:

@@ -5,10 +5,8 @@ D(th) = (-sin th, -cos th), a foot along F(th) = (cos th, -sin th), the trunk al
 Muscle paths are for the eye: plausible origins and insertions, not the moment arms of the model.
 """
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,7 +16,14 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from study.pictures import style
-from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
+from taichi_nmm.body import (
+    BALL_OFFSET_M,
+    DRAWN,
+    HEEL_OFFSET_M,
+    LINKS,
+    SHANK_LENGTH_M,
+    THIGH_LENGTH_M,
+)
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES, Trajectory
 
@@ -83,10 +88,8 @@ SHOULDER_M = 0.50  # above the hip, along the trunk
 HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
-SEGMENTS = ("hat", "thigh", "shank", "foot")
 LEG_COLUMNS = ((2, 3, 4, 5), (2, 6, 7, 8))  # th of HAT, thigh, shank, foot in q; left, right
 
-DRAWN = tomllib.loads(Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8"))
 PATH_POINTS = 15
 
 
@@ -156,7 +159,7 @@ def _path(frames: list[tuple[Array, Array, Array]], name: str) -> Array:
     """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2]."""
     points = []
     for segment, along, ahead in DRAWN[name]["path"]:
-        origin, axis, front = frames[SEGMENTS.index(segment)]
+        origin, axis, front = frames[LINKS.index(segment)]
         points.append((origin + along * axis + ahead * front)[..., None, :])
     start, middle, end = points
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]

@@ -38,9 +38,9 @@ from taichi_nmm.body import (
     BALL_OFFSET_M,
     GRAVITY_MPS2,
     HEEL_OFFSET_M,
+    LINK_DIRECTIONS,
+    LINK_ORIGINS_M,
     SEGMENT_NAMES,
-    SHANK_LENGTH_M,
-    THIGH_LENGTH_M,
     Bodies,
 )
 from taichi_nmm.kernel import joints as stops
@@ -49,11 +49,6 @@ from taichi_nmm.settings import LIMITS_AS_STOPS, Settings
 from taichi_nmm.terrain import GRID_X_M, Terrain
 
 Array = NDArray[np.float64]
-
-# Of each segment at q = 0: where its proximal joint lies in the parent, and the link's direction.
-ORIGINS = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))  # x, z
-DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
-
 
 JOINT_PARENT = (2, 3, 4, 2, 6, 7)  # coordinate of the segment above hip, knee and ankle
 RELATIVE: Array = np.eye(9)  # child minus parent at the six joints, the rest unchanged
@@ -84,9 +79,9 @@ def compile_model(root: Element) -> mujoco.MjModel:
 def _add_link(parent: Element, bodies: Bodies, row: int, index: int) -> Element:
     """A segment, by its index in `SEGMENT_NAMES`, with its inertia."""
     kind = 0 if index == 0 else (index - 1) % 3 + 1
-    x, z = ORIGINS[kind]
+    x, z = LINK_ORIGINS_M[kind]
     link = SubElement(parent, "body", name=SEGMENT_NAMES[index], pos=f"{x!r} 0 {z!r}")
-    com_x, com_z = (float(bodies.com_m[row, index]) * part for part in DIRECTIONS[kind])
+    com_x, com_z = (float(bodies.com_m[row, index]) * part for part in LINK_DIRECTIONS[kind])
     inertia = repr(float(bodies.inertia_kgm2[row, index]))
     SubElement(
         link, "inertial",
