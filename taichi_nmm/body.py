@@ -54,6 +54,7 @@ LINKS = ("hat", *OF_A_LEG)
 LINK_ORIGINS_M = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))
 LINK_DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
 LINK_FRONTS = ((1, 0), (1, 0), (1, 0), (0, 1))
+LINK_WIDTHS_M = (0.15, 0.09, 0.06, 0.04)  # as they are drawn
 
 DRAWN: dict[str, Any] = tomllib.loads(
     Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8")

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.commit import commit_text, together
-from study.pictures.stick_figure import TRUNK_WIDTH_M, WIDTHS_M, down, finite, forward, leg
+from study.pictures.stick_figure import down, finite, forward, leg
 from taichi_nmm import __version__
 from taichi_nmm.body import (
     GRAVITY_MPS2,
     LINK_DIRECTIONS,
     LINK_ORIGINS_M,
+    LINK_WIDTHS_M,
     LINKS,
     SEGMENTS,
     SHANK_LENGTH_M,
@@ -179,7 +180,7 @@ def model_text(body: Bodies, name: str = "walk") -> str:
         side = SIDES[index > 3]
         own, above = (_body_name(k, side) for k in (kind, max(kind - 1, 0)))
         radii = np.abs(axis) * 0.5 * segment.length_m
-        radii[radii == 0.0] = 0.5 * (TRUNK_WIDTH_M, *WIDTHS_M)[kind]
+        radii[radii == 0.0] = 0.5 * LINK_WIDTHS_M[kind]
         bodies.append(XML["body"].format(
             name=own, middle=_place(axis * 0.5 * segment.length_m), com=_place(
                 axis * body.com_m[0, index]), mass=float(body.mass_kg[0, index]),

@@ -20,6 +20,7 @@ from taichi_nmm.body import (
     BALL_OFFSET_M,
     DRAWN,
     HEEL_OFFSET_M,
+    LINK_WIDTHS_M,
     LINKS,
     SHANK_LENGTH_M,
     THIGH_LENGTH_M,
@@ -32,8 +33,7 @@ Bone = tuple[Array, Array, float]  # its ends, each [2], and its width in metres
 
 LEFT, RIGHT = 0, 1
 FULL_ACTIVATION = Normalize(0.0, 1.0)
-TRUNK_WIDTH_M = 0.15
-WIDTHS_M = (0.09, 0.06, 0.04)  # of thigh, shank and foot
+TRUNK_WIDTH_M, *WIDTHS_M = LINK_WIDTHS_M
 
 
 def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCollection:
