@@ -4,10 +4,8 @@ Source: Geyer & Herr 2010, as in the walker T (80 kg, 1.80 m); disturbances: Ant
 """
 
 import math
-import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -48,28 +46,6 @@ SEGMENT_NAMES: tuple[str, ...] = (
 SIDES = ("left", "right")
 OF_A_LEG = ("thigh", "shank", "foot")
 FACTOR_NAMES = ("hat", *(f"{name}_{side}" for side in SIDES for name in OF_A_LEG))
-
-# Of each kind of link at q = 0, x z: where its proximal joint lies in the parent, its direction.
-LINKS = ("hat", *OF_A_LEG)
-LINK_ORIGINS_M = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))
-LINK_DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
-LINK_FRONTS = ((1, 0), (1, 0), (1, 0), (0, 1))
-LINK_WIDTHS_M = (0.15, 0.09, 0.06, 0.04)  # as they are drawn
-
-DRAWN: dict[str, Any] = tomllib.loads(
-    Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8")
-)
-
-
-def muscle_points(name: str) -> list[tuple[int, NDArray[np.float64]]]:
-    """The path of a muscle of `DRAWN`: a place in `LINKS`, and x, z from its joint, m, [2]."""
-    points = []
-    for link, along_m, ahead_m in DRAWN[name]["path"]:
-        kind = LINKS.index(link)
-        axis, front = np.array(LINK_DIRECTIONS[kind]), np.array(LINK_FRONTS[kind])
-        points.append((kind, along_m * axis + ahead_m * front))
-    return points
-
 
 LARGEST_DISTURBANCE = 0.15  # of mass and inertia; of half the length for the centre of mass
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero

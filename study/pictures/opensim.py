@@ -15,28 +15,16 @@ from numpy.typing import NDArray
 from storage.commit import commit_text, together
 from study.pictures.stick_figure import down, finite, forward, leg
 from taichi_nmm import __version__
-from taichi_nmm.body import (
-    GRAVITY_MPS2,
-    LINK_DIRECTIONS,
-    LINK_ORIGINS_M,
-    LINK_WIDTHS_M,
-    LINKS,
-    SEGMENTS,
-    SHANK_LENGTH_M,
-    THIGH_LENGTH_M,
-    Bodies,
-    muscle_points,
-)
-from taichi_nmm.kernel.muscle_table import MUSCLE_DATA
+from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.result import MUSCLES, Trajectory
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
 
-OPENSIM = tomllib.loads(Path(__file__).with_name("opensim.toml").read_text(encoding="utf-8"))
-XML: dict[str, str] = {name: text.lstrip() for name, text in OPENSIM["xml"].items()}
+FOLDER = Path(__file__).parent  # of the model's template, and the list of external loads
+OPENSIM = tomllib.loads(FOLDER.joinpath("opensim.toml").read_text(encoding="utf-8"))
 SIDES = ("l", "r")
-FEET = {"l": "1_", "r": ""}  # before the names of a foot's columns, as in OpenSim's examples
+FEET = ("1_", "")  # before the names of the left and right foot's columns, as in OpenSim's examples
 SIDED = [(side, muscle) for side in SIDES for muscle in MUSCLES]
 MUSCLE_NAMES = [f"{OPENSIM['muscles'][muscle]}_{side}" for side, muscle in SIDED]
 JOINTS = [(joint, side) for side in SIDES for joint in OPENSIM["joints"]]
@@ -67,8 +55,7 @@ def write_opensim(folder: Path, trajectory: Trajectory, body: Bodies, name: str 
         commit_text(new / MOTION, storage_text(motion(trajectory), "coordinates", name))
         commit_text(new / STATES, storage_text(states(trajectory), "states", name))
         commit_text(new / LOADS, storage_text(loads(trajectory, body), "loads", name))
-        forces = "".join(XML["force"].format(side=side, foot=FEET[side]) for side in SIDES)
-        commit_text(new / EXTERNAL, XML["loads"].format(forces=forces, file=LOADS))
+        commit_text(new / EXTERNAL, FOLDER.joinpath(EXTERNAL).read_text("utf-8"))
 
 
 def storage_text(columns: Columns, words: str, name: str) -> str:
@@ -127,33 +114,36 @@ def loads(trajectory: Trajectory, body: Bodies) -> Columns:
     """
     interval_s = float(np.diff(trajectory.time_s[:2]).sum()) or 1.0
     q, qdot = trajectory.q, trajectory.qdot
-    named: list[tuple[list[str], Array]] = []
-    for side, foot in enumerate(FEET.values()):
-        link, gravity = 3 + 3 * side, [0.0, GRAVITY_MPS2]
-        mass, inertia, com_m = (each[0, link] for each in vars(body).values())
-        w = qdot[:, 3 + 3 * side : 6 + 3 * side, None]
+    columns = {"time": trajectory.time_s - 0.5 * interval_s}
+    for side, foot in enumerate(FEET):
+        mass, inertia, com_m = (each[0, 3 + 3 * side] for each in vars(body).values())
         thigh, shank, angle = q[:, 3 + 3 * side : 6 + 3 * side].T
+        w = qdot[:, 3 + 3 * side : 6 + 3 * side, None]
         speed = qdot[:, :2] - THIGH_LENGTH_M * w[:, 0] * forward(thigh)
         speed += com_m * w[:, 2] * down(angle) - SHANK_LENGTH_M * w[:, 1] * forward(shank)
         drawn = leg(_middle(q), side)
         force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2]
-        above = mass * (_gained(speed) / interval_s + gravity) - force  # of the shank on the foot
+        above = mass * (_gained(speed) / interval_s + [0.0, GRAVITY_MPS2]) - force  # of the shank
         lever = -com_m * forward(_middle(angle))
         moment = trajectory.joint_torque_nm[:, 3 * side + 2] - _cross(lever, above)
         moment -= inertia * _gained(w[:, 2, 0]) / interval_s
-        low, high = np.sort([drawn.heel[:, 0], drawn.ball[:, 0]], axis=0)
-        com, y_m = drawn.ankle - lever, np.minimum(drawn.heel[:, 1], drawn.ball[:, 1])
+        x_m, y_m = (drawn.ankle - lever).T
+        lowest = np.minimum(drawn.heel[:, 1], drawn.ball[:, 1]) - y_m
         on = force[:, 1] > 0.0
-        ahead = moment + (y_m - com[:, 1]) * force[:, 0]
-        x_m = np.clip(com[:, 0] + ahead / np.where(on, force[:, 1], np.inf), low, high)
-        point = np.column_stack([x_m, y_m])
-        torque = np.where(on, moment - _cross(point - com, force), 0.0)
-        for name, columns in (("force_v", force), ("force_p", point)):
-            names = [f"{foot}ground_{name}{axis}" for axis in "xyz"]
-            named.append((names, np.column_stack([columns, np.zeros_like(x_m)])))
-        names = [f"{foot}ground_torque_{axis}" for axis in "xyz"]
-        named.append((names, np.column_stack([np.zeros((len(x_m), 2)), torque])))
-    return table("time", trajectory.time_s - 0.5 * interval_s, named)
+        ahead = (moment + lowest * force[:, 0]) / np.where(on, force[:, 1], np.inf)
+        low, high = np.sort([drawn.heel[:, 0], drawn.ball[:, 0]], axis=0) - x_m
+        point = np.column_stack([np.clip(ahead, low, high), lowest])
+        left = np.where(on, moment - _cross(point, force), 0.0)
+        zero = np.zeros_like(left)
+        for name, values in (
+            ("force_v", (*force.T, zero)),
+            ("force_p", (x_m + point[:, 0], y_m + lowest, zero)),
+            ("torque_", (zero, zero, left)),
+        ):
+            columns |= {
+                f"{foot}ground_{name}{axis}": v for axis, v in zip("xyz", values, strict=True)
+            }
+    return columns
 
 
 def _gained(values: Array) -> Array:
@@ -173,51 +163,9 @@ def _cross(arm: Array, force: Array) -> Array:
 
 def model_text(body: Bodies, name: str = "walk") -> str:
     """The model of the first body, as XML."""
-    bodies, joints = [], []
-    for index, segment in enumerate(SEGMENTS):
-        kind = 0 if index == 0 else (index - 1) % 3 + 1
-        axis = np.array(LINK_DIRECTIONS[kind], dtype=float)
-        side = SIDES[index > 3]
-        own, above = (_body_name(k, side) for k in (kind, max(kind - 1, 0)))
-        radii = np.abs(axis) * 0.5 * segment.length_m
-        radii[radii == 0.0] = 0.5 * LINK_WIDTHS_M[kind]
-        bodies.append(XML["body"].format(
-            name=own, middle=_place(axis * 0.5 * segment.length_m), com=_place(
-                axis * body.com_m[0, index]), mass=float(body.mass_kg[0, index]),
-            inertia=float(body.inertia_kgm2[0, index]),
-            radii=" ".join(map(repr, [*radii.tolist(), radii.min().item()])),
-        ))  # fmt: skip
-        if index:
-            joint = list(OPENSIM["joints"])[kind - 1]
-            joints.append(XML["joint"].format(
-                name=f"{joint}_{side}", parent=above, child=own,
-                coordinate=f"{OPENSIM['joints'][joint]}_{side}", place=_place(LINK_ORIGINS_M[kind]),
-            ))  # fmt: skip
-    return XML["model"].format(
-        name=name, version=__version__, gravity=GRAVITY_MPS2, bodies="".join(bodies),
-        joints="".join(joints), muscles="".join(map(_muscle, SIDED, MUSCLE_NAMES)),
-    )  # fmt: skip
-
-
-def _body_name(kind: int, side: str) -> str:
-    """The name of a link, by its place in `LINKS`."""
-    name: str = OPENSIM["bodies"][LINKS[kind]]
-    return f"{name}_{side}" if kind else name
-
-
-def _muscle(sided: tuple[str, str], name: str) -> str:
-    side, data = sided[0], MUSCLE_DATA[sided[1]]
-    points = [
-        XML["point"].format(name=f"{name}-{n}", body=_body_name(kind, side), place=_place(place))
-        for n, (kind, place) in enumerate(muscle_points(sided[1]), start=1)
-    ]
-    return XML["muscle"].format(
-        name=name, points="".join(points), force=float(data.fmax_n), optimal=data.optimal_length_m,
-        slack=data.slack_length_m, fastest=float(data.vmax_per_s),
-    )  # fmt: skip
-
-
-def _place(x_z: Iterable[float]) -> str:
-    """Our x and z, in OpenSim's axes."""
-    x, z = map(float, x_z)
-    return f"{x!r} {z!r} 0"
+    mass, inertia, com = (values[0].tolist() for values in vars(body).values())
+    down = [-each for each in com]
+    numbers = {"mass": mass, "inertia": inertia, "com": com, "down": down}
+    return (
+        FOLDER.joinpath(MODEL).read_text("utf-8").format(name=name, version=__version__, **numbers)
+    )

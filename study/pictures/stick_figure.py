@@ -5,8 +5,10 @@ D(th) = (-sin th, -cos th), a foot along F(th) = (cos th, -sin th), the trunk al
 Muscle paths are for the eye: plausible origins and insertions, not the moment arms of the model.
 """
 
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,15 +18,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from study.pictures import style
-from taichi_nmm.body import (
-    BALL_OFFSET_M,
-    DRAWN,
-    HEEL_OFFSET_M,
-    LINK_WIDTHS_M,
-    LINKS,
-    SHANK_LENGTH_M,
-    THIGH_LENGTH_M,
-)
+from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES, Trajectory
 
@@ -33,7 +27,8 @@ Bone = tuple[Array, Array, float]  # its ends, each [2], and its width in metres
 
 LEFT, RIGHT = 0, 1
 FULL_ACTIVATION = Normalize(0.0, 1.0)
-TRUNK_WIDTH_M, *WIDTHS_M = LINK_WIDTHS_M
+TRUNK_WIDTH_M = 0.15
+WIDTHS_M = (0.09, 0.06, 0.04)  # of thigh, shank and foot
 
 
 def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCollection:
@@ -88,8 +83,10 @@ SHOULDER_M = 0.50  # above the hip, along the trunk
 HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
+SEGMENTS = ("hat", "thigh", "shank", "foot")
 LEG_COLUMNS = ((2, 3, 4, 5), (2, 6, 7, 8))  # th of HAT, thigh, shank, foot in q; left, right
 
+DRAWN = tomllib.loads(Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8"))
 PATH_POINTS = 15
 
 
@@ -159,7 +156,7 @@ def _path(frames: list[tuple[Array, Array, Array]], name: str) -> Array:
     """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2]."""
     points = []
     for segment, along, ahead in DRAWN[name]["path"]:
-        origin, axis, front = frames[LINKS.index(segment)]
+        origin, axis, front = frames[SEGMENTS.index(segment)]
         points.append((origin + along * axis + ahead * front)[..., None, :])
     start, middle, end = points
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]

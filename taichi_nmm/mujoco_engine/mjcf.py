@@ -36,19 +36,12 @@ from numpy.typing import NDArray
 
 from taichi_nmm.body import (
     BALL_OFFSET_M,
-    DRAWN,
     GRAVITY_MPS2,
     HEEL_OFFSET_M,
-    LINK_DIRECTIONS,
-    LINK_ORIGINS_M,
-    LINK_WIDTHS_M,
-    LINKS,
     SEGMENT_NAMES,
-    SEGMENTS,
     SHANK_LENGTH_M,
     THIGH_LENGTH_M,
     Bodies,
-    muscle_points,
 )
 from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
@@ -56,6 +49,11 @@ from taichi_nmm.settings import LIMITS_AS_STOPS, Settings
 from taichi_nmm.terrain import GRID_X_M, Terrain
 
 Array = NDArray[np.float64]
+
+# Of each segment at q = 0: where its proximal joint lies in the parent, and the link's direction.
+ORIGINS = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))  # x, z
+DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
+
 
 JOINT_PARENT = (2, 3, 4, 2, 6, 7)  # coordinate of the segment above hip, knee and ankle
 RELATIVE: Array = np.eye(9)  # child minus parent at the six joints, the rest unchanged
@@ -86,9 +84,9 @@ def compile_model(root: Element) -> mujoco.MjModel:
 def _add_link(parent: Element, bodies: Bodies, row: int, index: int) -> Element:
     """A segment, by its index in `SEGMENT_NAMES`, with its inertia."""
     kind = 0 if index == 0 else (index - 1) % 3 + 1
-    x, z = LINK_ORIGINS_M[kind]
+    x, z = ORIGINS[kind]
     link = SubElement(parent, "body", name=SEGMENT_NAMES[index], pos=f"{x!r} 0 {z!r}")
-    com_x, com_z = (float(bodies.com_m[row, index]) * part for part in LINK_DIRECTIONS[kind])
+    com_x, com_z = (float(bodies.com_m[row, index]) * part for part in DIRECTIONS[kind])
     inertia = repr(float(bodies.inertia_kgm2[row, index]))
     SubElement(
         link, "inertial",
@@ -214,53 +212,19 @@ def write_mjcf(
         type="hfield", hfield="ground", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
         pos=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
     )  # fmt: skip
-    _make_visible(root)
+    seen = ElementTree.parse(Path(__file__).with_name("visible.xml"))
+    for part in seen.iter("body"):
+        _find(root, "body", part.attrib["name"]).extend(part)
+    for tag in ("asset", "worldbody", "tendon"):
+        SubElement(root, tag).extend(
+            each for each in seen.iterfind(f"{tag}/*") if each.tag != "body"
+        )
     keyframe = SubElement(root, "keyframe")
     SubElement(keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:]))
     # Where the viewer looks, and from how far: not at the whole ground.
     SubElement(root, "statistic", extent=repr(VIEWED_M), center=_numbers((start[0], 0.0, start[1])))
     ElementTree.indent(root)
     path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
-
-
-HALF_HIPS_M = 0.09  # of the drawing: the left leg on the left
-LINK_RGBA, SKY = "0.75 0.77 0.81 1", {"rgb1": "0.95 0.97 1", "rgb2": "0.6 0.7 0.8"}
-MUSCLE_RGBA, MUSCLE_WIDTH_M = "0.84 0.37 0 1", 0.012
-
-
-def _make_visible(root: Element) -> None:
-    """A sky, a light, a camera beside the walker, its links as capsules, its muscles as lines."""
-    sky = {"type": "skybox", "builtin": "gradient", "width": "64", "height": "384"}
-    SubElement(_find(root, "asset"), "texture", sky | SKY)
-    world, tendon = _find(root, "worldbody"), SubElement(root, "tendon")
-    SubElement(world, "light", directional="true", pos="0 -2 5", dir="0 0.4 -1")
-    SubElement(
-        _find(root, "body", SEGMENT_NAMES[0]), "camera",
-        name="beside", mode="trackcom", pos="0 -3 0.2", xyaxes="1 0 0 0 0 1",
-    )  # fmt: skip
-    for index, name in enumerate(SEGMENT_NAMES):
-        kind = (index - 1) % 3 + 1 if index else 0
-        y_m = (0.0, HALF_HIPS_M, -HALF_HIPS_M)[(index + 2) // 3]
-        start_m = HEEL_OFFSET_M if kind == 3 else 0.0
-        end_m = (SEGMENTS[0].length_m, THIGH_LENGTH_M, SHANK_LENGTH_M, BALL_OFFSET_M)[kind]
-        (x, z), ends = LINK_DIRECTIONS[kind], (start_m, end_m)
-        SubElement(
-            _find(root, "body", name), "site", type="capsule", rgba=LINK_RGBA,
-            size=repr(0.5 * LINK_WIDTHS_M[kind]),
-            fromto=_numbers([part for end in ends for part in (x * end, y_m, z * end)]),
-        )  # fmt: skip
-    for side, y_m in zip(SIDES, (HALF_HIPS_M, -HALF_HIPS_M), strict=True):
-        for muscle in DRAWN:
-            line = SubElement(
-                tendon, "spatial",
-                name=f"{muscle}_{side}", width=repr(0.5 * MUSCLE_WIDTH_M), rgba=MUSCLE_RGBA,
-            )  # fmt: skip
-            for number, (kind, (x, z)) in enumerate(muscle_points(muscle)):
-                body = f"{LINKS[kind]}_{side}" if kind else SEGMENT_NAMES[0]
-                site = f"{muscle}_{side}_{number}"
-                place = {"name": site, "pos": _numbers((x, y_m, z)), "rgba": MUSCLE_RGBA}
-                SubElement(_find(root, "body", body), "site", place, size=repr(MUSCLE_WIDTH_M))
-                SubElement(line, "site", site=site)
 
 
 def _walker(bodies: Bodies, settings: Settings, friction: float) -> Element:
