@@ -17,7 +17,6 @@ from taichi_nmm.kernel.layout import (
     FIRST_SUM,
     LEGS,
     MUSCLE_COUNT,
-    MUSCLES_PER_LEG,
     WALKER_ROWS,
     Gait,
     Muscle,
@@ -192,45 +191,37 @@ def _mean_forces(rows: Array, interval: int) -> Array:
     return (impulse - before) / (interval * CONTROL_TICK_S)
 
 
-STOPS = (  # of hip, knee, ankle: range in rad, relaxation in rad/s
-    (-np.inf, stops.HIP_EXTENSION_LIMIT_RAD, stops.HIP_RELAXATION_RADPS),
-    (stops.KNEE_STRAIGHTEST_RAD, np.inf, stops.STOP_RELAXATION_RADPS),
-    (
-        stops.ANKLE_DORSIFLEXION_LIMIT_RAD,
-        stops.ANKLE_PLANTARFLEXION_LIMIT_RAD,
-        stops.STOP_RELAXATION_RADPS,
-    ),
+# Of hip, knee and ankle: where the stops begin, how fast they give way, which are implicit.
+LOWEST_RAD = np.array([-np.inf, stops.KNEE_STRAIGHTEST_RAD, stops.ANKLE_DORSIFLEXION_LIMIT_RAD])
+HIGHEST_RAD = np.array(
+    [stops.HIP_EXTENSION_LIMIT_RAD, np.inf, stops.ANKLE_PLANTARFLEXION_LIMIT_RAD]
 )
+YIELD_RADPS = np.array([stops.HIP_RELAXATION_RADPS, *[stops.STOP_RELAXATION_RADPS] * 2])
+IMPLICIT = np.array([0.0, 1.0, 1.0])
 
 
 def _joint_torques(rows: Array, settings: Settings) -> Array:
     """Torques of the last physics step, from the pose before it: `kernel.joints`, [t, 6]."""
-    step_s = settings.physics_step_s
-    rates = rows[:, State.qdot : State.qdot + COORDINATES]
-    q = rows[:, State.q : State.q + COORDINATES] - step_s * rates
-    torques = np.empty((len(rows), 3 * LEGS))
-    for leg in range(LEGS):
-        first = FIRST_FIBRE + Muscle.force + MUSCLES_PER_LEG * leg
-        hip, *rest = (rows[:, first : first + MUSCLES_PER_LEG] @ TORQUES_NM).T
-        links = [2, 3 + 3 * leg, 4 + 3 * leg, 5 + 3 * leg]
-        angle, rate = np.diff(q[:, links]).T, np.diff(rates[:, links]).T
-        knee, ankle = (
-            rest[2 * joint - 2] * np.cos(angle[joint]) + rest[2 * joint - 1] * np.sin(angle[joint])
-            for joint in (stops.KNEE, stops.ANKLE)
-        )
-        weight = rows[:, State.stance_weight + leg]
-        torque = np.column_stack([
-            weight * hip + rows[:, State.hip_torque + leg],
-            weight * knee + rows[:, State.knee_torque + leg],
-            ankle + rows[:, State.device_torque + leg],
-        ])  # fmt: skip
-        for joint, (low, high, slow) in enumerate(STOPS if settings.engine == OWN_ENGINE else ()):
-            excess = np.clip(angle[joint], low, high) - angle[joint]
-            stop = excess - (np.abs(excess) / slow + step_s * (joint > 0)) * rate[joint]
-            stop[stop * excess <= 0.0] = 0.0
-            torque[:, joint] += stops.STOP_STIFFNESS_NMPRAD * stop
-        torques[:, 3 * leg : 3 * leg + 3] = torque
-    return torques
+    q, rates = (rows[:, first : first + COORDINATES] for first in (State.q, State.qdot))
+    links, step_s = [[2, 3, 4, 5], [2, 6, 7, 8]], settings.physics_step_s
+    angle, rate = (np.diff(each[:, links]) for each in (q - step_s * rates, rates))  # [t, leg, 3]
+    first = FIRST_FIBRE + Muscle.force
+    force = rows[:, first : first + MUSCLE_COUNT].reshape(-1, LEGS, len(MUSCLES))
+    hip, *rest = np.moveaxis(force @ TORQUES_NM, -1, 0)
+    knee, ankle = (
+        cosine * np.cos(angle[..., joint]) + sine * np.sin(angle[..., joint])
+        for joint, cosine, sine in ((stops.KNEE, *rest[:2]), (stops.ANKLE, *rest[2:]))
+    )
+    weight, ideal_hip, ideal_knee, device = (
+        rows[:, first : first + LEGS]
+        for first in (State.stance_weight, State.hip_torque, State.knee_torque, State.device_torque)
+    )
+    torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle + device], -1)
+    if settings.engine == OWN_ENGINE:
+        beyond = np.clip(angle, LOWEST_RAD, HIGHEST_RAD) - angle
+        stop = beyond - (np.abs(beyond) / YIELD_RADPS + step_s * IMPLICIT) * rate
+        torque += stops.STOP_STIFFNESS_NMPRAD * np.where(stop * beyond > 0.0, stop, 0.0)
+    return np.asarray(torque.reshape(-1, 3 * LEGS))
 
 
 def _events(rows: Array) -> NDArray[np.void]:
