@@ -27,12 +27,8 @@ SIDES = ("l", "r")
 FEET = ("1_", "")  # before the names of the left and right foot's columns, as in OpenSim's examples
 SIDED = [(side, muscle) for side in SIDES for muscle in MUSCLES]
 MUSCLE_NAMES = [f"{OPENSIM['muscles'][muscle]}_{side}" for side, muscle in SIDED]
-JOINTS = [(joint, side) for side in SIDES for joint in OPENSIM["joints"]]
-COORDINATES = [
-    *((f"ground_pelvis/{name}", name) for name in ("pelvis_tilt", "pelvis_tx", "pelvis_ty")),
-    *((f"{joint}_{side}/{OPENSIM['joints'][joint]}_{side}", f"{OPENSIM['joints'][joint]}_{side}")
-      for joint, side in JOINTS),
-]  # fmt: skip
+BASE = [f"ground_pelvis/pelvis_{name}" for name in ("tilt", "tx", "ty")]
+COORDINATES = BASE + [path.format(side=side) for side in SIDES for path in OPENSIM["leg"]]
 MOTION, STATES, LOADS = "motion.mot", "states.sto", "ground_forces.mot"
 MODEL, EXTERNAL = "walker.osim", "external_loads.xml"
 
@@ -91,12 +87,13 @@ def motion(trajectory: Trajectory) -> Columns:
     """Coordinates of the model, angles in degrees."""
     values = _coordinates(trajectory.q)
     values[:, [0, *range(3, 9)]] = np.rad2deg(values[:, [0, *range(3, 9)]])
-    return table("time", trajectory.time_s, [([name for _, name in COORDINATES], values)])
+    names = [path.rpartition("/")[2] for path in COORDINATES]
+    return table("time", trajectory.time_s, [(names, values)])
 
 
 def states(trajectory: Trajectory) -> Columns:
     """All states of the model by the paths of OpenSim 4: coordinates, speeds, muscles."""
-    paths = [f"/jointset/{path}" for path, _ in COORDINATES]
+    paths = [f"/jointset/{path}" for path in COORDINATES]
     muscles = [f"/forceset/{name}" for name in MUSCLE_NAMES]
     return table("time", trajectory.time_s, [
         ([f"{path}/value" for path in paths], _coordinates(trajectory.q)),
@@ -121,28 +118,21 @@ def loads(trajectory: Trajectory, body: Bodies) -> Columns:
         w = qdot[:, 3 + 3 * side : 6 + 3 * side, None]
         speed = qdot[:, :2] - THIGH_LENGTH_M * w[:, 0] * forward(thigh)
         speed += com_m * w[:, 2] * down(angle) - SHANK_LENGTH_M * w[:, 1] * forward(shank)
-        drawn = leg(_middle(q), side)
+        drawn, lever = leg(_middle(q), side), -com_m * forward(_middle(angle))
         force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2]
         above = mass * (_gained(speed) / interval_s + [0.0, GRAVITY_MPS2]) - force  # of the shank
-        lever = -com_m * forward(_middle(angle))
         moment = trajectory.joint_torque_nm[:, 3 * side + 2] - _cross(lever, above)
         moment -= inertia * _gained(w[:, 2, 0]) / interval_s
-        x_m, y_m = (drawn.ankle - lever).T
-        lowest = np.minimum(drawn.heel[:, 1], drawn.ball[:, 1]) - y_m
+        low, high = np.sort([drawn.heel, drawn.ball], axis=0) - (drawn.ankle - lever)
         on = force[:, 1] > 0.0
-        ahead = (moment + lowest * force[:, 0]) / np.where(on, force[:, 1], np.inf)
-        low, high = np.sort([drawn.heel[:, 0], drawn.ball[:, 0]], axis=0) - x_m
-        point = np.column_stack([np.clip(ahead, low, high), lowest])
+        ahead = (moment + low[:, 1] * force[:, 0]) / np.where(on, force[:, 1], np.inf)
+        point = np.column_stack([np.clip(ahead, low[:, 0], high[:, 0]), low[:, 1]])
         left = np.where(on, moment - _cross(point, force), 0.0)
-        zero = np.zeros_like(left)
-        for name, values in (
-            ("force_v", (*force.T, zero)),
-            ("force_p", (x_m + point[:, 0], y_m + lowest, zero)),
-            ("torque_", (zero, zero, left)),
-        ):
-            columns |= {
-                f"{foot}ground_{name}{axis}": v for axis, v in zip("xyz", values, strict=True)
-            }
+        zero, (ahead, above) = np.zeros_like(left), (drawn.ankle - lever + point).T
+        values = (*force.T, zero, ahead, above, zero, zero, zero, left)
+        kinds = (f"{foot}ground_{kind}" for kind in ("force_v", "force_p", "torque_"))
+        names = [f"{kind}{axis}" for kind in kinds for axis in "xyz"]
+        columns |= dict(zip(names, values, strict=True))
     return columns
 
 
@@ -164,8 +154,6 @@ def _cross(arm: Array, force: Array) -> Array:
 def model_text(body: Bodies, name: str = "walk") -> str:
     """The model of the first body, as XML."""
     mass, inertia, com = (values[0].tolist() for values in vars(body).values())
-    down = [-each for each in com]
-    numbers = {"mass": mass, "inertia": inertia, "com": com, "down": down}
-    return (
-        FOLDER.joinpath(MODEL).read_text("utf-8").format(name=name, version=__version__, **numbers)
-    )
+    numbers = {"mass": mass, "inertia": inertia, "com": com, "down": [-each for each in com]}
+    text = FOLDER.joinpath(MODEL).read_text("utf-8")
+    return text.format(name=name, version=__version__, **numbers)

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from storage.commit import commit_text, require_writable
 from study.pictures.opensim import (
@@ -44,13 +43,11 @@ def kept(trajectory: Trajectory) -> Trajectory:
     if count < 2:
         return trajectory
     size = len(trajectory.time_s) // count
-
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(values[: size * count].reshape(size, count, -1).mean(axis=1))
-
     names = [field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED]
     thin = {name: getattr(trajectory, name)[count - 1 :: count] for name in names}
-    return replace(trajectory, **(thin | {name: mean(getattr(trajectory, name)) for name in MEANS}))
+    whole = {name: getattr(trajectory, name)[: size * count] for name in MEANS}
+    means = {name: each.reshape(size, count, -1).mean(axis=1) for name, each in whole.items()}
+    return replace(trajectory, **(thin | means))
 
 
 def own_columns(trajectory: Trajectory) -> Columns:

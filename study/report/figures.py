@@ -97,14 +97,10 @@ class Look:
     def line(self) -> dict[str, Any]:
         """Keyword arguments of `Axes.plot`."""
         return {
-            "color": self.colour,
-            "linestyle": self.dash,
-            "linewidth": 2.0 if self.front else 1.0,
-            "marker": self.marker,
-            "markersize": 5.0 if self.front else 3.2,
-            "markeredgewidth": 0.0,
-            "zorder": 4.0 if self.front else 3.0,
-        }
+            "color": self.colour, "linestyle": self.dash, "linewidth": 2.0 if self.front else 1.0,
+            "marker": self.marker, "markersize": 5.0 if self.front else 3.2,
+            "markeredgewidth": 0.0, "zorder": 4.0 if self.front else 3.0,
+        }  # fmt: skip
 
 
 def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
@@ -177,16 +173,10 @@ def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
     places = spread_out(np.clip(pixels, low, high), LABEL_SPACING_PT * point, low, high)
     for end, own, place in zip(ends, pixels, places, strict=True):
         axes.annotate(
-            end.text,
-            xy=(x, end.y),
-            xytext=(LABEL_OFFSET_PT, (place - own) / point),
-            textcoords="offset points",
-            fontsize=style.SMALL_PT,
-            fontweight="bold" if end.look.front else "normal",
-            color=end.look.text,
-            va="center",
-            annotation_clip=False,
-        )
+            end.text, xy=(x, end.y), xytext=(LABEL_OFFSET_PT, (place - own) / point), va="center",
+            textcoords="offset points", fontsize=style.SMALL_PT, color=end.look.text,
+            fontweight="bold" if end.look.front else "normal", annotation_clip=False,
+        )  # fmt: skip
         height = [(place - low) / (high - low)] * 2  # the arm's line beside its name, as a key
         key = end.look.line() | {"markevery": [1], "transform": axes.transAxes}
         axes.plot([1.015, 1.04], height, clip_on=False, **key)

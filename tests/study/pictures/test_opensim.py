@@ -11,69 +11,65 @@ from study.pictures.opensim import EXTERNAL, LOADS, MODEL, MOTION, STATES, write
 from study.pictures.trajectory_files import kept
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
-from tests.study import synthetic_gait
+from tests.parity.numpy_dynamics import com_positions, contract, jacobians
 from tests.study.pictures.test_trajectory_files import read_storage
 
 Array = NDArray[np.float64]
 BODY = Bodies.disturbed([5])
-CHAIN = {"hip": "hip_flexion", "knee": "knee_angle", "ankle": "ankle_angle"}
+LEG = ("hip_{0}/hip_flexion_{0}", "knee_{0}/knee_angle_{0}", "ankle_{0}/ankle_angle_{0}")
 
 
-def cross(arm: Array, force: Array) -> Array:
-    return np.asarray(arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0])
+def body_of(model: ElementTree.ElementTree) -> Bodies:
+    """The masses of a model; its joints lie where ours do."""
+
+    def numbers(kind: str, tag: str) -> Array:
+        found = [part.findtext(f".//{tag}", "").split() for part in model.iter(kind)]
+        return np.array(found, dtype=float)
+
+    np.testing.assert_array_equal(
+        numbers("PinJoint", "translation"), [[0, 0, 0], [0, -0.5, 0], [0, -0.5, 0]] * 2
+    )
+    com_m = np.abs(numbers("Body", "mass_center")).sum(axis=1)
+    return Bodies(numbers("Body", "mass").T, numbers("Body", "inertia")[:, 2][None], com_m[None])
 
 
-def inverse_dynamics(folder: Path) -> tuple[dict[str, Array], Array]:
-    """Joint torques, by Newton and Euler of all that is below, and what is left over, [t, 3]."""
-    parts = {part.get("name", ""): part for part in ElementTree.parse(folder / MODEL).iter()}
+def inverse_dynamics(folder: Path) -> tuple[Array, Array]:
+    """Joint torques [t, 6] as ours, and what is left over: force x, z and moment on the trunk."""
+    body = body_of(ElementTree.parse(folder / MODEL))
     states, loads = (read_storage((folder / name).read_text())[1] for name in (STATES, LOADS))
-    step_s = np.diff(states["time"])
+    step_s = float(np.diff(states["time"]).mean())
     np.testing.assert_allclose(loads["time"][1:], states["time"][1:] - 0.5 * step_s)
 
-    def numbers(name: str, tag: str) -> Array:
-        return np.array(parts[name].findtext(f".//{tag}", "").split(), dtype=float)
+    def pose(kind: str) -> Array:
+        x, z, tilt = (
+            states[f"/jointset/ground_pelvis/pelvis_{c}/{kind}"] for c in ("tx", "ty", "tilt")
+        )
+        joints = [states[f"/jointset/{path.format(side)}/{kind}"] for side in "lr" for path in LEG]
+        legs = [np.cumsum([tilt, *joints[first : first + 3]], axis=0)[1:] for first in (0, 3)]
+        return np.column_stack([x, z, -tilt, -legs[0].T, -legs[1].T])
 
-    def state(path: str) -> Array:
-        both = (states[f"/jointset/{path}/{kind}"] for kind in ("value", "speed"))
-        return np.stack(list(both))
-
-    def beyond(place: Array, angle: Array, arm: Array) -> Array:
-        """Place and velocity [2, t, 2] of a point `arm` of a link with these angle and rate."""
-        cosine, sine = np.cos(angle[0]), np.sin(angle[0])
-        along = np.stack([arm[0] * cosine - arm[1] * sine, arm[0] * sine + arm[1] * cosine], -1)
-        across = angle[1, :, None] * np.stack([-along[:, 1], along[:, 0]], -1)
-        return place + np.stack([along, across])
-
-    def link(name: str, place: Array, angle: Array) -> tuple[Array, Array, Array]:
-        """Where its centre of mass is, the mean force and moment that move it so."""
-        at, speed = beyond(place, angle, numbers(name, "mass_center"))
-        force = np.diff(speed, axis=0) / step_s[:, None] + [0.0, GRAVITY_MPS2]
-        turning = numbers(name, "inertia")[2] * np.diff(angle[1]) / step_s
-        return at[1:] - 0.5 * np.diff(at, axis=0), numbers(name, "mass") * force, turning
-
-    tilt, *slides = (state(f"ground_pelvis/pelvis_{name}") for name in ("tilt", "tx", "ty"))
-    hip = np.stack(slides, axis=-1)
-    trunk, left_over, turning = link("pelvis", hip, tilt)
-    turning = turning + cross(trunk - hip[0, 1:] + 0.5 * np.diff(hip[0], axis=0), left_over)
-    torques: dict[str, Array] = {}
-    for side, foot in (("l", "1_"), ("r", "")):
-        place, angle, joints, links = hip, tilt, {}, []
-        for joint, name in CHAIN.items():
-            place = beyond(place, angle, numbers(f"{joint}_{side}", "translation"))
-            angle = angle + state(f"{joint}_{side}/{name}_{side}")
-            joints[f"{name}_{side}"] = place[0, 1:] - 0.5 * np.diff(place[0], axis=0)
-            child = parts[f"{joint}_{side}"].findtext("socket_child_frame", "")
-            links.append(link(child.removeprefix("/bodyset/"), place, angle))
+    q, qdot = pose("value"), pose("speed")
+    middle, speed = (
+        q[1:] - 0.5 * np.diff(q, axis=0),
+        contract("nica,na->nic", jacobians(q, body), qdot),
+    )
+    force = body.mass_kg[..., None] * (np.diff(speed, axis=0) / step_s + [0.0, GRAVITY_MPS2])
+    needed = contract("nica,nic->na", jacobians(middle, body), force)
+    needed[:, 2:] += body.inertia_kgm2 * np.diff(qdot[:, 2:], axis=0) / step_s
+    ankles = Bodies(body.mass_kg, body.inertia_kgm2, np.zeros((1, 7)))
+    for foot, name in ((3, "1_ground_"), (6, "ground_")):
         push, centre = (
-            np.stack([loads[f"{foot}ground_force_{kind}{axis}"][1:] for axis in "xy"], axis=-1)
+            np.column_stack([loads[f"{name}force_{kind}{axis}"][1:] for axis in "xy"])
             for kind in "vp"
         )
-        left_over = left_over + sum(force for _, force, _ in links) - push
-        for number, (name, at) in enumerate(joints.items()):
-            torques[name] = -cross(centre - at, push) - loads[f"{foot}ground_torque_z"][1:]
-            torques[name] += sum(t + cross(com - at, f) for com, f, t in links[number:])
-        turning = turning + torques[f"hip_flexion_{side}"]
-    return torques, np.column_stack([left_over, turning])
+        x, z = (centre - com_positions(middle, ankles)[:, foot]).T
+        needed -= contract("nca,nc->na", jacobians(middle, ankles)[:, foot], push)
+        needed[:, 2 + foot] -= z * push[:, 0] - x * push[:, 1] - loads[f"{name}torque_z"][1:]
+    torques = np.hstack(
+        [np.cumsum(needed[:, leg], axis=1)[:, ::-1] for leg in ([5, 4, 3], [8, 7, 6])]
+    )
+    needed[:, 2] += torques[:, 0] + torques[:, 3]
+    return torques, needed[:, :3]
 
 
 def test_inverse_dynamics_of_the_files_gives_the_walkers_torques(tmp_path: Path) -> None:
@@ -86,31 +82,21 @@ def test_inverse_dynamics_of_the_files_gives_the_walkers_torques(tmp_path: Path)
     write_opensim(tmp_path / "walk", trajectory, BODY)
     found, left_over = inverse_dynamics(tmp_path / "walk")
     assert len(left_over) == 799 and result.end_reason == ["completed"]
-    expected = dict(zip([f"{name}_{side}" for side in "lr" for name in CHAIN.values()],
-                        -trajectory.joint_torque_nm[1:].T, strict=True))  # fmt: skip
-    for name, torque in expected.items():
-        error = np.abs(found[name] - torque) / np.abs(torque).max()
-        assert np.quantile(error, 0.99) < 0.02 and error.max() < 0.1, name
-    weight_n, hips_nm = BODY.mass_kg.sum() * GRAVITY_MPS2, np.abs(expected["hip_flexion_l"]).max()
-    left = np.quantile(np.abs(left_over), 0.99, axis=0) / [weight_n, weight_n, hips_nm]
+    peaks_nm = np.abs(trajectory.joint_torque_nm).max(axis=0)
+    errors = np.abs(found - trajectory.joint_torque_nm[1:]) / peaks_nm
+    assert np.quantile(errors, 0.99, axis=0).max() < 0.02 and errors.max() < 0.1
+    weight_n = BODY.mass_kg.sum() * GRAVITY_MPS2
+    left = np.quantile(np.abs(left_over), 0.99, axis=0) / [weight_n, weight_n, peaks_nm[0]]
     assert left.max() < 0.02
-
-
-def test_the_folder_has_all_that_opensim_asks_for(tmp_path: Path) -> None:
-    write_opensim(tmp_path / "walk", synthetic_gait.GLIMPSE, BODY)
-    forces = ElementTree.parse(tmp_path / "walk" / EXTERNAL).getroot()
-    _, columns = read_storage(
-        (tmp_path / "walk" / (forces.findtext(".//datafile") or "")).read_text()
+    # What the list of loads, the states and the motion name is there.
+    forces, model = (ElementTree.parse(tmp_path / "walk" / name) for name in (EXTERNAL, MODEL))
+    loads, states, motion = (
+        read_storage((tmp_path / "walk" / name).read_text())[1]
+        for name in (forces.findtext(".//datafile") or "", STATES, MOTION)
     )
-    for tag in ("force", "point", "torque"):
-        for force in forces.iter("ExternalForce"):
-            assert {f"{force.findtext(f'{tag}_identifier')}{axis}" for axis in "xyz"} <= set(
-                columns
-            )
-    model = ElementTree.parse(tmp_path / "walk" / MODEL)
-    muscles = {f"/forceset/{each.get('name')}" for each in model.iter("Thelen2003Muscle")}
-    _, states = read_storage((tmp_path / "walk" / STATES).read_text())
+    for force in forces.iter("ExternalForce"):
+        for tag in ("force", "point", "torque"):
+            assert {f"{force.findtext(f'{tag}_identifier')}{axis}" for axis in "xyz"} <= set(loads)
+    muscles = [f"/forceset/{each.get('name')}" for each in model.iter("Thelen2003Muscle")]
     assert len(muscles) == 14 and {f"{muscle}/activation" for muscle in muscles} <= set(states)
-    named = {each.get("name") for each in model.iter("Coordinate")}
-    _, motion = read_storage((tmp_path / "walk" / MOTION).read_text())
-    assert named == set(motion) - {"time"}
+    assert {each.get("name") for each in model.iter("Coordinate")} == set(motion) - {"time"}
