@@ -25,7 +25,7 @@ import numpy as np
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import commit, writable
+from storage.commit import commit, require_folder, writable
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.gains import (
     NamedGains,
@@ -205,6 +205,8 @@ def main(args: Namespace) -> None:
     folder = args.out or Path("out") / "walk" / gains.name
     for file in args.trajectory:
         require_trajectory_file(file)
+    if args.opensim is not None:
+        require_folder(args.opensim, "opensim")
     if args.mjcf is not None:
         write_model(args.mjcf, experiment, args.run)
     with writable(folder):  # before the work
