@@ -282,8 +282,9 @@ def walk(options: Options) -> None:
     engines = (*ENGINES, BOTH_ENGINES)
     options.add_argument("--engine", choices=engines, help="overrides the configuration's")
     options.path("--mjcf", "write MuJoCo's model there too", "FILE")
-    what = "write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (forces)"
+    what = "write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (states)"
     options.path("--trajectory", what, "FILE", action="append", default=[])
+    options.path("--opensim", "write OpenSim's model, motion, states and loads there")
     options.arch()
     options.json()
 

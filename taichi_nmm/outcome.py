@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from taichi_nmm import checks
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.errors import InputError
+from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     FIRST_EVENT,
@@ -22,10 +23,10 @@ from taichi_nmm.kernel.layout import (
     State,
     Sums,
 )
-from taichi_nmm.kernel.muscle_table import FMAX_N
+from taichi_nmm.kernel.muscle_table import FMAX_N, MUSCLE_DATA, TORQUES_NM
 from taichi_nmm.packs import Packs
 from taichi_nmm.result import EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
-from taichi_nmm.settings import CONTROL_TICK_S
+from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 
 Array = NDArray[np.float64]
 
@@ -105,11 +106,18 @@ def _quotient(a: Array, b: Array) -> Array:
     return np.divide(a, b, out=np.zeros(len(a)), where=b > 0)
 
 
+OPTIMAL_M = np.tile([muscle.optimal_length_m for muscle in MUSCLE_DATA.values()], LEGS)
+FASTEST_PER_S = np.tile([muscle.vmax_per_s for muscle in MUSCLE_DATA.values()], LEGS)
+
+
 class Recorder:
     """Cuts chunks of ticks at the sample times, and keeps the rows of chosen walkers there."""
 
-    def __init__(self, walkers: Sequence[int], rate_hz: float, count: int) -> None:
+    def __init__(
+        self, walkers: Sequence[int], rate_hz: float, count: int, settings: Settings
+    ) -> None:
         self._walkers = tuple(checks.row_numbers("record", walkers, count).tolist())
+        self._settings = settings
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
             raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
         self._interval = round(TICKS_PER_SECOND / rate_hz)
@@ -147,16 +155,26 @@ class Recorder:
         rows = np.array(list(samples.values())).reshape(-1, WALKER_ROWS)
         q, fibres = rows[:, State.q : State.q + COORDINATES], rows[:, FIRST_FIBRE:]
         touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(-1, LEGS, 2)
-        force = fibres[:, Muscle.force : Muscle.force + MUSCLE_COUNT]
+        activation, length, velocity, force = (
+            fibres[:, first : first + MUSCLE_COUNT]
+            for first in (Muscle.activation, Muscle.length, Muscle.velocity, Muscle.force)
+        )
+        swing = [
+            row + side for side in range(LEGS) for row in (State.hip_torque, State.knee_torque)
+        ]
         return Trajectory(
             walker=walker,
             time_s=np.array(list(samples), dtype=np.float64) * CONTROL_TICK_S,
             q=q,
             qdot=rows[:, State.qdot : State.qdot + COORDINATES],
             joint_rad=q[:, 3:] - q[:, [2, 3, 4, 2, 6, 7]],
-            activation=fibres[:, Muscle.activation : Muscle.activation + MUSCLE_COUNT],
+            activation=activation,
             muscle_force_n=force * np.tile(FMAX_N, LEGS),
             ground_force_n=_mean_forces(rows, self._interval),
+            joint_torque_nm=_joint_torques(rows, self._settings),
+            swing_torque_nm=rows[:, swing],
+            fibre_length_m=length * OPTIMAL_M,
+            fibre_velocity_mps=velocity * OPTIMAL_M * FASTEST_PER_S,
             stance=np.any(touching > 0.5, axis=2),
             events=_events(rows),
         )
@@ -171,6 +189,39 @@ def _mean_forces(rows: Array, interval: int) -> Array:
     restarted = np.diff(ticks, prepend=0.0) <= 0
     before[restarted] = 0.0
     return (impulse - before) / (interval * CONTROL_TICK_S)
+
+
+# Of hip, knee and ankle: where the stops begin, how fast they give way, which are implicit.
+LOWEST_RAD = np.array([-np.inf, stops.KNEE_STRAIGHTEST_RAD, stops.ANKLE_DORSIFLEXION_LIMIT_RAD])
+HIGHEST_RAD = np.array(
+    [stops.HIP_EXTENSION_LIMIT_RAD, np.inf, stops.ANKLE_PLANTARFLEXION_LIMIT_RAD]
+)
+YIELD_RADPS = np.array([stops.HIP_RELAXATION_RADPS, *[stops.STOP_RELAXATION_RADPS] * 2])
+IMPLICIT = np.array([0.0, 1.0, 1.0])
+
+
+def _joint_torques(rows: Array, settings: Settings) -> Array:
+    """Torques of the last physics step, from the pose before it: `kernel.joints`, [t, 6]."""
+    q, rates = (rows[:, first : first + COORDINATES] for first in (State.q, State.qdot))
+    links, step_s = [[2, 3, 4, 5], [2, 6, 7, 8]], settings.physics_step_s
+    angle, rate = (np.diff(each[:, links]) for each in (q - step_s * rates, rates))  # [t, leg, 3]
+    first = FIRST_FIBRE + Muscle.force
+    force = rows[:, first : first + MUSCLE_COUNT].reshape(-1, LEGS, len(MUSCLES))
+    hip, *rest = np.moveaxis(force @ TORQUES_NM, -1, 0)
+    knee, ankle = (
+        cosine * np.cos(angle[..., joint]) + sine * np.sin(angle[..., joint])
+        for joint, cosine, sine in ((stops.KNEE, *rest[:2]), (stops.ANKLE, *rest[2:]))
+    )
+    weight, ideal_hip, ideal_knee, device = (
+        rows[:, first : first + LEGS]
+        for first in (State.stance_weight, State.hip_torque, State.knee_torque, State.device_torque)
+    )
+    torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle + device], -1)
+    if settings.engine == OWN_ENGINE:
+        beyond = np.clip(angle, LOWEST_RAD, HIGHEST_RAD) - angle
+        stop = beyond - (np.abs(beyond) / YIELD_RADPS + step_s * IMPLICIT) * rate
+        torque += stops.STOP_STIFFNESS_NMPRAD * np.where(stop * beyond > 0.0, stop, 0.0)
+    return np.asarray(torque.reshape(-1, 3 * LEGS))
 
 
 def _events(rows: Array) -> NDArray[np.void]:

@@ -52,6 +52,11 @@ class Trajectory:
         activation: muscles in the order of `MUSCLES`, left leg then right, [t, 14].
         muscle_force_n: in the order of `activation`, [t, 14].
         ground_force_n: left x, left z, right x, right z, mean over the sample interval, [t, 4].
+        joint_torque_nm: all that turns a joint in the last physics step, in the order and signs of
+            `joint_rad`, [t, 6]: muscles, ideal torques, device, and stops (not those of MuJoCo).
+        swing_torque_nm: the ideal part of it, left hip, left knee, right hip, right knee, [t, 4].
+        fibre_length_m: of the contractile elements, in the order of `activation`, [t, 14].
+        fibre_velocity_mps: their rates, lengthening positive, [t, 14].
         stance: foot on the ground, left and right, bool [t, 2].
         events: strikes and take-offs, `EVENT_DTYPE`, at the controller's tick.
     """
@@ -64,6 +69,10 @@ class Trajectory:
     activation: NDArray[np.float64]
     muscle_force_n: NDArray[np.float64]
     ground_force_n: NDArray[np.float64]
+    joint_torque_nm: NDArray[np.float64]
+    swing_torque_nm: NDArray[np.float64]
+    fibre_length_m: NDArray[np.float64]
+    fibre_velocity_mps: NDArray[np.float64]
     stance: NDArray[np.bool_]
     events: NDArray[np.void]
 

@@ -11,7 +11,7 @@ published), a JSON file of gains, a row of a store (or, with --speed, the one th
 with the least energy), or a finished trial of a study database or of a comparison. With --engine
 mujoco, MuJoCo moves the body; with --engine both, strips.png shows both walks, one above the other.
 --mjcf writes MuJoCo's model and its ground for MuJoCo's own viewer; --trajectory writes all
-samples. Exit codes: 0, 2 bad input, 130 interrupted.
+samples, and --opensim a folder that OpenSim 4 opens. Exit codes: 0, 2 bad input, 130 interrupted.
 """
 
 import json
@@ -25,7 +25,7 @@ import numpy as np
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import commit, writable
+from storage.commit import commit, require_folder, writable
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.gains import (
     NamedGains,
@@ -38,8 +38,10 @@ from study.experiment.gains import (
 from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
+from study.pictures.opensim import write_opensim
 from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
+    kept,
     require_trajectory_file,
     write_trajectory,
 )
@@ -93,9 +95,10 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
     """The one walk, recorded."""
     total_s = experiment.conditions.duration_s
     with tqdm(total=total_s, unit="s", desc="walking", disable=None) as bar:
-        return recorded_walk(
+        walked = recorded_walk(
             gains, experiment, run, RECORD_RATE_HZ, lambda done_s, _: bar.update(done_s - bar.n)
         )
+    return replace(walked, trajectories=tuple(map(kept, walked.trajectories)))
 
 
 def write_model(path: Path, experiment: Experiment, run: int) -> None:
@@ -202,6 +205,8 @@ def main(args: Namespace) -> None:
     folder = args.out or Path("out") / "walk" / gains.name
     for file in args.trajectory:
         require_trajectory_file(file)
+    if args.opensim is not None:
+        require_folder(args.opensim, "opensim")
     if args.mjcf is not None:
         write_model(args.mjcf, experiment, args.run)
     with writable(folder):  # before the work
@@ -218,6 +223,9 @@ def main(args: Namespace) -> None:
     for file in args.trajectory:
         write_trajectory(file, result.trajectories[0], gains.name)
         paths[file.suffix.removeprefix(".")] = str(file)
+    if args.opensim is not None:
+        write_opensim(args.opensim, result.trajectories[0], experiment.body(args.run), gains.name)
+        paths["opensim"] = str(args.opensim)
     if args.json:
         print(json.dumps(report(gains, row, end_reason, paths)))
         return

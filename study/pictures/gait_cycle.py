@@ -177,7 +177,10 @@ def write_gait_cycle(
 def _draw_model(axes: Axes, curves: Array, strides: Strides, title: str, unit: str) -> None:
     if strides.enough:
         mean, sd = curves.mean(axis=0), curves.std(axis=0)
-        axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.MODEL, alpha=0.3, linewidth=0)
+        band = np.array([mean - sd, mean + sd])
+        if unit.startswith("activation"):
+            band = np.clip(band, 0.0, 1.0)
+        axes.fill_between(PERCENT, *band, color=style.MODEL, alpha=0.3, linewidth=0)
         axes.plot(PERCENT, mean, color=style.MODEL, linewidth=1.6)
         if len(strides.take_off_percent):
             percent = strides.take_off_percent.mean()

@@ -4,6 +4,7 @@ Matplotlib takes 25 ms for a frame, Pillow 2. Shapes are drawn twice as large an
 edges are smooth; text is drawn at its size. Pillow comes with Matplotlib, and so does the font.
 """
 
+import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -120,6 +121,7 @@ FORCE_WIDTH_M = 0.014
 JOINT_RADIUS_M = 0.007
 PRESSURE_SHIFT_M = 0.05  # heel above ball by half of it: all the force is at the ball
 FORCE_SMOOTHING_S = 0.03  # impacts of a few milliseconds would only flicker
+TITLE_CHARACTERS = 44  # of a line: it ends left of the head
 KEY = "blue: force of the ground"
 SMALLEST_TEXT_PX = 9  # of a film a quarter of the full size
 
@@ -250,7 +252,8 @@ class Scene:
     def _write(self, canvas: Canvas, number: int, metres: list[int]) -> None:
         time_s, x_m = self._motion.time_s[number], self._motion.q[number, 0]
         left = 0.015 * self._size_px[0]
-        lines = (self._title, 18), (f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (KEY, 15)
+        titles = [(line, 18) for line in textwrap.wrap(self._title, TITLE_CHARACTERS)]
+        lines = (*titles, (f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (KEY, 15))
         for line, (text, size) in enumerate(lines):
             at = (left, (0.03 + 0.06 * line) * self._size_px[1])
             canvas.text(at, text, self._text_px(size), style.INK, "la")

@@ -175,7 +175,8 @@ def _draw_profile(
     _draw_ground(axes, x, height, bottom)
     axes.set(xlim=(low, high), ylim=(bottom, height.max() + margin))
     axes.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-    axes.set_ylabel("ground (m)", fontsize=style.TEXT_PT, color=style.INK)
+    axes.text(0.005, 0.97, "ground (m)", transform=axes.transAxes, va="top",
+              fontsize=style.SMALL_PT, color=style.INK, zorder=GROUND_LAYER + 1.0)  # fmt: skip
     for walk, part, colour in zip(walks, parts, colours, strict=True):
         axes.axvspan(*part.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
         axes.annotate(

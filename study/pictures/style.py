@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 
 from storage.commit import commit
 
-# Of the eight of Okabe and Ito, which survive colour blindness.
-BLACK = "#000000"
-BLUE = "#0072B2"
-VERMILION = "#D55E00"
+# Of the eight of Okabe and Ito, which survive colour blindness: all but yellow, too pale for lines.
+# A grey and a brown come after them, told apart by their lightness.
+BLACK, BLUE, VERMILION = "#000000", "#0072B2", "#D55E00"
+OTHERS = ("#E69F00", "#009E73", "#CC79A7", "#56B4E9", BLACK, "#8A9099", "#6B4A12")
 
 INK = "#22262B"
 FAINT = "#8A9099"  # of what stands back, such as spines and peers

@@ -1,8 +1,8 @@
 """Writes a report, or the overview of several, into its folder: the words, and two figures.
 
-They are best cost against trials, and a dot a run at its first walker. Colour shows the kind of an
-arm, marker and dash the arm; three arms stand in front. In a grey print width and dash show the
-lines in front, and the label at its end names every line.
+They are best cost against trials, and a dot a run at its first walker. An arm has its colour and
+marker in every figure, apart for colour-blind readers; three arms stand in front. In a grey print
+width and marker show the lines in front, and the label at its end names every line.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
 from storage.commit import commit_json, commit_text, together
-from study.experiment.arms import OUR_ARM, PAPER_ARM
+from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM
 from study.pictures import style
 from study.report.markdown import NO_STORES, condensed_table, count_text, overview_text, report_text
 from study.report.numbers import (
@@ -26,7 +26,6 @@ from study.report.numbers import (
     best_peer,
     by_rank,
     curve,
-    kind_of,
     label_of,
     median,
     numbers,
@@ -78,18 +77,9 @@ def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
         commit_text(new / "overview.md", text)
 
 
-# Colour, colour of the label, and dash of arms: of three in front, by their role; of all others by
-# their kind.
-FRONT: dict[str, tuple[str, str, Any]] = {
-    "paper": (style.BLUE, style.BLUE, (0, (6, 1.6))),
-    "best": (style.VERMILION, style.VERMILION, "solid"),
-    "peer": (style.BLACK, style.BLACK, (0, (2.2, 1.4))),
-}
-BACK: dict[str, tuple[str, str, Any]] = {
-    "ours": ("#6F9FC6", "#35658C", "solid"),
-    "peer": (style.FAINT, "#5A616A", (0, (4, 2))),
-    "control": ("#C69250", "#85591C", (0, (1, 1.5))),
-}
+# Of an arm in every figure: the paper's and ours have a colour of their own, the others follow.
+COLOURS = {PAPER_ARM: style.BLUE, OUR_ARM: style.VERMILION}
+DASHES: tuple[Any, ...] = ("solid", (0, (4, 2)), (0, (1, 1.5)))
 MARKERS = "osD^vPX<>ph*dH8"
 
 
@@ -107,33 +97,29 @@ class Look:
     def line(self) -> dict[str, Any]:
         """Keyword arguments of `Axes.plot`."""
         return {
-            "color": self.colour,
-            "linestyle": self.dash,
-            "linewidth": 2.0 if self.front else 1.0,
-            "marker": self.marker,
-            "markersize": 5.0 if self.front else 3.2,
-            "markeredgewidth": 0.0,
-            "zorder": 4.0 if self.front else 3.0,
-        }
+            "color": self.colour, "linestyle": self.dash, "linewidth": 2.0 if self.front else 1.0,
+            "marker": self.marker, "markersize": 5.0 if self.front else 3.2,
+            "markeredgewidth": 0.0, "zorder": 4.0 if self.front else 3.0,
+        }  # fmt: skip
 
 
 def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
-    """The look of each arm, in the order given."""
-    front = {PAPER_ARM: "paper", OUR_ARM: "best", best_peer(arms.values()): "peer"}
+    """The look of each arm, in the order given; the same whichever arms stand beside it."""
+    front = {PAPER_ARM, OUR_ARM, best_peer(arms.values())}
+    others = [name for name in (*ARMS, *arms) if name not in COLOURS]
     found: dict[str, Look] = {}
-    members = dict.fromkeys(BACK, 0)  # arms of a kind so far: each has another marker
     for arm in arms:
-        role, kind = front.get(arm), kind_of(arm)
-        drawn = FRONT[role] if role else BACK[kind]
-        marker = MARKERS[members[kind] % len(MARKERS)]
-        found[arm] = Look(label_of(arm), *drawn, marker, front=role is not None)
-        members[kind] += 1
+        place = others.index(arm) if arm in others else 0
+        colour = COLOURS.get(arm, style.OTHERS[place % len(style.OTHERS)])
+        dash = DASHES[0 if arm in COLOURS else 1 + place // len(style.OTHERS) % 2]
+        marker = MARKERS[list(COLOURS).index(arm) if arm in COLOURS else place % len(MARKERS)]
+        found[arm] = Look(label_of(arm), colour, style.INK, dash, marker, front=arm in front)
     return found
 
 
 LABEL_SPACING_PT = 10.0
 POINTS_AN_INCH = 72.0
-LABEL_OFFSET_PT = 16.0
+LABEL_OFFSET_PT = 27.0
 TICKS = (1, 3, 10, 30, 100, 300, 1000)
 
 
@@ -187,20 +173,13 @@ def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
     places = spread_out(np.clip(pixels, low, high), LABEL_SPACING_PT * point, low, high)
     for end, own, place in zip(ends, pixels, places, strict=True):
         axes.annotate(
-            end.text,
-            xy=(x, end.y),
-            xytext=(LABEL_OFFSET_PT, (place - own) / point),
-            textcoords="offset points",
-            fontsize=style.SMALL_PT,
-            fontweight="bold" if end.look.front else "normal",
-            color=end.look.text,
-            va="center",
-            annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-", "color": end.look.colour, "linewidth": 0.6,
-                "shrinkA": 0.0, "shrinkB": 2.0, "relpos": (0.0, 0.5),
-            },
+            end.text, xy=(x, end.y), xytext=(LABEL_OFFSET_PT, (place - own) / point), va="center",
+            textcoords="offset points", fontsize=style.SMALL_PT, color=end.look.text,
+            fontweight="bold" if end.look.front else "normal", annotation_clip=False,
         )  # fmt: skip
+        height = [(place - low) / (high - low)] * 2  # the arm's line beside its name, as a key
+        key = end.look.line() | {"markevery": [1], "transform": axes.transAxes}
+        axes.plot([1.015, 1.04], height, clip_on=False, **key)
 
 
 def spread_out(places: Sequence[float], apart: float, low: float, high: float) -> list[float]:
@@ -262,8 +241,8 @@ def write_best_cost(path: Path, results: Results) -> Path:
             axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
         ends.append(End(float(values[-1]), look, f"{look.label} {values[-1]:.3g}", rank))
     label_ends(axes, ends, results.trials)
-    title = f"{results.name}: best {results.cost} cost so far, median over runs"
-    headline(figure, LEFT_IN, title, IN_FRONT)
+    title = f"Best {results.cost} cost so far, median over runs"
+    headline(figure, LEFT_IN, title, f"{results.name}; {IN_FRONT}")
     return style.save_png(figure, path)
 
 
@@ -294,9 +273,9 @@ def write_first_walker(path: Path, results: Results) -> Path:
     _frame_dots(axes, results.trials, len(order))
     for row, arm in enumerate(order):
         _draw_row(axes, results.trials, row, results.arms[arm], styles[arm])
-    title = f"{results.name}: trials to the first walker, a dot a run"
+    title = "Trials to the first walker, a dot a run"
     remark = "diamond: median with its 95 % bootstrap interval; open dots: runs without a walker"
-    headline(figure, 0.15, title, remark)
+    headline(figure, 0.15, title, f"{results.name}; {remark}")
     return style.save_png(figure, path)
 
 

@@ -195,8 +195,8 @@ def write_mjcf(
 ) -> None:
     """Write the model, with the ground and the start as key frame, for MuJoCo's viewer.
 
-    A file can only have solids: the ground is a height field of the whole table. `start` is qpos
-    then qvel, [18].
+    A file can only have solids: the ground is a height field of the whole table. Links and muscles
+    are sites and tendons, without mass, contact or force. `start` is qpos then qvel, [18].
     """
     root = _walker(bodies, settings, friction)
     world = _find(root, "worldbody")
@@ -212,6 +212,13 @@ def write_mjcf(
         type="hfield", hfield="ground", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
         pos=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
     )  # fmt: skip
+    seen = ElementTree.parse(Path(__file__).with_name("visible.xml"))
+    for part in seen.iter("body"):
+        _find(root, "body", part.attrib["name"]).extend(part)
+    for tag in ("asset", "worldbody", "tendon"):
+        SubElement(root, tag).extend(
+            each for each in seen.iterfind(f"{tag}/*") if each.tag != "body"
+        )
     keyframe = SubElement(root, "keyframe")
     SubElement(keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:]))
     # Where the viewer looks, and from how far: not at the whole ground.

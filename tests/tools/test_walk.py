@@ -59,9 +59,15 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     model = tmp_path / "walker.xml"
     words = ("walk", "--gains", "published", "--config", ROUGH8, "--run", 3, "--duration", 3,
              "--out", tmp_path / "out", "--movie-seconds", 0)  # fmt: skip
-    report = tool.json(*words, "--engine", "mujoco", "--mjcf", model)
+    folder = tmp_path / "opensim"
+    report = tool.json(*words, "--engine", "mujoco", "--mjcf", model, "--opensim", folder)
     assert report["duration_s"] == 3.0 and 2.0 < report["distance_m"] < 6.0
-    assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf"}
+    assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf", "opensim"}
+    assert sorted(path.suffix for path in folder.iterdir()) == [".mot"] * 2 + [
+        ".osim",
+        ".sto",
+        ".xml",
+    ]
     assert report["pictures"]["mjcf"] == str(model)
     opened = mujoco.MjModel.from_xml_path(str(model))
     body = read_experiment(ROUGH8).body(3)

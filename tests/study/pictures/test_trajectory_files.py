@@ -38,23 +38,27 @@ def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
         np.testing.assert_allclose(columns[name], -degrees[:, joint], atol=1e-12)
 
 
-def test_forces_and_activations() -> None:
+def test_states_by_the_paths_of_opensim_4() -> None:
     keys, columns = read_storage(trajectory_text(WALK, ".sto"))
     assert keys["inDegrees"] == "no"
-    np.testing.assert_array_equal(columns["ground_force_l_vy"], WALK.ground_force_n[:, 1])
-    np.testing.assert_array_equal(columns["ground_force_r_vx"], WALK.ground_force_n[:, 2])
     right_vastus = len(MUSCLES) + MUSCLES.index("VAS")
-    np.testing.assert_array_equal(columns["vasti_r.activation"], WALK.activation[:, right_vastus])
-    left_soleus = WALK.muscle_force_n[:, MUSCLES.index("SOL")]
-    np.testing.assert_array_equal(columns["soleus_l.tendon_force"], left_soleus)
-    assert len(columns) == 1 + 4 + 2 * 2 * len(MUSCLES)
+    name = "/forceset/vasti_r/activation"
+    np.testing.assert_array_equal(columns[name], WALK.activation[:, right_vastus])
+    np.testing.assert_array_equal(
+        columns["/forceset/soleus_l/fiber_length"], WALK.fibre_length_m[:, MUSCLES.index("SOL")]
+    )
+    speed = columns["/jointset/knee_l/knee_angle_l/speed"]
+    np.testing.assert_array_equal(speed, WALK.qdot[:, 3] - WALK.qdot[:, 4])
+    assert len(columns) == 1 + 2 * 9 + 2 * 2 * len(MUSCLES)
 
 
 def test_csv_has_all_samples_by_names_with_units() -> None:
     names, *rows = [line.split(",") for line in trajectory_text(WALK, ".csv").splitlines()]
     table = np.array(rows, dtype=float)
     wide = [WALK.time_s[:, None], WALK.q, WALK.qdot, WALK.joint_rad, WALK.activation,
-            WALK.muscle_force_n, WALK.ground_force_n, WALK.stance]  # fmt: skip
+            WALK.muscle_force_n, WALK.ground_force_n, WALK.stance,
+            WALK.joint_torque_nm, WALK.swing_torque_nm, WALK.fibre_length_m,
+            WALK.fibre_velocity_mps]  # fmt: skip
     np.testing.assert_array_equal(table, np.hstack(wide))
     assert len(set(names)) == table.shape[1]
     assert {"time_s", "x_m", "thigh_l_rad", "r_knee_flexion_rad", "l_SOL_force_n"} <= set(names)

@@ -14,6 +14,7 @@ from taichi_nmm.kernel.joints import STOP_STIFFNESS_NMPRAD
 from taichi_nmm.mujoco_engine import mjcf
 from taichi_nmm.mujoco_engine.engine import Herd, start_state
 from taichi_nmm.mujoco_engine.mjcf import JOINTS, LEAST_RANGE_RAD, STOPS, limit, walk_model
+from taichi_nmm.result import MUSCLES
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.walkers import check_batch
 
@@ -84,6 +85,16 @@ def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> 
         of_file = getattr(model, "geom_condim" if name == "dim" else f"geom_{name}")[0]
         expected = np.broadcast_to(of_file, numbers.shape)
         np.testing.assert_array_equal(numbers, expected, err_msg=name)
+
+
+def test_links_and_muscles_are_seen_and_weigh_nothing(model: mujoco.MjModel) -> None:
+    names = {model.tendon(n).name for n in range(model.ntendon)}
+    assert names == {f"{muscle}_{side}" for muscle in MUSCLES for side in "lr"} and len(names) == 14
+    assert not model.tendon_stiffness.any() and not model.tendon_limited.any()
+    capsules = model.site_type == mujoco.mjtGeom.mjGEOM_CAPSULE
+    assert sorted(model.site_bodyid[capsules]) == list(range(1, 8))
+    assert model.nlight == model.ncam == 1 and model.ntex == 1
+    assert model.body_mass.sum() == pytest.approx(BODY.mass_kg.sum())
 
 
 def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None:
