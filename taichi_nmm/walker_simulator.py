@@ -92,15 +92,17 @@ class WalkerWorlds:
 
     def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
         """Names for people, and digests of all numbers that were drawn."""
-        catches = self.ranges.catch_ns != NOMINAL.catch_ns  # newer than many stores, as below
-        drawn = [v for k, v in vars(worlds.surroundings).items() if k != "catch_ns" or catches]
+        numbers = vars(worlds.surroundings)
+        for newer in ("catch_ns", "prosthesis"):  # than many stores, as below
+            if getattr(self.ranges, newer) == getattr(NOMINAL, newer):
+                numbers = {name: values for name, values in numbers.items() if name != newer}
         bodies = array_digest(*vars(worlds.bodies).values())
         document: dict[str, Any] = {
             "terrain": terrain_document(worlds.terrains),
             "body": self.build.document() | {"sha256": bodies},
         }
         if ranges := self.ranges.document():  # else no key: it is newer than many stores
-            document["world"] = ranges | {"sha256": array_digest(*drawn)}
+            document["world"] = ranges | {"sha256": array_digest(*numbers.values())}
         return document
 
 

@@ -114,6 +114,8 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     rows[:, Const.sensing_noise] = worlds.sensing_noise
     rows[:, Const.noise_seed] = worlds.noise_seed
     rows[:, Const.catch_ns] = worlds.catch_ns
+    for number, row in enumerate((Const.ankle_stiffness, Const.ankle_damping, Const.ankle_rest)):
+        rows[:, row : row + LEGS] = worlds.prosthesis[:, :, number]
     rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
     rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]
@@ -124,7 +126,24 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
         a, b = leg_coefficients(mass[:, links], inertia[:, links], com[:, links])
         rows[:, Const.a_leg + 3 * leg : Const.a_leg + 3 * leg + 3] = a
         rows[:, Const.b_leg + 6 * leg : Const.b_leg + 6 * leg + 6] = b
+        _check_prosthesis(batch, leg, rows[:, Const.b_leg + 6 * leg + 2], settings.physics_step_s)
     return rows
+
+
+def _check_prosthesis(
+    batch: Batch, leg: int, inertia_kgm2: NDArray[np.float64], step_s: float
+) -> None:
+    """Refuse a foot that is too light for its damper, of this inertia about the ankle, [n].
+
+    The torque of a step is that of its begin. Alone, the foot would gain energy where
+    step (damping + stiffness step / 2) is more than twice its inertia; the shank halves this.
+    """
+    stiffness, damping, _ = batch.worlds.prosthesis[:, leg].T
+    most = inertia_kgm2 / step_s - 0.5 * stiffness * step_s
+    if np.any(damping > most):
+        worst = int(np.argmax(damping - most))
+        allowed = f"up to {max(most[worst], 0.0):.3g} with this stiffness, foot and physics step"
+        raise InputError("worlds.prosthesis.damping_nmsprad", float(damping[worst]), allowed)
 
 
 def leg_coefficients(

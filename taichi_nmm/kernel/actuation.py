@@ -35,7 +35,7 @@ def step(tick, commands, activation_blend, load_blend,
     walker.contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
     for lane in range(lanes):
         joints.turn_joints(lane, fibres, work)
-        walker.add_ideal_torques(lane, state, work)
+        walker.add_ideal_torques(lane, state, const, work)
 
 
 @ti.func

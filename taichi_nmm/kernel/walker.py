@@ -55,7 +55,7 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
         contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
         for lane in range(lanes):
             joints.turn_joints(lane, fibres, work)
-            add_ideal_torques(lane, state, work)
+            add_ideal_torques(lane, state, const, work)
             joints.hip_stops(lane, work)
             contact.spring_forces(lane, step_s, state, const, work)
             joints.knee_and_ankle_stops(lane, step_s, work)
@@ -178,15 +178,17 @@ def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, const: Row
 
 
 @ti.func
-def add_ideal_torques(lane, state: Rows, work: Rows):
+def add_ideal_torques(lane, state: Rows, const: Rows, work: Rows):
     """Hip and knee torques: the muscles' by their share of stance, and the ideal parts.
 
-    Ankles get the torque of the device.
+    Ankles get the torques of the devices.
     """
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
         hip, knee, ankle = ti.static(3 * leg, 3 * leg + 1, 3 * leg + 2)
-        work[Work.joint_torque + ankle, lane] += state[State.device_torque + leg, lane]
+        work[Work.joint_torque + ankle, lane] += state[
+            State.device_torque + leg, lane
+        ] + device.prosthesis_torque(lane, ankle, leg, const, work)
         work[Work.joint_torque + hip, lane] = (
             weight * work[Work.joint_torque + hip, lane] + state[State.hip_torque + leg, lane]
         )
