@@ -38,6 +38,11 @@ LIMITS: dict[str, Range] = {
     "catch_ns": (0.0, 50.0),
 }
 HEALTHY = (1.0,) * MUSCLE_COUNT
+MUSCLE_LIMITS: dict[str, Range] = {  # of each muscle, over the nominal
+    "optimal_length": (0.5, 2.0),
+    "slack_length": (0.5, 2.0),
+    "activation_time": (0.1, 10.0),
+}
 PROSTHESIS_LIMITS: dict[str, Range] = {
     "stiffness_nmprad": (0.0, 2000.0),
     "damping_nmsprad": (0.0, 5.0),
@@ -92,6 +97,9 @@ class Worlds(Rows):
             (`kernel.dynamics.catch_feet`), [n].
         prosthesis: stiffness, damping and rest angle of a passive foot on the left leg, then on the
             right, as in `Prosthesis`, [n, 2, 3]; 0 where there is none.
+        optimal_length: of each muscle's fibre over the nominal, as `strength`, [n, 14].
+        slack_length: of its tendon, likewise; where it is attached does not change.
+        activation_time: the time constant from an order to the activation, likewise.
     """
 
     contact_stiffness: NDArray[np.float64]
@@ -103,10 +111,14 @@ class Worlds(Rows):
     noise_seed: NDArray[np.float64]
     catch_ns: NDArray[np.float64]
     prosthesis: NDArray[np.float64]
+    optimal_length: NDArray[np.float64]
+    slack_length: NDArray[np.float64]
+    activation_time: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         self._check_shapes("world", _size)
-        within = {name: (vars(self)[name], LIMITS[name]) for name in LIMITS if name in vars(self)}
+        every = LIMITS | MUSCLE_LIMITS
+        within = {name: (vars(self)[name], every[name]) for name in every if name in vars(self)}
         within["strength"] = self.strength, (0.0, LIMITS["strength"][1])
         for place, (name, limits) in enumerate(PROSTHESIS_LIMITS.items()):
             within[f"prosthesis.{name}"] = self.prosthesis[..., place], limits
@@ -121,7 +133,9 @@ class Worlds(Rows):
         """`count` worlds of the published walker."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
         none, usual = np.zeros((count, *_size("prosthesis"))), FRICTION_COEFFICIENT * one
-        return Worlds(one, one, usual, strength, zero, zero, zero, zero, none)
+        return Worlds(
+            one, one, usual, strength, zero, zero, zero, zero, none, strength, strength, strength
+        )
 
 
 @dataclass(frozen=True)
@@ -132,7 +146,8 @@ class WorldRanges:
     a stream of its own, and so is the seed of noise and catches. A muscle is `overall_strength`,
     which all of a walker's muscles share, times its own `strength`, times what `muscles` has for it
     in all worlds, the left leg's first, [14]: a weak soleus, a muscle that is missing (0). All
-    worlds have the `prosthesis`, if there is one. They pickle and hash.
+    worlds have the `prosthesis`, if there is one, and the same factors of the muscles' optimal
+    lengths, slack lengths and activation times, [14]. They pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -145,15 +160,19 @@ class WorldRanges:
     catch_ns: Range = NONE
     muscles: tuple[float, ...] = HEALTHY
     prosthesis: Prosthesis | None = None
+    optimal_length: tuple[float, ...] = HEALTHY
+    slack_length: tuple[float, ...] = HEALTHY
+    activation_time: tuple[float, ...] = HEALTHY
 
     def __post_init__(self) -> None:
         pairs = {name: checks.interval(*LIMITS[name]) for name in RANGES}
         low, high = LIMITS["strength"]
-        each_muscle = checks.numbers("world.muscles", self.muscles)
         device = checks.optional(checks.instance(Prosthesis))
         checks.check_fields(self, "world.", **pairs, prosthesis=device)
-        if each_muscle.shape != (MUSCLE_COUNT,):
-            raise InputError("world.muscles", self.muscles, f"{MUSCLE_COUNT} numbers")
+        for name in ("muscles", *MUSCLE_LIMITS):
+            given = getattr(self, name)
+            if checks.numbers(f"world.{name}", given).shape != (MUSCLE_COUNT,):
+                raise InputError(f"world.{name}", given, f"{MUSCLE_COUNT} numbers")
         for each, overall in zip(self.strength, self.overall_strength, strict=True):
             if not low <= each * overall <= high:
                 allowed = f"with world.strength {each:g} a product of {low:g} to {high:g}"
@@ -183,6 +202,8 @@ class WorldRanges:
             drawn["prosthesis"][:, leg] = [getattr(self.prosthesis, n) for n in PROSTHESIS_LIMITS]
             gone = [MUSCLE_NAMES.index(f"{m}_{self.prosthesis.side}") for m in ACROSS_ANKLE]
             drawn["strength"][:, gone] = 0.0
+        for name in MUSCLE_LIMITS:
+            drawn[name] = np.tile(np.asarray(getattr(self, name), dtype=float), (len(streams), 1))
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
         return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
 
@@ -193,9 +214,10 @@ class WorldRanges:
             for name in RANGES
             if getattr(self, name) != getattr(NOMINAL, name)
         }
-        both = zip(MUSCLE_NAMES, self.muscles, strict=True)
-        changed = {name: factor for name, factor in both if factor != 1.0}
-        document |= {"muscles": changed} if changed else {}
+        muscles: dict[str, Any] = _changed(self.muscles)
+        own = {name: _changed(getattr(self, name)) for name in MUSCLE_LIMITS}
+        muscles |= {name: changed for name, changed in own.items() if changed}
+        document |= {"muscles": muscles} if muscles else {}
         return document | ({"prosthesis": asdict(self.prosthesis)} if self.prosthesis else {})
 
 
@@ -211,15 +233,21 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     """The table [world]: pairs of numbers, lowest and highest; a missing one is nominal.
 
     [world.muscles] has factors of the strength of single muscles, by name (`SOL`), or name and side
-    (`SOL_left`). [world.prosthesis] has the fields of `Prosthesis`. Reads every key.
+    (`SOL_left`); its tables `optimal_length`, `slack_length` and `activation_time` those of these.
+    [world.prosthesis] has the fields of `Prosthesis`. Reads every key.
 
     Raises:
         InputError: an unknown key, a range that is empty or out of bounds, or a contact of our own
             engine for another one.
     """
     pairs = {name: table.range(name, getattr(NOMINAL, name), *LIMITS[name]) for name in RANGES}
-    muscles = _read_muscles(table.table("muscles"))
-    ranges = WorldRanges(**pairs, muscles=muscles, prosthesis=_read_prosthesis(table))
+    named, own = table.table("muscles"), dict[str, Any]()
+    muscles = _read_muscles(named, 0.0, LIMITS["strength"][1])
+    for name, limits in MUSCLE_LIMITS.items():
+        own[name] = _read_muscles(named.table(name), *limits)
+        named.table(name).done()
+    named.done()
+    ranges = WorldRanges(**pairs, muscles=muscles, prosthesis=_read_prosthesis(table), **own)
     table.done()
     if engine != OWN_ENGINE:
         for name in set(ranges.document()) & set(OWN_CONTACT):
@@ -227,16 +255,19 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     return ranges
 
 
-def _read_muscles(table: Table) -> tuple[float, ...]:
-    high = LIMITS["strength"][1]
-    both = {muscle: table.number(muscle, 1.0, 0.0, high) for muscle in MUSCLES}
-    factors = tuple(
-        table.number(f"{muscle}_{side}", both[muscle], 0.0, high)
+def _changed(factors: tuple[float, ...]) -> dict[str, float]:
+    """Those of 14 that are not 1, by muscle and side."""
+    both = zip(MUSCLE_NAMES, factors, strict=True)
+    return {name: factor for name, factor in both if factor != 1.0}
+
+
+def _read_muscles(table: Table, low: float, high: float) -> tuple[float, ...]:
+    both = {muscle: table.number(muscle, 1.0, low, high) for muscle in MUSCLES}
+    return tuple(
+        table.number(f"{muscle}_{side}", both[muscle], low, high)
         for side in SIDES
         for muscle in MUSCLES
     )
-    table.done()
-    return factors
 
 
 def _read_prosthesis(world: Table) -> Prosthesis | None:
@@ -262,5 +293,6 @@ def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generato
 
 def _size(name: str) -> tuple[int, ...]:
     """Numbers of that name in one world."""
-    sizes = {"strength": (MUSCLE_COUNT,), "prosthesis": (len(SIDES), len(PROSTHESIS_LIMITS))}
-    return sizes.get(name, ())
+    if name == "prosthesis":
+        return len(SIDES), len(PROSTHESIS_LIMITS)
+    return (MUSCLE_COUNT,) if name in ("strength", *MUSCLE_LIMITS) else ()

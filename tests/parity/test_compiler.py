@@ -22,6 +22,7 @@ from taichi_nmm.parameters import (
     upper_bounds,
 )
 from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
+from taichi_nmm.world import MUSCLE_LIMITS
 from tests.parity.interpreter import AllLanes, interpreted, interpreted_walker
 
 pytestmark = pytest.mark.slow
@@ -42,7 +43,7 @@ SEGMENT_COUNT = layout.SEGMENT_COUNT
 
 def walking_batch(count: int) -> Batch:
     """Walkers of random gains, the first of the published ones: each body and each world another,
-    every third with a prosthesis, on five grounds in turn.
+    every third with a prosthesis and muscles of its own, on five grounds in turn.
     """
     rng = np.random.default_rng(4)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (count, 16))
@@ -56,7 +57,8 @@ def walking_batch(count: int) -> Batch:
     ]
     ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
     healthy = WorldRanges(*ranges, catch_ns=(0.0, 5.0))
-    amputees = replace(healthy, prosthesis=Prosthesis("right", 400.0, 1.0, 0.05))
+    own = {name: tuple(rng.uniform(0.9, 1.1, 14)) for name in MUSCLE_LIMITS}
+    amputees = replace(healthy, prosthesis=Prosthesis("right", 400.0, 1.0, 0.05), **own)
     each_world = Worlds.stacked(ranges.draw(range(count)) for ranges in (healthy, amputees))
     worlds = each_world.take(np.arange(count) + count * (np.arange(count) % 3 == 2))
     bodies = Bodies.disturbed(range(count))

@@ -128,8 +128,6 @@ def test_a_prosthesis_takes_the_muscles_of_its_ankle() -> None:
     ):  # fmt: skip
         with pytest.raises(InputError, match=rf"^world\.prosthesis\.{key}: .*{allowed}"):
             read_world(Table({"prosthesis": table["prosthesis"] | {key: value}}, "world"))
-    with pytest.raises(InputError, match=r"^world\.prosthesis\.side: .* required"):
-        read_world(Table({"prosthesis": {}}, "world"))
 
 
 @pytest.mark.slow
@@ -143,6 +141,17 @@ def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
     limp, healthy = (result.trajectories[0] for result in both)
     assert not limp.muscle_force_n[:, 0].any() and healthy.muscle_force_n[:, 0].max() > 100.0
     assert limp.muscle_force_n[:, 7].max() > 100.0 and np.isfinite(limp.q).all()
+
+
+def test_muscles_have_lengths_and_times_of_their_own() -> None:
+    table = {"slack_length": {"SOL": 1.05}, "activation_time": {"TA_left": 2.0}, "VAS": 0.5}
+    ranges = read_world(Table({"muscles": table}))
+    assert read_world(Table(ranges.document())) == ranges
+    drawn = ranges.draw([3])
+    assert drawn.slack_length[0].tolist() == ([1.05] + [1.0] * 6) * 2
+    assert drawn.activation_time[0].tolist() == [1.0, 2.0, *[1.0] * 12]
+    with pytest.raises(InputError, match=r"^world\.muscles\.optimal_length\.GAS: .* 0\.5 to 2"):
+        read_world(Table({"muscles": {"optimal_length": {"GAS": 0.4}}}, "world"))
 
 
 @pytest.mark.parametrize(("change", "field"), [
