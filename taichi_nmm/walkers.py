@@ -137,7 +137,6 @@ def _fill_muscles(rows: NDArray[np.float64], worlds: Worlds, step_s: float) -> N
     nominal = np.tile(muscle_table(step_s)[:, T_STRAIN], LEGS)
     for row, values in (
         (Const.strength, worlds.strength),
-        (Const.power, worlds.strength * fibre),
         (Const.activation_blend, 1.0 - np.exp(-step_s / (ACTIVATION_TIME_S * time))),
         (Const.stretch, nominal * fibre / slack),
         (Const.tightness, 1.0 / slack),

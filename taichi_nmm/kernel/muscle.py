@@ -212,7 +212,7 @@ def contract(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Ro
         muscle[Muscle.length + row, lane] = larger(length, SHORTEST_FIBRE)
         power = strength
         if ti.static(own):
-            power = const[Const.power + row, lane]
+            power *= stretch / (data[T_STRAIN] * const[Const.tightness + row, lane])  # its fibre's
         work[Work.metabolic_power + row, lane] = power * (
             muscle[Muscle.activation + row, lane] * data[T_POWER] * metabolic_rate(v)
         )
