@@ -25,7 +25,7 @@ STORES := store store-worlds
 PAPER := rough8-smooth rough6-walking rough8-walking risers $(foreach way,up down,ramp-$(way) ramp-$(way)-gentle) stairs-down
 STAIRS := stairs-up stairs-up-high stairs-up-short
 TORSO := $(foreach way,up down,ramp-$(way)-torso stairs-$(way)-torso)
-OUTSIDE := outside-bodies outside-weak outside-slippery outside-catches outside-gravel outside-limp
+OUTSIDE := outside-bodies outside-weak outside-slippery outside-catches outside-gravel outside-limp prosthesis
 SPEED := $(foreach speed,07 08 09 10 11 12 13 14 15 16 08-rough 12-rough 16-rough,speed-$(speed))
 MUJOCO := $(foreach ground,level rough8 risers ramp-up ramp-down,$(foreach contact,soft middle hard,mujoco-$(ground)-$(contact)))
 

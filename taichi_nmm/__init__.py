@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from taichi_nmm.settings import Settings
     from taichi_nmm.simulator import forward_dynamics, simulate
     from taichi_nmm.terrain import Terrain
-    from taichi_nmm.world import WorldRanges, Worlds
+    from taichi_nmm.world import Prosthesis, WorldRanges, Worlds
 
 __version__ = "0.3.0"
 
@@ -40,6 +40,7 @@ __all__ = [
     "InputError",
     "Muscles",
     "Observation",
+    "Prosthesis",
     "Result",
     "Settings",
     "Terrain",
@@ -66,7 +67,7 @@ _PLACES = {
     "settings": ("Settings",),
     "simulator": ("forward_dynamics", "simulate"),
     "terrain": ("Terrain",),
-    "world": ("WorldRanges", "Worlds"),
+    "world": ("Prosthesis", "WorldRanges", "Worlds"),
 }  # fmt: skip
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 _RENAMED = {"K_T": "PUBLISHED_GAINS", "Sensed": "Observation"}  # since 0.3.0; gone in 0.4.0

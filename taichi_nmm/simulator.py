@@ -17,8 +17,17 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import accelerate, advance
-from taichi_nmm.kernel.layout import COORDINATES, FIRST_SUM, LEGS, WALKER_ROWS
-from taichi_nmm.kernel.muscle_table import muscle_table
+from taichi_nmm.kernel.layout import (
+    COORDINATES,
+    FIRST_FIBRE,
+    FIRST_SUM,
+    LEGS,
+    MUSCLE_COUNT,
+    WALKER_ROWS,
+    Muscle,
+)
+from taichi_nmm.kernel.muscle import SHORTEST_FIBRE
+from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.outcome import Recorder, result_rows
 from taichi_nmm.packs import Packs
@@ -116,8 +125,18 @@ def start_packs(batch: Batch, settings: Settings) -> Packs:
     """The walkers at the start. The backend runs already: it sets lanes and precision."""
     rows = np.zeros((len(batch.terrains), WALKER_ROWS))
     rows[:, :FIRST_SUM] = [initial_rows(terrain) for terrain in batch.terrains]
-    index = batch.terrain_index
-    return Packs(rows, constant_rows(batch, settings), index, starts=index)
+    index = starts = batch.terrain_index
+    fibre, slack = batch.worlds.optimal_length, batch.worlds.slack_length
+    if np.any((fibre != 1.0) | (slack != 1.0)):  # relaxed fibres of other lengths: a row a walker
+        rows, starts = rows[index], np.arange(len(batch), dtype=np.int32)
+        lengths = rows[:, FIRST_FIBRE + Muscle.length :][:, :MUSCLE_COUNT]
+        slack_m, optimal_m = (
+            np.tile([getattr(data, name) for data in MUSCLE_DATA.values()], LEGS)
+            for name in ("slack_length_m", "optimal_length_m")
+        )
+        lengths += (1.0 - slack) * slack_m / optimal_m
+        lengths[:] = np.maximum(lengths / fibre, SHORTEST_FIBRE)
+    return Packs(rows, constant_rows(batch, settings), index, starts=starts)
 
 
 def launcher(batch: Batch, settings: Settings) -> Launch:

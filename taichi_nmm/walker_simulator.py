@@ -35,7 +35,7 @@ from taichi_nmm.parameters import (
 from taichi_nmm.result import DIVERGED, END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from taichi_nmm.settings import GPUS, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
-from taichi_nmm.world import NOMINAL, WorldRanges, Worlds, read_world
+from taichi_nmm.world import MUSCLE_LIMITS, NOMINAL, WorldRanges, Worlds, read_world
 
 # By the purpose of a world's seed: the purposes of the streams that draw its body, its ground, and
 # its contact, muscles and nerves.
@@ -92,15 +92,17 @@ class WalkerWorlds:
 
     def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
         """Names for people, and digests of all numbers that were drawn."""
-        catches = self.ranges.catch_ns != NOMINAL.catch_ns  # newer than many stores, as below
-        drawn = [v for k, v in vars(worlds.surroundings).items() if k != "catch_ns" or catches]
+        numbers = vars(worlds.surroundings)
+        for newer in ("catch_ns", "prosthesis", *MUSCLE_LIMITS):  # than many stores, as below
+            if getattr(self.ranges, newer) == getattr(NOMINAL, newer):
+                numbers = {name: values for name, values in numbers.items() if name != newer}
         bodies = array_digest(*vars(worlds.bodies).values())
         document: dict[str, Any] = {
             "terrain": terrain_document(worlds.terrains),
             "body": self.build.document() | {"sha256": bodies},
         }
         if ranges := self.ranges.document():  # else no key: it is newer than many stores
-            document["world"] = ranges | {"sha256": array_digest(*drawn)}
+            document["world"] = ranges | {"sha256": array_digest(*numbers.values())}
         return document
 
 

@@ -12,11 +12,12 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
 from taichi_nmm.kernel.layout import GAIN_ROWS, LEGS, LOW_LEVEL_ROWS, MUSCLE_COUNT, Const
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
+from taichi_nmm.kernel.muscle_table import T_STRAIN, muscle_table
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.parameters import LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, gain_rows
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
-from taichi_nmm.world import Worlds
+from taichi_nmm.world import MUSCLE_LIMITS, Worlds
 
 W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
 
@@ -108,12 +109,14 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
         settings.contact_relaxation_speed_mps * worlds.relaxation_speed
     )
     rows[:, Const.friction] = worlds.friction
-    rows[:, Const.strength : Const.strength + MUSCLE_COUNT] = worlds.strength
+    _fill_muscles(rows, worlds, settings.physics_step_s)
     with np.errstate(divide="ignore"):  # no lag: all of the way in a tick
         rows[:, Const.nerve_blend] = 1.0 - np.exp(-CONTROL_TICK_S / worlds.nerve_lag_s)
     rows[:, Const.sensing_noise] = worlds.sensing_noise
     rows[:, Const.noise_seed] = worlds.noise_seed
     rows[:, Const.catch_ns] = worlds.catch_ns
+    for number, row in enumerate((Const.ankle_stiffness, Const.ankle_damping, Const.ankle_rest)):
+        rows[:, row : row + LEGS] = worlds.prosthesis[:, :, number]
     rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
     rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]
@@ -124,7 +127,39 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
         a, b = leg_coefficients(mass[:, links], inertia[:, links], com[:, links])
         rows[:, Const.a_leg + 3 * leg : Const.a_leg + 3 * leg + 3] = a
         rows[:, Const.b_leg + 6 * leg : Const.b_leg + 6 * leg + 6] = b
+        _check_prosthesis(batch, leg, rows[:, Const.b_leg + 6 * leg + 2], settings.physics_step_s)
     return rows
+
+
+def _fill_muscles(rows: NDArray[np.float64], worlds: Worlds, step_s: float) -> None:
+    """Constants of each walker's muscles, in `rows`, [n, Const.count]."""
+    fibre, slack, time = (getattr(worlds, name) for name in MUSCLE_LIMITS)
+    nominal = np.tile(muscle_table(step_s)[:, T_STRAIN], LEGS)
+    for row, values in (
+        (Const.strength, worlds.strength),
+        (Const.activation_blend, 1.0 - np.exp(-step_s / (ACTIVATION_TIME_S * time))),
+        (Const.stretch, nominal * fibre / slack),
+        (Const.tightness, 1.0 / slack),
+    ):
+        rows[:, row : row + MUSCLE_COUNT] = values
+    own = (fibre != 1.0) | (slack != 1.0) | (time != 1.0)
+    rows[:, Const.own_muscles] = own.any(axis=1)
+
+
+def _check_prosthesis(
+    batch: Batch, leg: int, inertia_kgm2: NDArray[np.float64], step_s: float
+) -> None:
+    """Refuse a foot that is too light for its damper, of this inertia about the ankle, [n].
+
+    The torque of a step is that of its begin. Alone, the foot would gain energy where
+    step (damping + stiffness step / 2) is more than twice its inertia; the shank halves this.
+    """
+    stiffness, damping, _ = batch.worlds.prosthesis[:, leg].T
+    most = inertia_kgm2 / step_s - 0.5 * stiffness * step_s
+    if np.any(damping > most):
+        worst = int(np.argmax(damping - most))
+        allowed = f"up to {max(most[worst], 0.0):.3g} with this stiffness, foot and physics step"
+        raise InputError("worlds.prosthesis.damping_nmsprad", float(damping[worst]), allowed)
 
 
 def leg_coefficients(

@@ -3,8 +3,9 @@
 The nominal world is that of the published walker. `WorldRanges` draws others.
 """
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from taichi_nmm import checks
 from taichi_nmm.body import SIDES, Rows
-from taichi_nmm.config import Table
+from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.settings import OWN_ENGINE
@@ -37,6 +38,41 @@ LIMITS: dict[str, Range] = {
     "catch_ns": (0.0, 50.0),
 }
 HEALTHY = (1.0,) * MUSCLE_COUNT
+MUSCLE_LIMITS: dict[str, Range] = {  # of each muscle, over the nominal
+    "optimal_length": (0.5, 2.0),
+    "slack_length": (0.5, 2.0),
+    "activation_time": (0.1, 10.0),
+}
+PROSTHESIS_LIMITS: dict[str, Range] = {
+    "stiffness_nmprad": (0.0, 2000.0),
+    "damping_nmsprad": (0.0, 5.0),
+    "rest_rad": (math.radians(-20.0), math.radians(40.0)),  # between the stops of `kernel.joints`
+}
+ACROSS_ANKLE = ("SOL", "TA", "GAS")
+
+
+@dataclass(frozen=True)
+class Prosthesis:
+    """A passive foot: a linear spring and damper in an ankle that no muscle crosses any more.
+
+    Its torque on the foot is stiffness (rest - angle) - damping rate; angles are plantarflexion
+    positive, 0 being a foot square to the shank. The ankle keeps its stops, and the leg its masses.
+
+    Attributes:
+        side: "left" or "right".
+        stiffness_nmprad: 0 to 2000.
+        damping_nmsprad: 0 to 5.
+        rest_rad: the angle without torque.
+    """
+
+    side: str
+    stiffness_nmprad: float
+    damping_nmsprad: float
+    rest_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        numbers = {name: checks.number(*limits) for name, limits in PROSTHESIS_LIMITS.items()}
+        checks.check_fields(self, "prosthesis.", side=checks.word(*SIDES), **numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +95,11 @@ class Worlds(Rows):
         noise_seed: of the noise and the catches, whole numbers below 2^24, [n].
         catch_ns: largest impulse, N s, that holds a foot back when it catches, about once a second
             (`kernel.dynamics.catch_feet`), [n].
+        prosthesis: stiffness, damping and rest angle of a passive foot on the left leg, then on the
+            right, as in `Prosthesis`, [n, 2, 3]; 0 where there is none.
+        optimal_length: of each muscle's fibre over the nominal, as `strength`, [n, 14].
+        slack_length: of its tendon, likewise; where it is attached does not change.
+        activation_time: the time constant from an order to the activation, likewise.
     """
 
     contact_stiffness: NDArray[np.float64]
@@ -69,11 +110,19 @@ class Worlds(Rows):
     sensing_noise: NDArray[np.float64]
     noise_seed: NDArray[np.float64]
     catch_ns: NDArray[np.float64]
+    prosthesis: NDArray[np.float64]
+    optimal_length: NDArray[np.float64]
+    slack_length: NDArray[np.float64]
+    activation_time: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         self._check_shapes("world", _size)
-        for name, values in vars(self).items():
-            low, high = (0.0, LIMITS[name][1]) if name == "strength" else LIMITS[name]
+        every = LIMITS | MUSCLE_LIMITS
+        within = {name: (vars(self)[name], every[name]) for name in every if name in vars(self)}
+        within["strength"] = self.strength, (0.0, LIMITS["strength"][1])
+        for place, (name, limits) in enumerate(PROSTHESIS_LIMITS.items()):
+            within[f"prosthesis.{name}"] = self.prosthesis[..., place], limits
+        for name, (values, (low, high)) in within.items():
             outside = values[~((values >= low) & (values <= high))]
             if outside.size:
                 raise InputError(f"worlds.{name}", float(outside[0]), f"{low:g} to {high:g}")
@@ -83,7 +132,10 @@ class Worlds(Rows):
     def nominal(count: int = 1) -> "Worlds":
         """`count` worlds of the published walker."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
-        return Worlds(one, one, FRICTION_COEFFICIENT * one, strength, *[zero] * 4)
+        none, usual = np.zeros((count, *_size("prosthesis"))), FRICTION_COEFFICIENT * one
+        return Worlds(
+            one, one, usual, strength, zero, zero, zero, zero, none, strength, strength, strength
+        )
 
 
 @dataclass(frozen=True)
@@ -93,8 +145,9 @@ class WorldRanges:
     Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
     a stream of its own, and so is the seed of noise and catches. A muscle is `overall_strength`,
     which all of a walker's muscles share, times its own `strength`, times what `muscles` has for it
-    in all worlds, the left leg's first, [14]: a weak soleus, a muscle that is missing (0). They
-    pickle and hash.
+    in all worlds, the left leg's first, [14]: a weak soleus, a muscle that is missing (0). All
+    worlds have the `prosthesis`, if there is one, and the same factors of the muscles' optimal
+    lengths, slack lengths and activation times, [14]. They pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -106,14 +159,20 @@ class WorldRanges:
     overall_strength: Range = AS_NOMINAL
     catch_ns: Range = NONE
     muscles: tuple[float, ...] = HEALTHY
+    prosthesis: Prosthesis | None = None
+    optimal_length: tuple[float, ...] = HEALTHY
+    slack_length: tuple[float, ...] = HEALTHY
+    activation_time: tuple[float, ...] = HEALTHY
 
     def __post_init__(self) -> None:
         pairs = {name: checks.interval(*LIMITS[name]) for name in RANGES}
         low, high = LIMITS["strength"]
-        each_muscle = checks.numbers("world.muscles", self.muscles)
-        checks.check_fields(self, "world.", **pairs)
-        if each_muscle.shape != (MUSCLE_COUNT,):
-            raise InputError("world.muscles", self.muscles, f"{MUSCLE_COUNT} numbers")
+        device = checks.optional(checks.instance(Prosthesis))
+        checks.check_fields(self, "world.", **pairs, prosthesis=device)
+        for name in ("muscles", *MUSCLE_LIMITS):
+            given = getattr(self, name)
+            if checks.numbers(f"world.{name}", given).shape != (MUSCLE_COUNT,):
+                raise InputError(f"world.{name}", given, f"{MUSCLE_COUNT} numbers")
         for each, overall in zip(self.strength, self.overall_strength, strict=True):
             if not low <= each * overall <= high:
                 allowed = f"with world.strength {each:g} a product of {low:g} to {high:g}"
@@ -137,6 +196,14 @@ class WorldRanges:
                 drawn[name] = low + (high - low) * shares
         drawn["strength"] = drawn["strength"] * drawn.pop("overall_strength")[:, None]
         drawn["strength"] = drawn["strength"] * self.muscles
+        drawn["prosthesis"] = np.zeros((len(streams), *_size("prosthesis")))
+        if self.prosthesis is not None:
+            leg = SIDES.index(self.prosthesis.side)
+            drawn["prosthesis"][:, leg] = [getattr(self.prosthesis, n) for n in PROSTHESIS_LIMITS]
+            gone = [MUSCLE_NAMES.index(f"{m}_{self.prosthesis.side}") for m in ACROSS_ANKLE]
+            drawn["strength"][:, gone] = 0.0
+        for name in MUSCLE_LIMITS:
+            drawn[name] = np.tile(np.asarray(getattr(self, name), dtype=float), (len(streams), 1))
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
         return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
 
@@ -147,13 +214,15 @@ class WorldRanges:
             for name in RANGES
             if getattr(self, name) != getattr(NOMINAL, name)
         }
-        both = zip(MUSCLE_NAMES, self.muscles, strict=True)
-        changed = {name: factor for name, factor in both if factor != 1.0}
-        return document | ({"muscles": changed} if changed else {})
+        muscles: dict[str, Any] = _changed(self.muscles)
+        own = {name: _changed(getattr(self, name)) for name in MUSCLE_LIMITS}
+        muscles |= {name: changed for name, changed in own.items() if changed}
+        document |= {"muscles": muscles} if muscles else {}
+        return document | ({"prosthesis": asdict(self.prosthesis)} if self.prosthesis else {})
 
 
 MUSCLE_NAMES = tuple(f"{muscle}_{side}" for side in SIDES for muscle in MUSCLES)
-RANGES = tuple(each.name for each in fields(WorldRanges) if each.name != "muscles")
+RANGES = tuple(each.name for each in fields(WorldRanges) if each.name in LIMITS)
 NOMINAL = WorldRanges()
 STREAMS = tuple(LIMITS)  # in this order; a new one comes last
 OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
@@ -164,14 +233,21 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     """The table [world]: pairs of numbers, lowest and highest; a missing one is nominal.
 
     [world.muscles] has factors of the strength of single muscles, by name (`SOL`), or name and side
-    (`SOL_left`). Reads every key.
+    (`SOL_left`); its tables `optimal_length`, `slack_length` and `activation_time` those of these.
+    [world.prosthesis] has the fields of `Prosthesis`. Reads every key.
 
     Raises:
         InputError: an unknown key, a range that is empty or out of bounds, or a contact of our own
             engine for another one.
     """
     pairs = {name: table.range(name, getattr(NOMINAL, name), *LIMITS[name]) for name in RANGES}
-    ranges = WorldRanges(**pairs, muscles=_read_muscles(table.table("muscles")))
+    named, own = table.table("muscles"), dict[str, Any]()
+    muscles = _read_muscles(named, 0.0, LIMITS["strength"][1])
+    for name, limits in MUSCLE_LIMITS.items():
+        own[name] = _read_muscles(named.table(name), *limits)
+        named.table(name).done()
+    named.done()
+    ranges = WorldRanges(**pairs, muscles=muscles, prosthesis=_read_prosthesis(table), **own)
     table.done()
     if engine != OWN_ENGINE:
         for name in set(ranges.document()) & set(OWN_CONTACT):
@@ -179,16 +255,32 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     return ranges
 
 
-def _read_muscles(table: Table) -> tuple[float, ...]:
-    high = LIMITS["strength"][1]
-    both = {muscle: table.number(muscle, 1.0, 0.0, high) for muscle in MUSCLES}
-    factors = tuple(
-        table.number(f"{muscle}_{side}", both[muscle], 0.0, high)
+def _changed(factors: tuple[float, ...]) -> dict[str, float]:
+    """Those of 14 that are not 1, by muscle and side."""
+    both = zip(MUSCLE_NAMES, factors, strict=True)
+    return {name: factor for name, factor in both if factor != 1.0}
+
+
+def _read_muscles(table: Table, low: float, high: float) -> tuple[float, ...]:
+    both = {muscle: table.number(muscle, 1.0, low, high) for muscle in MUSCLES}
+    return tuple(
+        table.number(f"{muscle}_{side}", both[muscle], low, high)
         for side in SIDES
         for muscle in MUSCLES
     )
+
+
+def _read_prosthesis(world: Table) -> Prosthesis | None:
+    given, table = "prosthesis" in world.unread, world.table("prosthesis")
+    if not given:
+        return None
+    side, usual = table.text("side", choices=SIDES), {"rest_rad": Prosthesis.rest_rad}
+    numbers = {
+        name: table.number(name, usual.get(name, REQUIRED), *limits)
+        for name, limits in PROSTHESIS_LIMITS.items()
+    }
     table.done()
-    return factors
+    return Prosthesis(side, **numbers)
 
 
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
@@ -201,4 +293,6 @@ def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generato
 
 def _size(name: str) -> tuple[int, ...]:
     """Numbers of that name in one world."""
-    return (MUSCLE_COUNT,) if name == "strength" else ()
+    if name == "prosthesis":
+        return len(SIDES), len(PROSTHESIS_LIMITS)
+    return (MUSCLE_COUNT,) if name in ("strength", *MUSCLE_LIMITS) else ()

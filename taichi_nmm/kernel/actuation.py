@@ -32,10 +32,10 @@ def step(tick, commands, activation_blend, load_blend,
         walker.filter_loads(lane, load_blend, state, const)
     if commands == 1:
         walker.command(tick, lanes, state, fibres, delay, const, work)
-    walker.contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
+    walker.contract_muscles(activation_blend, True, lanes, muscles, fibres, const, work)
     for lane in range(lanes):
         joints.turn_joints(lane, fibres, work)
-        walker.add_ideal_torques(lane, state, work)
+        walker.add_ideal_torques(lane, state, const, work)
 
 
 @ti.func

@@ -46,10 +46,10 @@ def before(tick, commands, activation_blend,
         contact.ground_heights(lane, work)
     if commands == 1:
         walker.control(tick, lanes, state, fibres, delay, events, sums, const, work)
-    walker.contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
+    walker.contract_muscles(activation_blend, True, lanes, muscles, fibres, const, work)
     for lane in range(lanes):
         joints.turn_joints(lane, fibres, work)
-        walker.add_ideal_torques(lane, state, work)
+        walker.add_ideal_torques(lane, state, const, work)
     for lane in range(lanes):
         for i in ti.static(range(COORDINATES)):
             work[Work.momentum + i, lane] = 0.0

@@ -1,16 +1,20 @@
-"""An exoskeleton at both ankles: a torque along the stride, timed by each leg's own heel strikes.
+"""Devices at the ankles: an exoskeleton on both, or a passive foot in the place of one or both.
 
-The torque rises to its peak and falls again on cubic splines, of which four numbers tell the shape:
-peak torque, and peak time, rise and fall as shares of a stride (Zhang et al. 2017,
-"Human-in-the-loop optimization of exoskeleton assistance during walking", figure 1). A stride is
-taken to last as long as the one before; there is no torque before a whole stride has been seen. The
-device has no mass of its own: [body.mass] may give the shanks and feet some.
+The exoskeleton's torque follows the stride, timed by each leg's own heel strikes. It rises to its
+peak and falls again on cubic splines, of which four numbers tell the shape: peak torque, and peak
+time, rise and fall as shares of a stride (Zhang et al. 2017, "Human-in-the-loop optimization of
+exoskeleton assistance during walking", figure 1). A stride is taken to last as long as the one
+before; there is no torque before a whole stride has been seen. The device has no mass of its own:
+[body.mass] may give the shanks and feet some.
+
+A prosthesis is a linear spring and damper (`world.Prosthesis`); the muscles that cross the ankle
+are missing, their strength being 0.
 """
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.gait import DEBOUNCE_TICKS
-from taichi_nmm.kernel.layout import LEGS, Const, State
+from taichi_nmm.kernel.layout import LEGS, Const, State, Work
 
 
 @ti.func
@@ -40,3 +44,13 @@ def assist(lane, state: Rows, const: Rows):
         state[State.device_clock + leg, lane] = clock
         air = state[State.device_air + leg, lane] + 1.0
         state[State.device_air + leg, lane] = ti.select(down, 0.0, air)
+
+
+@ti.func
+def prosthesis_torque(lane, ankle, leg, const: Rows, work: Rows):
+    """Of the ankle's spring and damper, N m, plantarflexion positive: k (rest - angle) - c rate."""
+    bent = const[Const.ankle_rest + leg, lane] - work[Work.joint + ankle, lane]
+    rate = work[Work.joint_rate + ankle, lane]
+    return const[Const.ankle_stiffness + leg, lane] * bent - (
+        const[Const.ankle_damping + leg, lane] * rate
+    )

@@ -11,7 +11,13 @@ import numpy as np
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import LOG2_E, larger, smaller, two_to
 from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG, Const, Muscle, Work
-from taichi_nmm.kernel.muscle_table import T_POWER, T_STRAIN, T_STRETCH, TABLE_COLUMNS
+from taichi_nmm.kernel.muscle_table import (
+    REFERENCE_STRAIN,
+    T_POWER,
+    T_STRAIN,
+    T_STRETCH,
+    TABLE_COLUMNS,
+)
 
 WIDTH = 0.56  # w of the force-length curve
 LOG2_RESIDUAL = float(np.log2(0.05))  # log2 c: force at |l - 1| = w
@@ -125,23 +131,42 @@ def constants(table: Rows, m):
 
 
 @ti.func
-def activate(lane, m, data: Rows, blend, muscle: Rows, work: Rows):
+def tendon_stretch(lane, row, nominal, own: Rows, const: Rows):
+    """Strain of a tendon over its reference, for each optimal length of its fibre."""
+    stretch = nominal
+    if ti.static(own):
+        stretch = const[Const.stretch + row, lane]
+    return stretch
+
+
+@ti.func
+def activate(lane, m, data: Rows, blend, own: Rows, muscle: Rows, const: Rows, work: Rows):
     """Activation of muscle m of both legs, and where its fibre will balance.
 
-    `data` are the muscle's `constants`, `blend` 1 - exp(-step / activation time).
+    `data` are the muscle's `constants`, `blend` 1 - exp(-step / activation time). Where `own`, a
+    constant of the compiler, walkers have their own: the strain s of a tendon whose slack length is
+    1/t of the nominal is t s + (t - 1)/reference, the attachments of muscles being where they were.
     """
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
         activation = muscle[Muscle.activation + row, lane]
-        activation += blend * (muscle[Muscle.stimulation + row, lane] - activation)
+        order = muscle[Muscle.stimulation + row, lane]
+        strain = work[Work.strain + row, lane]
+        if ti.static(own):
+            activation += const[Const.activation_blend + row, lane] * (order - activation)
+            tightness = const[Const.tightness + row, lane]
+            strain = tightness * strain + (tightness - 1.0) * (1.0 / REFERENCE_STRAIN)
+        else:
+            activation += blend * (order - activation)
         length = muscle[Muscle.length + row, lane]
         passive = larger((length - 1.0) * (1.0 / WIDTH), 0.0)
         capacity = activation * force_length(length) + passive * passive
-        strain = work[Work.strain + row, lane] - data[T_STRAIN] * length
+        stretch = tendon_stretch(lane, row, data[T_STRAIN], own, const)
+        strain -= stretch * length
         squeeze = ((1.0 - WIDTH) - length) * BUFFER
         v, low, high, pull, pull_slope, hyperbola = speed_range(
             muscle[Muscle.velocity + row, lane],
-            strain, data[T_STRETCH] * data[T_STRAIN], squeeze, data[T_STRETCH] * BUFFER, capacity,
+            strain, data[T_STRETCH] * stretch, squeeze, data[T_STRETCH] * BUFFER, capacity,
         )  # fmt: skip
         muscle[Muscle.activation + row, lane] = activation
         muscle[Muscle.velocity + row, lane] = v
@@ -155,7 +180,7 @@ def activate(lane, m, data: Rows, blend, muscle: Rows, work: Rows):
 
 
 @ti.func
-def balance(lane, m, data: Rows, muscle: Rows, work: Rows):
+def balance(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Rows):
     """One iteration of the fibre's speed of muscle m of both legs."""
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
@@ -164,13 +189,14 @@ def balance(lane, m, data: Rows, muscle: Rows, work: Rows):
             work[Work.slowest + row, lane], work[Work.fastest + row, lane],
             work[Work.pull + row, lane], work[Work.pull_slope + row, lane],
             work[Work.hyperbola + row, lane],
-            work[Work.strain + row, lane], data[T_STRETCH] * data[T_STRAIN],
+            work[Work.strain + row, lane],
+            data[T_STRETCH] * tendon_stretch(lane, row, data[T_STRAIN], own, const),
             work[Work.squeeze + row, lane], data[T_STRETCH] * BUFFER,
         )  # fmt: skip
 
 
 @ti.func
-def contract(lane, m, data: Rows, muscle: Rows, const: Rows, work: Rows):
+def contract(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Rows):
     """Length and force of muscle m of both legs after the step, and its metabolic power.
 
     A muscle's strength scales its tendon too, so that it contracts as the nominal one does.
@@ -178,11 +204,15 @@ def contract(lane, m, data: Rows, muscle: Rows, const: Rows, work: Rows):
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
         v, strength = muscle[Muscle.velocity + row, lane], const[Const.strength + row, lane]
-        strain = work[Work.strain + row, lane] - data[T_STRETCH] * data[T_STRAIN] * v
+        stretch = tendon_stretch(lane, row, data[T_STRAIN], own, const)
+        strain = work[Work.strain + row, lane] - data[T_STRETCH] * stretch * v
         tendon = larger(strain, 0.0)
         muscle[Muscle.force + row, lane] = strength * (tendon * tendon)
         length = muscle[Muscle.length + row, lane] + data[T_STRETCH] * v
         muscle[Muscle.length + row, lane] = larger(length, SHORTEST_FIBRE)
-        work[Work.metabolic_power + row, lane] = strength * (
+        power = strength
+        if ti.static(own):
+            power *= stretch / (data[T_STRAIN] * const[Const.tightness + row, lane])  # its fibre's
+        work[Work.metabolic_power + row, lane] = power * (
             muscle[Muscle.activation + row, lane] * data[T_POWER] * metabolic_rate(v)
         )

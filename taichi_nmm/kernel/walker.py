@@ -44,7 +44,7 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
          state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
          const: Rows, work: Rows):  # fmt: skip
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
-    catch = feet_catch(lanes, const)
+    catch, own = feet_catch(lanes, const), muscles_differ(lanes, const)
     for substep in range(substeps):
         locate(rough, lanes, terrain, heights, state, work)
         for lane in range(lanes):
@@ -52,10 +52,13 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
             contact.gaps(lane, state, work)
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
-        contract_muscles(activation_blend, lanes, muscles, fibres, const, work)
+        if own:
+            contract_muscles(activation_blend, True, lanes, muscles, fibres, const, work)
+        else:
+            contract_muscles(activation_blend, False, lanes, muscles, fibres, const, work)
         for lane in range(lanes):
             joints.turn_joints(lane, fibres, work)
-            add_ideal_torques(lane, state, work)
+            add_ideal_torques(lane, state, const, work)
             joints.hip_stops(lane, work)
             contact.spring_forces(lane, step_s, state, const, work)
             joints.knee_and_ankle_stops(lane, step_s, work)
@@ -160,33 +163,48 @@ def device_pushes(lanes: Rows, const: Rows):
 
 
 @ti.func
-def contract_muscles(blend, lanes: Rows, muscles: Rows, fibres: Rows, const: Rows, work: Rows):
-    """All muscles, phase by phase. Run-time loops: their code is read from the nearest cache."""
+def muscles_differ(lanes: Rows, const: Rows):
+    """Whether any lane has muscles with own lengths or times; the others' have the same bits."""
+    most = 0.0
+    for lane in range(lanes):
+        most = larger(most, const[Const.own_muscles, lane])
+    return most > 0.0
+
+
+@ti.func
+def contract_muscles(blend, own: Rows, lanes: Rows, muscles: Rows, fibres: Rows, const: Rows,
+                     work: Rows):  # fmt: skip
+    """All muscles, phase by phase. Run-time loops: their code is read from the nearest cache.
+
+    `own` makes two codes, of muscles with the constants of the table and of muscles with their own.
+    """
     for m in range(MUSCLES_PER_LEG):
         data = muscle.constants(muscles, m)
         for lane in range(lanes):
-            muscle.activate(lane, m, data, blend, fibres, work)
+            muscle.activate(lane, m, data, blend, own, fibres, const, work)
     for _ in range(muscle.ITERATIONS):
         for m in range(MUSCLES_PER_LEG):
             data = muscle.constants(muscles, m)
             for lane in range(lanes):
-                muscle.balance(lane, m, data, fibres, work)
+                muscle.balance(lane, m, data, own, fibres, const, work)
     for m in range(MUSCLES_PER_LEG):
         data = muscle.constants(muscles, m)
         for lane in range(lanes):
-            muscle.contract(lane, m, data, fibres, const, work)
+            muscle.contract(lane, m, data, own, fibres, const, work)
 
 
 @ti.func
-def add_ideal_torques(lane, state: Rows, work: Rows):
+def add_ideal_torques(lane, state: Rows, const: Rows, work: Rows):
     """Hip and knee torques: the muscles' by their share of stance, and the ideal parts.
 
-    Ankles get the torque of the device.
+    Ankles get the torques of the devices.
     """
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
         hip, knee, ankle = ti.static(3 * leg, 3 * leg + 1, 3 * leg + 2)
-        work[Work.joint_torque + ankle, lane] += state[State.device_torque + leg, lane]
+        work[Work.joint_torque + ankle, lane] += state[
+            State.device_torque + leg, lane
+        ] + device.prosthesis_torque(lane, ankle, leg, const, work)
         work[Work.joint_torque + hip, lane] = (
             weight * work[Work.joint_torque + hip, lane] + state[State.hip_torque + leg, lane]
         )

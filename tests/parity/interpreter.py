@@ -71,7 +71,7 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
             vars(modules[name])["range"] = lane_range
         # Without the early exit: a settled pass repeats itself, bit for bit.
         vars(modules["walker"])["settled"] = lambda lanes, work: False
-        for name in ("nerves_vary", "feet_catch", "device_pushes"):  # of some it is so
+        for name in ("nerves_vary", "feet_catch", "device_pushes", "muscles_differ"):  # of some
             vars(modules["walker"])[name] = lambda lanes, const: True
         return tuple(modules[name] for name in names)
     finally:

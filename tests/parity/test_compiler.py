@@ -1,13 +1,14 @@
 """The compiled kernels against the same source interpreted by NumPy, float64."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import Bodies, Settings, WorldRanges, simulator, terrain
+from taichi_nmm import Bodies, Prosthesis, Settings, WorldRanges, Worlds, simulator, terrain
 from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.carried import drive, follow
@@ -21,6 +22,7 @@ from taichi_nmm.parameters import (
     upper_bounds,
 )
 from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
+from taichi_nmm.world import MUSCLE_LIMITS
 from tests.parity.interpreter import AllLanes, interpreted, interpreted_walker
 
 pytestmark = pytest.mark.slow
@@ -41,7 +43,7 @@ SEGMENT_COUNT = layout.SEGMENT_COUNT
 
 def walking_batch(count: int) -> Batch:
     """Walkers of random gains, the first of the published ones: each body and each world another,
-    on five grounds in turn.
+    every third with a prosthesis and muscles of its own, on five grounds in turn.
     """
     rng = np.random.default_rng(4)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (count, 16))
@@ -54,7 +56,11 @@ def walking_batch(count: int) -> Batch:
         terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
     ]
     ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
-    worlds = WorldRanges(*ranges, catch_ns=(0.0, 5.0)).draw(range(count))
+    healthy = WorldRanges(*ranges, catch_ns=(0.0, 5.0))
+    own = {name: tuple(rng.uniform(0.9, 1.1, 14)) for name in MUSCLE_LIMITS}
+    amputees = replace(healthy, prosthesis=Prosthesis("right", 400.0, 1.0, 0.05), **own)
+    each_world = Worlds.stacked(ranges.draw(range(count)) for ranges in (healthy, amputees))
+    worlds = each_world.take(np.arange(count) + count * (np.arange(count) % 3 == 2))
     bodies = Bodies.disturbed(range(count))
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (count, 1))
     first = len(LOW_LEVEL_GAINS) - len(DEVICE)

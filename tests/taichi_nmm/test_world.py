@@ -114,6 +114,22 @@ def test_single_muscles_are_weak_or_missing() -> None:
         WorldRanges(muscles=(1.0, 0.5))
 
 
+def test_a_prosthesis_takes_the_muscles_of_its_ankle() -> None:
+    table = {"muscles": {"SOL": 0.5}, "prosthesis": {
+        "side": "left", "stiffness_nmprad": 350, "damping_nmsprad": 1.0}}  # fmt: skip
+    ranges = read_world(Table(table))
+    assert read_world(Table(ranges.document())) == ranges == pickle.loads(pickle.dumps(ranges))
+    drawn = ranges.draw([3, 4])
+    assert drawn.prosthesis.tolist() == [[[350.0, 1.0, 0.0], [0.0] * 3]] * 2
+    assert drawn.strength[0].tolist() == [0, 0, 0, 1, 1, 1, 1, 0.5, 1, 1, 1, 1, 1, 1]
+    for key, value, allowed in (
+        ("side", "both", "left or right"), ("stiffness_nmprad", -1.0, "0 to 2000"),
+        ("damping_nmsprad", 9.0, "0 to 5"), ("rest_rad", 1.0, "0.698132"), ("rest", 1.0, "only"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=rf"^world\.prosthesis\.{key}: .*{allowed}"):
+            read_world(Table({"prosthesis": table["prosthesis"] | {key: value}}, "world"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", [CPU, Settings(engine="mujoco", arch="cpu")])
 def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
@@ -127,6 +143,17 @@ def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
     assert limp.muscle_force_n[:, 7].max() > 100.0 and np.isfinite(limp.q).all()
 
 
+def test_muscles_have_lengths_and_times_of_their_own() -> None:
+    table = {"slack_length": {"SOL": 1.05}, "activation_time": {"TA_left": 2.0}, "VAS": 0.5}
+    ranges = read_world(Table({"muscles": table}))
+    assert read_world(Table(ranges.document())) == ranges
+    drawn = ranges.draw([3])
+    assert drawn.slack_length[0].tolist() == ([1.05] + [1.0] * 6) * 2
+    assert drawn.activation_time[0].tolist() == [1.0, 2.0, *[1.0] * 12]
+    with pytest.raises(InputError, match=r"^world\.muscles\.optimal_length\.GAS: .* 0\.5 to 2"):
+        read_world(Table({"muscles": {"optimal_length": {"GAS": 0.4}}}, "world"))
+
+
 @pytest.mark.parametrize(("change", "field"), [
     ({"friction": np.full((2, 1), 0.9)}, "worlds.friction.shape"),
     ({"strength": np.ones((2, 7))}, "worlds.strength.shape"),
@@ -134,6 +161,7 @@ def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
     ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
     ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"), ({"friction": [0.9]}, "worlds"),
     ({"catch_ns": [0.0, 50.1]}, "worlds.catch_ns"),
+    ({"prosthesis": np.full((2, 2, 3), 3.0)}, "worlds.prosthesis.rest_rad"),
 ])  # fmt: skip
 def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError, match=f"^{field}: "):

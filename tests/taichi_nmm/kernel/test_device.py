@@ -1,11 +1,12 @@
-"""The exoskeleton: its torque along the stride by closed forms, and what a walker does with it."""
+"""Exoskeleton and prosthesis: torques by closed forms, and what a walker does with them."""
 
 import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm.kernel.layout import Const, State
-from taichi_nmm.parameters import DEVICE, LOW_LEVEL_GAINS, load_gains
+from taichi_nmm.errors import InputError
+from taichi_nmm.kernel.layout import Const, State, Work
+from taichi_nmm.parameters import DEVICE, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_gains
 from tests.parity.interpreter import interpreted
 
 STRIDE, STANCE = 1000, 600  # ticks
@@ -53,3 +54,43 @@ def test_the_plantarflexors_of_a_walker_do_less_beside_it(engine: str) -> None:
     for name in ("activation_sol_mean", "activation_gas_mean"):
         alone, helped = rows[name]
         assert 0.5 * alone < helped < 0.98 * alone
+
+
+def work_of_a_cycle(stiffness: float, damping: float) -> float:
+    """Of a prosthesis on the right foot, which swings by 0.2 rad once a second, J."""
+    (device,) = interpreted("device")
+    times = np.arange(0.0, 1.0, 1e-3)
+    const, work = np.zeros((Const.count, 1000)), np.zeros((Work.count, 1000))
+    const[[Const.ankle_stiffness + 1, Const.ankle_rest + 1]] = [[stiffness], [0.1]]
+    const[Const.ankle_damping + 1] = damping
+    work[Work.joint + 5] = 0.3 + 0.2 * np.sin(2 * np.pi * times)
+    work[Work.joint_rate + 5] = rate = 0.4 * np.pi * np.cos(2 * np.pi * times)
+    torque = device.prosthesis_torque(np.arange(1000), 5, 1, const, work)
+    np.testing.assert_allclose(torque, stiffness * (0.1 - work[Work.joint + 5]) - damping * rate)
+    return float(np.mean(torque * rate))
+
+
+def test_a_prosthesis_gives_back_what_its_spring_took_and_never_more() -> None:
+    for damping in (0.0, 1.5):  # c A^2 pi omega
+        assert work_of_a_cycle(300.0, damping) == pytest.approx(-damping * 0.08 * np.pi**2)
+
+
+@pytest.mark.parametrize("engine", ["taichi", "mujoco"])
+def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(engine: str) -> None:
+    """Its ankle is where the spring alone balances the foot, which in the air weighs little."""
+    foot = taichi_nmm.Prosthesis("right", 600.0, 1.0, 0.1)
+    worlds, settings = taichi_nmm.WorldRanges(prosthesis=foot).draw([1]), taichi_nmm.Settings
+    (walked,) = taichi_nmm.simulate(
+        PUBLISHED_GAINS, worlds=worlds, settings=settings(arch="cpu", engine=engine), record=[0]
+    ).trajectories
+    assert not walked.muscle_force_n[:, 7:10].any() and walked.muscle_force_n[:, :3].any()
+    in_the_air = ~walked.stance[:, 1] & (walked.time_s > 0.1) & (walked.time_s < 0.4)
+    np.testing.assert_allclose(walked.joint_rad[in_the_air, 5], 0.1, atol=0.02)
+
+
+def test_a_foot_too_light_for_its_damper_is_refused() -> None:
+    worlds = taichi_nmm.WorldRanges(prosthesis=taichi_nmm.Prosthesis("left", 400.0, 2.0)).draw([1])
+    light = taichi_nmm.Bodies.nominal()
+    light.inertia_kgm2[0, 3] = light.mass_kg[0, 3] = 1e-3
+    with pytest.raises(InputError, match=r"^worlds\.prosthesis\.damping_nmsprad: 2.0 .* to 0.8 "):
+        taichi_nmm.simulate(PUBLISHED_GAINS, bodies=light, worlds=worlds)

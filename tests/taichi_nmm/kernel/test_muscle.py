@@ -1,5 +1,6 @@
 """The Hill unit against its closed forms."""
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -9,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from storage.points import sobol_points
-from taichi_nmm import GAINS, Settings, terrain
+from taichi_nmm import GAINS, PUBLISHED_GAINS, Settings, Worlds, terrain
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import layout
-from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle, State, Sums, Work
+from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Muscle, State, Sums, Work
 from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.walkers import blends, check_batch, constant_rows
@@ -76,12 +77,22 @@ def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(muscl
 
 
 @cache
-def isometric(m: int) -> Any:
+def isometric(m: int, own: bool) -> Any:
     """Contract muscle m at fixed joint angles until it rests: walkers of ACTIVATIONS together."""
     walker, lanes, angles = interpreted_walker(), np.arange(len(ACTIVATIONS)), RESTING_RAD
     muscle = walker.muscle
     fibres, work = (np.repeat(rows, len(lanes), axis=1) for rows in interpreted_rows(angles))
-    data = list(MUSCLE_DATA.values())[m]
+    data, worlds = list(MUSCLE_DATA.values())[m], Worlds.nominal(len(lanes))
+    if own:  # a fibre 10 % shorter, a tendon 2 % longer
+        fibre, slack, every = (
+            0.9 * data.optimal_length_m,
+            1.02 * data.slack_length_m,
+            np.ones((3, 14)),
+        )
+        data = replace(data, optimal_length_m=fibre, slack_length_m=slack)
+        worlds = replace(worlds, optimal_length=0.9 * every, slack_length=1.02 * every)
+    batch = check_batch(np.tile(PUBLISHED_GAINS, (len(lanes), 1)), worlds=worlds)
+    const = constant_rows(batch, Settings()).T
     unit = unit_lengths(*angles)[m]
     for i in (m, m + MUSCLES_PER_LEG):
         fibres[Muscle.activation + i] = fibres[Muscle.stimulation + i] = ACTIVATIONS
@@ -91,10 +102,10 @@ def isometric(m: int) -> Any:
     relaxed = work.copy()
     for _ in range(3000):
         before = fibres.copy()
-        muscle.activate(lanes, m, constants, 1 - np.exp(-0.1), fibres, work)
+        muscle.activate(lanes, m, constants, 1 - np.exp(-0.1), own, fibres, const, work)
         for _ in range(muscle.ITERATIONS):
-            muscle.balance(lanes, m, constants, fibres, work)
-        muscle.contract(lanes, m, constants, fibres, np.ones((Const.count, len(lanes))), work)
+            muscle.balance(lanes, m, constants, own, fibres, const, work)
+        muscle.contract(lanes, m, constants, own, fibres, const, work)
         work[:] = relaxed
         if np.abs(fibres - before).max() < AT_REST:
             break
@@ -113,8 +124,9 @@ def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("m", range(len(MUSCLES)), ids=MUSCLES)
 @pytest.mark.parametrize("walker", range(len(ACTIVATIONS)), ids=ACTIVATIONS.astype(str))
-def test_isometric_force_solves_the_static_balance(m: int, walker: int) -> None:
-    data, unit, lengths, forces = isometric(m)
+@pytest.mark.parametrize("own", [False, True])
+def test_isometric_force_solves_the_static_balance(m: int, walker: int, own: bool) -> None:
+    data, unit, lengths, forces = isometric(m, own)
     activation, length, force = ACTIVATIONS[walker], lengths[walker], forces[walker]
     optimal, slack = data.optimal_length_m, data.slack_length_m
 
