@@ -136,7 +136,7 @@ class Model:
     ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
         seen = self.visible(points)
-        x, sizes = seen.matrix(), (seen.features.shape[1], seen.coordinates.shape[1])
+        x, sizes = seen.matrix, (seen.features.shape[1], seen.coordinates.shape[1])
         worlds = 0 if self.ensemble is None else self.ensemble.parts.shape[1]
         covariance = new_covariance(
             self.kernel, *sizes, self.parameters, worlds, standardised=standardised

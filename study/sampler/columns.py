@@ -1,7 +1,7 @@
 """Columns of arrays, files and stores, checked: the content of a table."""
 
 import json
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +18,6 @@ from optuna.distributions import (
 )
 
 from study.sampler.space import Number, Space, first_not_taken
-from study.sampler.transforms import columns_of, let_go, new_matrix
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
@@ -31,8 +30,6 @@ Floats = NDArray[np.float64]
 Bounds = Mapping[str, tuple[float, float]]
 Content = tuple[Space, Floats, tuple[str, ...], Floats, Worlds | None]
 """Distributions of d parameters; parameters [n, d]; k names; features [n, k]; worlds."""
-
-MOST_WAITING_BYTES = 2**28  # written to a matrix that may be a file's, before memory is let go
 
 
 def checked_columns(
@@ -68,18 +65,17 @@ def checked_columns(
         allowed = f"{len(matrix)} rows, as the features"
         raise InputError("table.outcomes", f"{len(worlds.costs)} rows", allowed)
     names = tuple(feature_names or (f"feature_{i}" for i in range(matrix.shape[1])))
-    raw = new_matrix(len(matrix), len(parameters))
+    raw = np.empty((len(matrix), len(parameters)))
     distributions: dict[str, BaseDistribution] = {}
-    for (name, values), column in zip(parameters.items(), columns_of(raw), strict=True):
+    for (name, values), column in zip(parameters.items(), raw.T, strict=True):
         column[:], distribution = _parameter_column(name, values, len(matrix), space.get(name))
         if name in bounds:
             if isinstance(distribution, CategoricalDistribution):
                 allowed = "none: the parameter is categorical"
                 raise InputError(f"table.bounds.{name}", bounds[name], allowed)
             distribution = type(distribution)(*bounds[name])  # type: ignore[call-arg]
-        let_go(np.asarray(values))
         distributions[name] = distribution
-    for (name, own), values in zip(distributions.items(), columns_of(raw), strict=True):
+    for (name, own), values in zip(distributions.items(), raw.T, strict=True):
         if not isinstance(own, Number) or (row := first_not_taken(own, values, own)) is None:
             continue
         value = float(values[row])
@@ -194,8 +190,7 @@ class FileColumns:
             return self._of_store()
         table = _read(self.path, (*self.parameters, *self.features))
         columns = {name: table[name].to_numpy() for name in self.parameters}
-        features = np.empty((len(table), len(self.features)))
-        _fill([features], [table.select(self.features)])
+        features = _numbers(table, self.features)
         return checked_columns(columns, features, self.features, self.bounds, self.space)
 
     def _of_store(self) -> Content:
@@ -209,10 +204,8 @@ class FileColumns:
         for name in self.features:
             if name not in others:
                 raise InputError("score", name, f"one of {', '.join(others)}")
-        names, matrix = (*ranges, *self.features), new_matrix(len(store), len(ranges))
-        features = np.empty((len(store), len(self.features)))
-        _fill([matrix, features], store.tables(names))
-        columns, bounds, space = store_parameters(ranges, matrix)
+        features = _numbers(store.table(self.features), self.features)
+        columns, bounds, space = store_parameters(ranges, store.gains())
         space |= self.space or {}
         return checked_columns(columns, features, self.features, self.bounds or bounds, space)
 
@@ -266,19 +259,12 @@ def _read(path: Path, names: Sequence[str]) -> "pa.Table":
         return pa.concat_tables(tables)
 
 
-def _fill(matrices: Sequence[Floats], tables: "Iterable[pa.Table]") -> None:
-    """Write columns of tables, which follow one another, into matrices; refuse but numbers."""
-    first, waiting = 0, 0
-    for table in tables:
-        rows = slice(first, first + len(table))
-        targets = (column for matrix in matrices for column in matrix[rows].T)
-        for name, target in zip(table.column_names, targets, strict=True):
-            try:
-                target[:] = table[name].to_numpy()
-            except (TypeError, ValueError):
-                raise InputError("score", name, "a column of numbers") from None
-        first, waiting = rows.stop, waiting + table.nbytes
-        if waiting > MOST_WAITING_BYTES:
-            waiting = 0
-            for matrix in matrices:
-                let_go(matrix)
+def _numbers(table: "pa.Table", names: Sequence[str]) -> Floats:
+    """Columns of a table, [n, k]; refuse but numbers."""
+    matrix = np.empty((len(table), len(names)))
+    for name, target in zip(names, matrix.T, strict=True):
+        try:
+            target[:] = table[name].to_numpy()
+        except (TypeError, ValueError):
+            raise InputError("score", name, "a column of numbers") from None
+    return matrix

@@ -467,7 +467,7 @@ class Posterior:
     def believing(self, points: Points) -> "Posterior":
         """The posterior after further trials with their expected costs; constants are kept."""
         y = (self.mean(points) - self.cost_mean) / self.cost_sd
-        x = np.vstack([self.x, points.matrix()])
+        x = np.vstack([self.x, points.matrix])
         return replace(self, x=x, y=np.concatenate([self.y, y]))
 
     @property
@@ -503,4 +503,4 @@ def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:
     """Candidates block by block: which ones, and their rows [b, p]."""
     for start in range(0, len(points), BLOCK):
         block = slice(start, min(start + BLOCK, len(points)))
-        yield block, points.matrix(block)
+        yield block, points.matrix[block]

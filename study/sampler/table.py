@@ -23,14 +23,10 @@ from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation, factor_of_gram, factor_of_graph
 from study.sampler.space import Space, first_not_taken
 from study.sampler.transforms import (
-    BLOCK,
     NormalScores,
     Points,
     Scale,
     Standard,
-    by_blocks,
-    columns_of,
-    let_go,
 )
 from study.sampler.worlds import Better, Ensemble, Outcomes, Worlds
 from taichi_nmm import checks
@@ -96,7 +92,7 @@ class Rows:
     @cached_property
     def unit(self) -> Floats:
         """Rows that may be proposed in the unit cube, [m, e]."""
-        return by_blocks(self.space.unit, self._chosen(self.parameters))
+        return self.space.unit(self._chosen(self.parameters))
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
@@ -169,9 +165,7 @@ class Rows:
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna takes it: native values by name."""
-        values = self.space.values(self.parameters[row])
-        let_go(self.parameters)
-        return values
+        return self.space.values(self.parameters[row])
 
     def find(self, values: Mapping[str, Any]) -> int | None:
         """The first row with exactly these values; None where there is none."""
@@ -199,9 +193,7 @@ class Rows:
         own = self.space.distributions[column]
 
         def made() -> int | None:
-            found = first_not_taken(own, self.parameters[:, column], suggested)
-            let_go(self.parameters)
-            return found
+            return first_not_taken(own, self.parameters[:, column], suggested)
 
         return None if suggested == own else self._once((column, suggested), made)
 
@@ -224,9 +216,7 @@ class Rows:
             matrices.append(self.worlds.costs)
         digest = hashlib.sha256("\n".join(head).encode())
         for values in matrices:
-            for first in range(0, len(self), BLOCK):
-                digest.update(np.ascontiguousarray(values[first : first + BLOCK]).data)
-                let_go(values)
+            digest.update(np.ascontiguousarray(values).data)
         return digest.hexdigest()
 
     def _chosen(self, values: Floats) -> Floats:
@@ -282,7 +272,7 @@ def _once(kept: dict[Any, Any], key: Any, made: Callable[[], T]) -> T:
 def _hash(parameters: Floats) -> NDArray[np.uint64]:
     """64 bits a row: equal rows have equal ones, and others, in practice, different ones."""
     hashes = np.zeros(len(parameters), dtype=np.uint64)
-    for column in columns_of(parameters):
+    for column in parameters.T:
         bits = np.ascontiguousarray(column + 0.0).view(np.uint64)
         hashes = (hashes ^ bits) * HASH_FACTOR
         hashes ^= hashes >> np.uint64(29)

@@ -1,14 +1,6 @@
-"""Candidates, trials and costs as a Gaussian process takes them, and trust in features.
+"""Candidates, trials and costs as a Gaussian process takes them, and trust in features."""
 
-Tables may have tens of millions of rows. A proposal needs all features, and of the parameters those
-of a few rows. So the parameters of a large table lie in a file without a name, a column after the
-other, which ends with the process; memory holds what is used.
-"""
-
-import mmap
-import os
-import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
@@ -18,12 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from taichi_nmm.errors import InputError
-
 Floats = NDArray[np.float64]
 
-MOST_IN_MEMORY = 2**26  # numbers: 512 MiB
-BLOCK = 2**13  # rows at a time, to stay in the cache
 LARGEST = float(np.finfo(np.float64).max)
 MOST = 2.0**500
 LEAST_GAPS = 0.02  # share of missing values from which having none is a feature of its own
@@ -41,17 +29,12 @@ class Points:
         """Number of points, m."""
         return len(self.features)
 
-    def matrix(self, block: slice = slice(None)) -> Floats:
-        """All or some of them, [m, k + e]."""
-        let_go(self._stacked)  # of a large table what was read before
-        return self._stacked[block]
-
     @cached_property
-    def _stacked(self) -> Floats:
-        """All of them, made once."""
+    def matrix(self) -> Floats:
+        """Features and coordinates side by side, [m, k + e]; made once."""
         if not self.coordinates.shape[1]:
             return self.features
-        return side_by_side(self.features, self.coordinates)
+        return np.hstack([self.features, self.coordinates])
 
     @cached_property
     def kept(self) -> dict[bytes, Any]:
@@ -66,7 +49,7 @@ class Points:
 
     def take(self, index: NDArray[Any]) -> "Points":
         """Some of them, by number or by mask."""
-        return Points(self.features[index], rows_of(self.coordinates, index))
+        return Points(self.features[index], self.coordinates[index])
 
     def only(self, *, features: bool, coordinates: bool) -> "Points":
         """Points with the columns that a kernel uses."""
@@ -245,70 +228,3 @@ def is_doubtful(cost: Floats, turn: int) -> bool:
         return False
     age = len(cost) - 1 - int(np.argmin(cost))
     return turn % 2 == 1 and age >= PATIENCE
-
-
-# Of tables that are larger than memory.
-
-
-def new_matrix(rows: int, columns: int) -> Floats:
-    """An [n, d] matrix without content; a large one is a file, for which there must be space."""
-    if rows * columns <= MOST_IN_MEMORY:
-        return np.empty((rows, columns))
-    size = rows * columns * np.dtype(np.float64).itemsize
-    try:
-        with tempfile.TemporaryFile() as file:
-            if hasattr(os, "posix_fallocate"):  # a full disk would end the process later
-                os.posix_fallocate(file.fileno(), 0, size)
-            file.truncate(size)
-            mapping = mmap.mmap(file.fileno(), size)
-    except OSError as error:
-        allowed = f"{size / 2**30:.1f} GiB of space for temporary files ({error.strerror}): TMPDIR"
-        raise InputError("table", f"{rows} rows", allowed) from None
-    return np.frombuffer(mapping).reshape((rows, columns), order="F")
-
-
-def by_blocks(function: Callable[[Floats], Floats], matrix: Floats) -> Floats:
-    """A function of the rows of a matrix, [n, e], block by block."""
-    made = new_matrix(len(matrix), function(matrix[:1]).shape[1])
-    for first in range(0, len(matrix), BLOCK):
-        block = slice(first, first + BLOCK)
-        made[block] = function(matrix[block])
-        let_go(matrix)
-        let_go(made)
-    return made
-
-
-def side_by_side(left: Floats, right: Floats) -> Floats:
-    """The columns of two matrices, [n, k] and [n, e], in one."""
-    if left.size + right.size <= MOST_IN_MEMORY:
-        return np.hstack([left, right])
-    made = new_matrix(len(left), left.shape[1] + right.shape[1])
-    for column, source in zip(columns_of(made), (*left.T, *right.T), strict=True):
-        column[:] = source
-        let_go(source)
-    return made
-
-
-def rows_of(matrix: Floats, index: NDArray[Any]) -> Floats:
-    """Some rows, by number or by mask."""
-    if matrix.size <= MOST_IN_MEMORY:
-        return np.asarray(matrix[index])
-    return np.column_stack([column[index] for column in columns_of(matrix)])
-
-
-def columns_of(matrix: Floats) -> Iterator[Floats]:
-    """The columns, [n] each, one after the other; those of a file leave memory again."""
-    for column in matrix.T:
-        yield column
-        let_go(matrix)
-
-
-def let_go(matrix: Floats) -> None:
-    """Free the memory of a large matrix: its file keeps the content."""
-    owner: object = matrix
-    while isinstance(owner, np.ndarray):
-        owner = owner.base
-    if isinstance(owner, memoryview):
-        owner = owner.obj
-    if isinstance(owner, mmap.mmap):
-        owner.madvise(mmap.MADV_DONTNEED)

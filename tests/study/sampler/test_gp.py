@@ -35,7 +35,7 @@ def trials(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows [n, 7] and costs [n], in standard units."""
     points = some_points(max(count, 2), seed)
     y = costs(points, seed)
-    return points.matrix()[:count], ((y - y.mean()) / y.std())[:count] * (count > 1)
+    return points.matrix[:count], ((y - y.mean()) / y.std())[:count] * (count > 1)
 
 
 # Kernels.
@@ -142,7 +142,7 @@ def test_the_prior_decides_after_one_trial_and_of_many_a_part_is_learned_from():
     theta = gp.learn(covariance, X[:1], np.array([2.0]))
     assert_allclose(theta[1:5], [prior.mode for prior in covariance.constants[1:5]], atol=1e-3)
     points = some_points(2 * gp.LIKELIHOOD_TRIALS, seed=1)
-    x, y, covariance = points.matrix(), costs(points), covariance_of("rbf")
+    x, y, covariance = points.matrix, costs(points), covariance_of("rbf")
     assert_allclose(gp.learn(covariance, x, y), gp.learn(covariance, x, y))
     assert np.isfinite(gp.learn(covariance, x, y)).all()
 
@@ -156,12 +156,12 @@ def learned(
 
 def fitted(covariance: gp.Covariance, count: int, *, fast: bool) -> gp.Posterior:
     points = some_points(count, seed=1)
-    return learned(covariance, points.matrix(), costs(points), fast=fast)
+    return learned(covariance, points.matrix, costs(points), fast=fast)
 
 
 def oracle(posterior: gp.Posterior, candidates: Points) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance by scikit-learn, of the same kernel on the same trials."""
-    mean, sd = reference.of_posterior(posterior).predict(candidates.matrix(), return_std=True)
+    mean, sd = reference.of_posterior(posterior).predict(candidates.matrix, return_std=True)
     mean, sd = posterior.cost_mean + posterior.cost_sd * mean, posterior.cost_sd * sd
     return mean, sd**2
 
@@ -170,7 +170,7 @@ def assert_near(
     posterior: gp.Posterior, candidates: Points, found: tuple[np.ndarray, ...], tolerance: float
 ) -> None:
     """Mean and variance are scikit-learn's, within a share of the prior's scale, noise included."""
-    prior = posterior.covariance.variance(posterior.theta, candidates.matrix()) + posterior.noise
+    prior = posterior.covariance.variance(posterior.theta, candidates.matrix) + posterior.noise
     prior = posterior.cost_sd**2 * prior * np.ones(len(candidates))
     mean, variance = oracle(posterior, candidates)
     assert np.max(np.abs(found[0] - mean) / np.sqrt(prior)) < tolerance
@@ -234,12 +234,12 @@ def test_the_spread_of_equal_features_is_learned_as_noise():
 
 def test_the_unit_of_cost_does_not_matter_and_equal_costs_are_no_accident():
     points, candidates = some_points(20, seed=1), some_points(50, seed=2)
-    x, y, covariance = points.matrix(), costs(points), covariance_of("additive")
+    x, y, covariance = points.matrix, costs(points), covariance_of("additive")
     ours, scaled = (learned(covariance, x, c).predict(candidates) for c in (y, 1e6 * y - 7e6))
     assert_allclose(scaled[0], 1e6 * ours[0] - 7e6, rtol=1e-3)
     assert_allclose(scaled[1], 1e12 * ours[1], rtol=1e-2)
     two = some_points(2, seed=0)
-    mean, variance = learned(covariance, two.matrix(), np.full(2, 3.0), fast=True).predict(two)
+    mean, variance = learned(covariance, two.matrix, np.full(2, 3.0), fast=True).predict(two)
     assert_allclose(mean, 3.0)
     assert np.isfinite(variance).all()
 

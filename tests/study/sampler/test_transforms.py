@@ -1,8 +1,5 @@
 """Costs and features on the scales of the model, against SciPy; tables larger than memory."""
 
-import errno
-import mmap
-import os
 from collections.abc import Callable
 from functools import cache
 from typing import Any
@@ -13,12 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm, rankdata
 
-from storage.precompute import precompute
 from study import FeatureTable
 from study.sampler import transforms
-from study.sampler.transforms import LARGEST, NormalScores, Standard, log_excess, new_matrix
-from taichi_nmm.errors import InputError
-from tests.storage import fake
+from study.sampler.transforms import LARGEST, NormalScores, Standard, log_excess
 from tests.study.sampler import studies
 from tests.study.sampler.studies import Floats
 
@@ -156,84 +150,3 @@ def test_an_increasing_change_of_a_feature_changes_no_proposal(change, columns):
         order = np.argsort(FEATURES[:, column])
         assert np.all(np.diff(changed[order, column]) > 0)  # or it is no test
     assert proposed(changed) == unchanged()
-
-
-# Tables larger than memory: what is in a file is what would be in memory.
-LARGE = 300
-
-
-@pytest.fixture
-def tiny_memory(monkeypatch):
-    monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
-    monkeypatch.setattr(transforms, "BLOCK", 64)
-
-
-def in_a_file(matrix: Any) -> bool:
-    while isinstance(matrix, np.ndarray):
-        matrix = matrix.base
-    return isinstance(matrix.obj if isinstance(matrix, memoryview) else matrix, mmap.mmap)
-
-
-def test_matrices_in_files_are_matrices(tiny_memory):
-    rng = np.random.default_rng(1)
-    values, more = rng.uniform(size=(LARGE, 3)), rng.uniform(size=(LARGE, 2))
-    matrix, other = new_matrix(LARGE, 3), new_matrix(LARGE, 2)
-    for made, source in ((matrix, values), (other, more)):
-        for column, content in zip(transforms.columns_of(made), source.T, strict=True):
-            column[:] = content
-    assert in_a_file(matrix) and not in_a_file(new_matrix(33, 3))
-    assert np.array_equal(matrix, values)
-    joined = transforms.side_by_side(matrix, other)
-    doubled = transforms.by_blocks(lambda rows: 2.0 * rows, matrix)
-    assert in_a_file(joined) and np.array_equal(joined, np.hstack([values, more]))
-    assert in_a_file(doubled) and np.array_equal(doubled, 2.0 * values)
-    for index in (np.array([5, 299, 5]), values[:, 0] > 0.5):
-        assert np.array_equal(transforms.rows_of(matrix, index), values[index])
-
-
-def make() -> FeatureTable:
-    rng = np.random.default_rng(2)
-    a, b = rng.uniform(size=(2, LARGE))
-    words = rng.choice(["x", "y"], LARGE)
-    return FeatureTable.from_arrays({"a": a, "b": b, "c": words}, np.column_stack([a + b, a * b]))
-
-
-@pytest.mark.parametrize("kernel", ["additive", "rbf"])
-def test_a_large_table_is_proposed_from_like_a_small_one(kernel, monkeypatch):
-    def cost(trial):
-        trial.suggest_categorical("c", ["x", "y"])
-        return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 1)
-
-    def proposals(table):
-        return studies.params_of(studies.study_of(table, cost, 15, kernel=kernel))
-
-    small = make()
-    expected, digest = proposals(small), small.rows.digest()
-    monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
-    table = make()
-    assert in_a_file(table.rows.parameters) and not in_a_file(small.rows.parameters)
-    assert proposals(table) == expected
-    assert table.rows.digest() == digest
-    assert table.rows.find(expected[3]) == small.rows.find(expected[3]) is not None
-
-
-def test_a_store_is_read_file_by_file(tmp_path, monkeypatch):
-    monkeypatch.setitem(vars(__import__("taichi_nmm")), "simulate", fake.simulate)
-    precompute(fake.specification(), tmp_path / "store")
-
-    def rows():
-        read = FeatureTable.from_parquet(tmp_path / "store", features=["phi_printed", "m1_mean"])
-        return read.rows
-
-    small = rows()
-    monkeypatch.setattr(transforms, "MOST_IN_MEMORY", 100)
-    assert in_a_file(rows().parameters) and rows().digest() == small.digest()
-
-
-def test_no_space_for_a_large_table(tiny_memory, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(InputError, match=r"table: '300 rows' .* \(No space left on device\): TMPD"):
-        make()
