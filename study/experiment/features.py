@@ -123,19 +123,25 @@ def _in_families(store: Store, column: str) -> dict[str, NDArray[Any]]:
 
 
 @checks.checked(path=checks.path, cost=checks.optional(checks.function))
-def world_table(path: str | Path, cost: Cost | None = None) -> FeatureTable:
+def world_table(path: str | Path, cost: Cost | None = None, *others: Cost) -> FeatureTable:
     """The rows of a store as candidates, with what a trial costs in each of its worlds.
 
     Args:
         path: of a store with families; rows that no family ran are not proposed.
         cost: of a trial; None is the walker's smooth cost.
+        others: in a study of several goals, the cost by each further one.
 
     Raises:
         InputError: no store, or one without families or with other bounds, or a column is missing.
     """
     store = open_store(path)
     store.require_bounds()
-    return table_of_worlds(store, cost or Objective().in_worlds)
+    first = cost or Objective().in_worlds
+    if not others:
+        return table_of_worlds(store, first)
+    goals = [outcomes_of(store, each) for each in (first, *others)]
+    outcomes = {family: np.stack([goal[family] for goal in goals], axis=-1) for family in goals[0]}
+    return _table(store, None, outcomes=outcomes)
 
 
 def table_of_worlds(

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
@@ -43,3 +44,8 @@ def test_what_no_world_has_kept_is_that_of_level_ground_for_rows_that_ran(fake_s
     assert_array_equal(known.offered, ran)
     for costs in known.worlds.costs[ran].T:
         assert_array_equal(costs, own[ran])
+    score = lambda given, horizon_s: given["phi_printed"]  # noqa: E731
+    both = world_table(store.path, lambda given, horizon_s: -given["phi_printed"], score)
+    assert both.rows.worlds.goals == 2
+    for costs, sign in zip(np.moveaxis(both.rows.worlds.costs, -1, 0), (-1.0, 1.0), strict=True):
+        assert_array_equal(costs, sign * known.worlds.costs)
