@@ -235,7 +235,8 @@ class StoreView:
         ends = {"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))}
         self._bounds = ColumnDataSource(ends | {"words": [""] * len(ROLES)})
         self.selection = TextInput(
-            title="selection: column low..high, ...; drag a box over any of the views",
+            title="selection: column low..high, ...",
+            placeholder="drag a box over any of the views",
             name="selection",
         )  # fmt: skip
         self._refusal = Message("selection-message")
@@ -260,7 +261,7 @@ class StoreView:
         take = Button(label="selection as Parquet")
         take.on_click(message.safely(lambda: save(self._ranges())))
         points = [
-            flow(*self._columns, self._find, least_px=165), self._cloud,
+            flow(*self._columns, self._find, least_px=215), self._cloud,
             flow(self.selection, clear, least_px=110), self._refusal.layout,
             flow(*self._histograms, least_px=160), flow(self._count, self.row, take),
         ]  # fmt: skip
