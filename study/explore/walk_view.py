@@ -4,7 +4,7 @@ import html
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -13,33 +13,29 @@ from bokeh.layouts import column, row
 from bokeh.models import (
     Button,
     Column,
-    ColumnDataSource,
     Div,
     NumericInput,
     RadioButtonGroup,
     Select,
     Slider,
-    Span,
     Spinner,
 )
-from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from study.experiment.gains import NamedGains, gains_of_source
 from study.explore import walk as walking
 from study.explore.server import Latest, Message, Saver, flow
 from study.explore.stage import Player
+from study.explore.strides import Cycle
 from study.explore.words import in_words
-from study.pictures import gait_cycle, style
-from study.pictures.gait_cycle import EMG_ON_PERCENT, PANELS, PEOPLE, PERCENT, Strides
-from study.pictures.stick_figure import LEFT, RIGHT, finite
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS
-from taichi_nmm.result import MUSCLES, OUTCOME_FIELDS, SCORE_FIELDS
+from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS
 from taichi_nmm.settings import ENGINES
 
 Floats = NDArray[np.float64]
 WRAPS = ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }"
+STRIDE = "stride beside people"
 
 
 class WalkView:
@@ -53,12 +49,12 @@ class WalkView:
     ) -> None:
         self._message = message
         self._walk: walking.Walk | None = None
-        self._beside: NamedGains | None = None
+        self._beside: walking.Walk | None = None  # of the gait that is kept
         self._first = True  # later walks are compared with the next one
         self._walks = Latest(document, walkers, self._walked, self._failed)
         saver = Saver(document, makers, message)
         self.save = saver.save
-        self._player, self._score, self._cycle = Player(document), Score(), Cycle()
+        self._player, self._score = Player(document), Score()
         self._others = Latest(document, walkers, self._walked_beside, message.failed)
         self._hands = Hands(message, self._again, self.show)
         self._choices = _choices()
@@ -66,8 +62,8 @@ class WalkView:
             chosen = self._on_ground if name == "ground" else self._chosen
             message.watch(choice, "value", chosen)
         self._parts = {
-            "gains": self._hands.layout, "score": self._score.layout,
-            "stride beside people": self._cycle.layout, "take it with you": self._taking(),
+            "gains": self._hands.layout, "score": self._score.layout, STRIDE: None,
+            "take it with you": self._taking(),
         }  # fmt: skip
         self._part = RadioButtonGroup(labels=list(self._parts), active=0, name="part",
                                       stylesheets=[WRAPS])  # fmt: skip
@@ -75,7 +71,7 @@ class WalkView:
         self._below = column(self._hands.layout, sizing_mode="stretch_width")
         message.watch(self._part, "active", self._turn)
         keep = Button(label="keep it beside", name="keep")
-        keep.on_click(message.safely(self._keep))
+        keep.on_click(message.safely(lambda: self._keep(self._walk)))
         self._player.removed.on_click(message.safely(self._remove))
         choices = flow(*self._choices.values(), keep)
         self.panels = [
@@ -114,34 +110,46 @@ class WalkView:
         self._player.stages[0].wait(self._hands.gains.name)
         self._walks.ask(walking.walk, self._hands.gains, setting)
         if self._beside is not None:
-            self._others.ask(walking.walk, self._beside, setting)
+            self._others.ask(walking.walk, self._beside.gains, setting)
 
     def _walked(self, found: walking.Walk) -> None:
         self._walk = found
         self._player.show(found)
         self._score.show(found, self._first and self._beside is None)
         self._first = False
-        self._cycle.show(found)
+        self._draw_strides()
 
     def _walked_beside(self, found: walking.Walk) -> None:
         if self._beside is not None:  # it may have been removed meanwhile
-            self._player.show(found, place=1)
-            self._score.compare(found)
-            self._cycle.show(found, beside=True)
+            self._keep(found)
+
+    @cached_property
+    def _cycle(self) -> Cycle:
+        """Made when it is first looked at: a page would open a quarter later."""
+        return Cycle()
+
+    def _draw_strides(self) -> None:
+        """Draw the strides of both gaits, where they are looked at."""
+        if self._walk is not None and self._part.labels[self._part.active] == STRIDE:
+            self._cycle.show(self._walk, self._beside)
 
     def _turn(self) -> None:
         """Show another part alone: a hidden figure never gets a size."""
-        self._below.children = [list(self._parts.values())[self._part.active]]
+        self._draw_strides()
+        part = self._parts[self._part.labels[self._part.active]]
+        self._below.children = [part or self._cycle.layout]
 
-    def _keep(self) -> None:
-        if self._walk is not None:
-            self._beside = self._walk.gains
-            self._walked_beside(self._walk)
+    def _keep(self, walk: walking.Walk | None) -> None:
+        if walk is not None:
+            self._beside = walk
+            self._player.show(walk, place=1)
+            self._score.compare(walk)
+            self._draw_strides()
 
     def _remove(self) -> None:
         self._beside = None
         self._player.remove()
-        self._cycle.forget()
+        self._draw_strides()
         if self._walk is not None:
             self._score.show(self._walk, True)
 
@@ -257,102 +265,6 @@ class Hands:
         self._still = True
         self._sliders[place].value = self._numbers[place].value = value
         self._still = False
-
-
-HEIGHT_PX, LEAST_PX = 180, 215  # of a panel of the stride
-CURVES = ("y", "low", "high", "right", "beside")  # y is the left leg's, low and high one sd from it
-NO_CURVE = np.full(len(PERCENT), np.nan)
-
-
-class Cycle:
-    """A small figure for each joint, each ground force and each muscle."""
-
-    def __init__(self) -> None:
-        self._words = Div(text="", name="cycle", sizing_mode="stretch_width")
-        self._curves: dict[str, ColumnDataSource] = {}
-        self._figures: dict[str, Any] = {}
-        self._toe_offs: list[Span] = []
-        muscles = PEOPLE["muscles"]
-        for name in (*PANELS, *muscles):
-            panel = PANELS.get(name)
-            title = panel.title if panel else f"{name}, {muscles[name]}"
-            plot = figure(
-                name=f"cycle-{title}", height=HEIGHT_PX, tools="", toolbar_location=None,
-                title=title, x_axis_label="stride (%)", x_range=(0, 100),
-                y_axis_label=panel.unit if panel else "activation (1)",
-                y_range=(panel.low, panel.high) if panel else (0.0, 1.05),
-            )  # fmt: skip
-            if panel:
-                mean, sd = panel.at(PERCENT)
-                plot.varea(PERCENT, mean - sd, mean + sd, fill_color=style.HUMAN, fill_alpha=0.35)
-                plot.line(PERCENT, mean, line_color=style.FAINT, line_dash="dashed")
-            else:
-                starts, ends = zip(*EMG_ON_PERCENT[name], strict=True)
-                plot.quad(starts, ends, 1.05, 0.0, fill_color=style.EMG, fill_alpha=0.6,
-                          line_color=None)  # fmt: skip
-            empty = dict.fromkeys(CURVES, NO_CURVE)
-            source = ColumnDataSource({"x": PERCENT, **empty}, name=f"cycle-{name}")
-            plot.varea("x", "low", "high", source=source, fill_color=style.MODEL, fill_alpha=0.3)
-            plot.line("x", "right", source=source, line_color=style.OTHER_LEG)
-            plot.line("x", "beside", source=source, line_color=style.BLACK, line_dash="dashed")
-            plot.line("x", "y", source=source, line_color=style.MODEL, line_width=2)
-            toe_off = Span(dimension="height", line_color=style.MODEL, line_dash="dotted")
-            plot.add_layout(toe_off)
-            plot.title.text_font_size = "11px"
-            self._curves[name], self._figures[name] = source, plot
-            self._toe_offs.append(toe_off)
-        figures = flow(*self._figures.values(), least_px=LEAST_PX)
-        self.layout: Column = column(self._words, figures, sizing_mode="stretch_width")
-
-    def show(self, walk: walking.Walk, beside: bool = False) -> None:
-        """The mean strides of a walk that has enough of them; of a gait beside it, the left leg."""
-        whole, weight_n = finite(walk.trajectory), walk.experiment.weight_n(0)
-        left, right = (gait_cycle.strides_of(whole, weight_n, side) for side in (LEFT, RIGHT))
-        for name, toe_off in zip(self._curves, self._toe_offs, strict=True):
-            mean, sd = _mean(left, name)
-            if beside:
-                self._curves[name].data = dict(self._curves[name].data) | {"beside": mean}
-                continue
-            curves = dict(zip(CURVES, (mean, mean - sd, mean + sd, _mean(right, name)[0]),
-                              strict=False))  # fmt: skip
-            self._curves[name].data = dict(self._curves[name].data) | curves
-            offs = left.take_off_percent
-            toe_off.location = float(offs.mean()) if left.enough and len(offs) else None
-        if not beside:
-            self._write(left)
-
-    def forget(self) -> None:
-        """Take away the curves of the gait beside it."""
-        for source in self._curves.values():
-            source.data = dict(source.data) | {"beside": NO_CURVE}
-
-    def _write(self, left: Strides) -> None:
-        """Set words, titles and axes."""
-        self._words.text = (
-            f"{gait_cycle.subtitle(left)} Blue: left leg, 1 sd and toe-off (dotted); orange: right "
-            f"leg; black, dashed: the gait beside it. Grey: {gait_cycle.SOURCE}, number: RMSE; "
-            f"sand: {gait_cycle.EMG_SOURCE}."
-        )
-        distances = gait_cycle.human_distances(left)
-        for name, panel in PANELS.items():
-            title, axis = panel.title.removeprefix("ground "), self._figures[name].y_range
-            if far := distances.get(name):
-                unit = "deg" if name.endswith("deg") else "bw"
-                title += f": {far.rmse:.3g} {unit}, {far.deviations:.2g} sd"
-            self._figures[name].title.text = title
-            shown = [self._curves[name].data[curve] for curve in ("y", "low", "high", "right")]
-            seen = [value for curve in shown for value in curve if np.isfinite(value)]
-            axis.start = max(min([*seen, panel.low]), panel.floor)
-            axis.end = min(max([*seen, panel.high]), panel.ceiling)
-
-
-def _mean(strides: Strides, name: str) -> tuple[Floats, Floats]:
-    """Mean and standard deviation of a panel's curve, by the panel's name or that of a muscle."""
-    if not strides.enough:
-        return NO_CURVE, NO_CURVE
-    muscle = name in MUSCLES
-    curves = strides.activation[MUSCLES.index(name)] if muscle else getattr(strides, name)
-    return curves.mean(axis=0), curves.std(axis=0)
 
 
 LEFT_OUT = ("end_reason", "hip_x_m", "hip_z_m")
