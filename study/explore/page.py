@@ -135,11 +135,8 @@ def numbers_text(store: Store, place: int) -> str:
             value = table[name][0].as_py()
             text = f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
             shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
-    third = -(-len(shown) // 3)
-    parts = ["".join(shown[first : first + third]) for first in range(0, len(shown), third)]
-    tables = "".join(f"<table style='font-size:11px'>{part}</table>" for part in parts)
     return (
-        f"<div style='display:flex;flex-wrap:wrap;gap:24px;align-items:flex-start'>{tables}</div>"
+        f"<div style='columns:240px'><table style='font-size:11px'>{''.join(shown)}</table></div>"
     )
 
 

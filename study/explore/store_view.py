@@ -16,23 +16,8 @@ import matplotlib
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
+from bokeh import models
 from bokeh.layouts import column
-from bokeh.models import (
-    Button,
-    ColorBar,
-    ColumnDataSource,
-    CustomJS,
-    DataTable,
-    Div,
-    LinearColorMapper,
-    NumberFormatter,
-    Range1d,
-    Select,
-    Span,
-    Spinner,
-    TableColumn,
-    TextInput,
-)
 from bokeh.models.text import PlainText
 from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
@@ -47,7 +32,7 @@ from taichi_nmm.errors import InputError
 RANGE = re.compile(r"\s*(\w+)\s+(\S+?)\.\.(\S+)\s*")
 
 Ranges = dict[str, tuple[float, float]]
-MOST_NAMED = 20  # columns that a refusal names
+MANY = "a column of the menus"  # where a refusal would name more than a line
 
 
 def read_selection(text: str, columns: Sequence[str]) -> Ranges:
@@ -63,9 +48,8 @@ def read_selection(text: str, columns: Sequence[str]) -> Ranges:
             raise InputError("selection", part.strip(), "column low..high, column low..high, ...")
         name, *ends = match.groups()
         if name not in columns:
-            few = len(columns) <= MOST_NAMED
-            allowed = f"one of {', '.join(columns)}" if few else "a column of the menus"
-            raise InputError("selection", name, allowed)
+            allowed = f"one of {', '.join(columns)}"
+            raise InputError("selection", name, allowed if len(columns) < 20 else MANY)
         found[name] = (_number(ends[0]), _number(ends[1]))
     return found
 
@@ -105,18 +89,18 @@ BESIDES = "#D8DCE0"  # of bars
 CHOSEN_PX, POINTED_PX = 17, 11  # rings about the row that walks and the row under the pointer
 
 
-def cloud() -> tuple[Any, ColumnDataSource, ColumnDataSource]:
+def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
     """A figure to drag a box over, its one image, which the script paints, and two rings."""
     plot = figure(
         name="cloud", height=CLOUD_PX[1], sizing_mode="stretch_width",
         tools=[PanTool(), WheelZoomTool(), ResetTool()],
-        x_range=Range1d(0.0, 1.0), y_range=Range1d(0.0, 1.0), title=" ",
+        x_range=models.Range1d(0.0, 1.0), y_range=models.Range1d(0.0, 1.0), title=" ",
     )  # fmt: skip
     box = BoxSelectTool(renderers=[])
     plot.add_tools(box)
     plot.toolbar.active_drag = box
     plot.toolbar.logo = None
-    image = ColumnDataSource({
+    image = models.ColumnDataSource({
         "image": [np.zeros(CLOUD_PX[::-1], np.uint32)],
         **{name: np.array([0.0]) for name in ("x", "y")},
         **{name: np.array([1.0]) for name in ("dw", "dh")},
@@ -124,22 +108,22 @@ def cloud() -> tuple[Any, ColumnDataSource, ColumnDataSource]:
     plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
     sizes = np.array([CHOSEN_PX, POINTED_PX])
     hidden = np.full(2, np.nan)
-    rings = ColumnDataSource({"x": hidden, "y": hidden, "size": sizes}, name="rings")
+    rings = models.ColumnDataSource({"x": hidden, "y": hidden, "size": sizes}, name="rings")
     for width, colour in ((5, "white"), (2.5, style.VERMILION)):
         plot.scatter("x", "y", size="size", source=rings, line_color=colour, line_width=width,
                      fill_color=None)  # fmt: skip
     return plot, image, rings
 
 
-def histograms() -> tuple[list[Any], list[ColumnDataSource], list[Span]]:
+def histograms() -> tuple[list[Any], list[models.ColumnDataSource], list[models.Span]]:
     """A small figure for each column; its bars, of all rows and of those selected; and a line."""
     plots, sources, spans = [], [], []
     sides = ("left", "right", "all", "chosen")
     for slot in range(len(ROLES)):
-        bars = ColumnDataSource({name: np.zeros(BINS) for name in sides})
+        bars = models.ColumnDataSource({name: np.zeros(BINS) for name in sides})
         plot = figure(
             name=f"histogram-{slot}", height=HISTOGRAM_PX, tools="", toolbar_location=None,
-            title=" ", x_range=Range1d(0.0, 1.0),
+            title=" ", x_range=models.Range1d(0.0, 1.0),
         )  # fmt: skip
         plot.title.text_font_size = "10px"
         plot.yaxis.visible = False
@@ -149,7 +133,9 @@ def histograms() -> tuple[list[Any], list[ColumnDataSource], list[Span]]:
         for name, colour in (("all", BESIDES), ("chosen", style.MODEL)):
             plot.quad(left="left", right="right", bottom=0, top=name, source=bars,
                       fill_color=colour, line_color=None)  # fmt: skip
-        span = Span(dimension="height", line_color=style.VERMILION, line_width=2, name=f"at-{slot}")
+        span = models.Span(
+            dimension="height", line_color=style.VERMILION, line_width=2, name=f"at-{slot}"
+        )
         plot.add_layout(span)
         plots.append(plot)
         sources.append(bars)
@@ -157,16 +143,16 @@ def histograms() -> tuple[list[Any], list[ColumnDataSource], list[Span]]:
     return plots, sources, spans
 
 
-def table(source: ColumnDataSource, words: list[str]) -> DataTable:
+def table(source: models.ColumnDataSource, words: list[str]) -> models.DataTable:
     """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
-    numbers = NumberFormatter(format="0.[0000]")
-    columns = [TableColumn(field="row", title="row", width=60),
-               TableColumn(field="bred", title="", width=40)]  # fmt: skip
+    numbers = models.NumberFormatter(format="0.[0000]")
+    columns = [models.TableColumn(field="row", title="row", width=60),
+               models.TableColumn(field="bred", title="", width=40)]  # fmt: skip
     columns += [
-        TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
+        models.TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
         for slot, name in enumerate(words)
     ]
-    return DataTable(source=source, columns=columns, height=240, sizing_mode="stretch_width",
+    return models.DataTable(source=source, columns=columns, height=240, sizing_mode="stretch_width",
                      index_position=None)  # fmt: skip
 
 
@@ -218,59 +204,54 @@ class StoreView:
         self._store, self._message, self._pick = store, message, pick
         self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
         self._words = described(store, numeric_columns(store))
+        options = menu(self._words)
         self._columns = [
-            Select(title=role, value=name, options=menu(self._words), name=f"column-{slot}")
+            models.Select(title=role, value=name, options=options, name=f"column-{slot}")
             for slot, (role, name) in enumerate(zip(ROLES, first_columns(store), strict=True))
         ]
-        self._find = TextInput(title="find in the menus", placeholder="such as: hip mean",
-                               name="find")  # fmt: skip
+        find = models.TextInput(title="find in the menus", placeholder="hip mean", name="find")
+        search = {"columns": self._columns, "options": options}
+        find.js_on_change("value_input", models.CustomJS.from_file(SCRIPTS / "find.mjs", **search))
         evolved = np.zeros(len(store), np.uint8)
         if ORIGIN in store.columns:
             evolved[store.table([ORIGIN])[ORIGIN].to_numpy() == EVOLVED_ROW] = 1
         self._hidden: Ranges = {}  # of columns that are not shown
-        self._source = ColumnDataSource(
-            {"row": self._rows, "evolved": evolved, "kept": np.ones(len(store), np.uint8)},
-            name="rows",
-        )  # fmt: skip
+        rows = {"row": self._rows, "evolved": evolved, "kept": np.ones(len(store), np.uint8)}
+        self._source = models.ColumnDataSource(rows, name="rows")
         ends = {"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))}
-        self._bounds = ColumnDataSource(ends | {"words": [""] * len(ROLES)})
-        self.selection = TextInput(
-            title="selection: column low..high, ...",
-            placeholder="drag a box over any of the views",
-            name="selection",
-        )  # fmt: skip
+        self._bounds = models.ColumnDataSource(ends | {"words": [""] * len(ROLES)})
+        self.selection = models.TextInput(
+            title="selection: column low..high, ...", placeholder="drag a box", name="selection"
+        )
         self._refusal = Message("selection-message")
         # without `low` and `high`: the browser would silently replace a wrong number
-        self.row = Spinner(title="row that walks", step=1, mode="int", name="row")
+        self.row = models.Spinner(title="row that walks", step=1, mode="int", name="row")
         self._cloud, self._image, self._rings = cloud()
-        self._palette = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
-        colours = [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue, _ in self._palette]
-        self._mapper = LinearColorMapper(palette=colours, low=0.0, high=1.0)
-        self._bar = ColorBar(color_mapper=self._mapper, height=10, padding=4)
+        self._mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
+        self._bar = models.ColorBar(color_mapper=self._mapper, height=10, padding=4)
         self._cloud.add_layout(self._bar, "below")
         self._histograms, self._bars, self._spans = histograms()
         fields = ("row", "bred", *(f"c{slot}" for slot in range(len(ROLES))))
-        self._listed = ColumnDataSource({name: [] for name in fields}, name="listed")
-        self._count = Div(name="count")
+        self._listed = models.ColumnDataSource({name: [] for name in fields}, name="listed")
+        self._count = models.Div(name="count")
         for slot in range(len(ROLES)):
             self._load(slot)
         self._rows_panel = column(self._table(), sizing_mode="stretch_width", name="Rows")
         self._script()
-        clear = Button(label="all rows")
+        clear = models.Button(label="all rows")
         clear.on_click(lambda: self.selection.update(value=""))
-        take = Button(label="selection as Parquet")
+        take = models.Button(label="selection as Parquet")
         take.on_click(message.safely(lambda: save(self._ranges())))
         points = [
-            flow(*self._columns, self._find, least_px=215), self._cloud,
+            flow(*self._columns, find, least_px=215), self._cloud,
             flow(self.selection, clear, least_px=110), self._refusal.layout,
             flow(*self._histograms, least_px=160), flow(self._count, self.row, take),
         ]  # fmt: skip
         self.selection.styles = {"flex": "4 1 260px"}
-        stretched = column(*points, sizing_mode="stretch_width", name="Points of the store")
-        self.panels = [stretched, self._rows_panel]
+        panel = column(*points, sizing_mode="stretch_width", name="Points of the store")
+        self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
         message.watch(self.row, "value", self._picked)
-        message.watch(self._find, "value_input", self._search)
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
 
@@ -279,13 +260,8 @@ class StoreView:
         """Of the five columns."""
         return [select.value for select in self._columns]
 
-    def _table(self) -> DataTable:
+    def _table(self) -> models.DataTable:
         return table(self._listed, [self._words[name].words for name in self._names])
-
-    def _search(self) -> None:
-        """Offer the columns in which a text is found."""
-        for select in self._columns:
-            select.options = menu(self._words, self._find.value_input, select.value)
 
     def _ranges(self) -> Ranges:
         return read_selection(self.selection.value, list(self._words))
@@ -325,7 +301,8 @@ class StoreView:
         low, high = _ends(values)
         edges = np.linspace(low, high, BINS + 1)
         counts, _ = np.histogram(np.clip(values[np.isfinite(values)], low, high), edges)
-        words, self._columns[slot].description = self._words[name].words, self._line(name)
+        words = self._words[name].words
+        self._columns[slot].description = f"{name}: {self._words[name].meaning}"
         bounds = {key: list(each) for key, each in self._bounds.data.items()}
         bounds["low"][slot], bounds["high"][slot], bounds["words"][slot] = low, high, words
         self._bounds.data = bounds
@@ -348,18 +325,15 @@ class StoreView:
             self._bar.title = PlainText(words)
         self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
-    def _line(self, name: str) -> str:
-        """What explains a column, as the pointer or the keyboard shows it."""
-        return f"{name}: {self._words[name].meaning}"
-
     def _script(self) -> None:
-        script = CustomJS.from_file(
+        rgba = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
+        script = models.CustomJS.from_file(
             SCRIPTS / "brush.mjs",
             source=self._source, columns=self._columns, selection=self.selection, image=self._image,
             plot=self._cloud, histograms=self._histograms, bars=self._bars, bounds=self._bounds,
             table=self._listed, count=self._count, row=self.row, rings=self._rings,
             spans=self._spans, listing=self._rows_panel,
-            palette=self._palette.view("<u4").ravel().tolist(),
+            palette=rgba.view("<u4").ravel().tolist(),
         )  # fmt: skip
         for plot in (self._cloud, *self._histograms):
             plot.js_on_event("selectiongeometry", script)

@@ -27,9 +27,7 @@ class Cycle:
 
     def __init__(self) -> None:
         self._words = Div(text="", name="cycle", sizing_mode="stretch_width")
-        self._curves: dict[str, ColumnDataSource] = {}
-        self._figures: dict[str, Any] = {}
-        self._toe_offs: list[Span] = []
+        self._panels: dict[str, tuple[Any, ColumnDataSource, Span]] = {}
         muscles = PEOPLE["muscles"]
         for name in (*PANELS, *muscles):
             panel = PANELS.get(name)
@@ -57,9 +55,8 @@ class Cycle:
             toe_off = Span(dimension="height", line_color=style.MODEL, line_dash="dotted")
             plot.add_layout(toe_off)
             plot.title.text_font_size = "11px"
-            self._curves[name], self._figures[name] = source, plot
-            self._toe_offs.append(toe_off)
-        figures = flow(*self._figures.values(), least_px=LEAST_PX)
+            self._panels[name] = plot, source, toe_off
+        figures = flow(*(plot for plot, _, _ in self._panels.values()), least_px=LEAST_PX)
         self.layout: Column = column(self._words, figures, sizing_mode="stretch_width")
 
     def show(self, walk: Walk, other: Walk | None) -> None:
@@ -67,11 +64,11 @@ class Cycle:
         left, right = (_strides(walk, side) for side in (LEFT, RIGHT))
         beside = None if other is None else _strides(other, LEFT)
         offs = left.take_off_percent
-        for name, toe_off in zip(self._curves, self._toe_offs, strict=True):
+        for name, (_, source, toe_off) in self._panels.items():
             mean, sd = _mean(left, name)
             means = (_mean(strides, name)[0] for strides in (right, beside))
             curves = zip(CURVES, (mean, mean - sd, mean + sd, *means), strict=True)
-            self._curves[name].data = {"x": PERCENT, **dict(curves)}
+            source.data = {"x": PERCENT, **dict(curves)}
             toe_off.location = float(offs.mean()) if left.enough and len(offs) else None
         self._write(left)
 
@@ -84,20 +81,19 @@ class Cycle:
         )
         distances = gait_cycle.human_distances(left)
         for name, panel in PANELS.items():
-            title, axis = panel.title.removeprefix("ground "), self._figures[name].y_range
+            plot, source, _ = self._panels[name]
+            title = panel.title.removeprefix("ground ")
             if far := distances.get(name):
                 unit = "deg" if name.endswith("deg") else "bw"
                 title += f": {far.rmse:.3g} {unit}, {far.deviations:.2g} sd"
-            self._figures[name].title.text = title
-            shown = [self._curves[name].data[curve] for curve in ("y", "low", "high", "right")]
-            seen = [value for curve in shown for value in curve if np.isfinite(value)]
-            axis.start = max(min([*seen, panel.low]), panel.floor)
-            axis.end = min(max([*seen, panel.high]), panel.ceiling)
+            plot.title.text = title
+            seen = np.concatenate([source.data[curve] for curve in CURVES])
+            plot.y_range.start = float(max(np.nanmin([*seen, panel.low]), panel.floor))
+            plot.y_range.end = float(min(np.nanmax([*seen, panel.high]), panel.ceiling))
 
 
 def _strides(walk: Walk, side: int) -> Strides:
-    weight_n = walk.experiment.weight_n(0)
-    return gait_cycle.strides_of(finite(walk.trajectory), weight_n, side)
+    return gait_cycle.strides_of(finite(walk.trajectory), walk.experiment.weight_n(0), side)
 
 
 def _mean(strides: Strides | None, name: str) -> tuple[Floats, Floats]:

@@ -35,7 +35,7 @@ GROUNDS: dict[str, dict[str, Any]] = CHOICES["grounds"]
 WORLDS: dict[str, dict[str, list[float]]] = CHOICES["worlds"]
 DISTURBANCES: dict[str, float] = CHOICES["disturbances"]
 LASTS_S: dict[str, float] = CHOICES["lasts_s"]  # by the kind of ground
-DURATIONS_S = (5.0, 10.0, 20.0, 40.0, 100.0)
+DURATIONS = ("5 s", "10 s", "20 s", "40 s", "100 s")
 NAME = "walk"  # of the configuration
 
 
@@ -168,25 +168,23 @@ def warm_up() -> None:
     walk(gains_of_source("reference"), level)
 
 
+FILM = "walk.mp4"  # of its last 8 s
 GAINS, CONFIG = NAMES = "gains.json", "walk.toml"  # what every command takes: --gains, --config
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
-    """One of `NAMES` and its content, to be taken from the page."""
-    if name == CONFIG:
-        return name, to_toml(as_written(walk.experiment)).encode()
-    return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
-
-
-def film_of_walk(walk: Walk) -> tuple[str, bytes]:
-    """Name and content of a film of the last 8 s of a walk.
+    """One of `NAMES` or `FILM` and its content, to be taken from the page.
 
     Raises:
         InputError: no ffmpeg that works.
     """
-    with TemporaryDirectory() as folder:
-        path, terrain = Path(folder) / "walk.mp4", walk.experiment.terrain(0)
-        write_movie(path, walk.trajectory, terrain, title=walk.gains.name)
-        return path.name, path.read_bytes()
+    if name == FILM:
+        with TemporaryDirectory() as folder:
+            terrain, title = walk.experiment.terrain(0), walk.gains.name
+            path = write_movie(Path(folder) / name, walk.trajectory, terrain, title=title)
+            return name, path.read_bytes()
+    if name == CONFIG:
+        return name, to_toml(as_written(walk.experiment)).encode()
+    return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()

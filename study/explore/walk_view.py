@@ -8,18 +8,9 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from bokeh import models
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from bokeh.models import (
-    Button,
-    Column,
-    Div,
-    NumericInput,
-    RadioButtonGroup,
-    Select,
-    Slider,
-    Spinner,
-)
 from numpy.typing import NDArray
 
 from study.experiment.gains import NamedGains, gains_of_source
@@ -49,12 +40,13 @@ class WalkView:
     ) -> None:
         self._message = message
         self._walk: walking.Walk | None = None
+        self._start: walking.Walk | None = None  # with which later ones are compared
         self._beside: walking.Walk | None = None  # of the gait that is kept
-        self._first = True  # later walks are compared with the next one
         self._walks = Latest(document, walkers, self._walked, self._failed)
         saver = Saver(document, makers, message)
         self.save = saver.save
-        self._player, self._score = Player(document), Score()
+        self._player = Player(document)
+        self._score = models.Div(text="", name="score", disable_math=True)
         self._others = Latest(document, walkers, self._walked_beside, message.failed)
         self._hands = Hands(message, self._again, self.show)
         self._choices = _choices()
@@ -62,17 +54,17 @@ class WalkView:
             chosen = self._on_ground if name == "ground" else self._chosen
             message.watch(choice, "value", chosen)
         self._parts = {
-            "gains": self._hands.layout, "score": self._score.layout, STRIDE: None,
+            "gains": self._hands.layout, "score": self._score, STRIDE: None,
             "take it with you": self._taking(),
         }  # fmt: skip
-        self._part = RadioButtonGroup(labels=list(self._parts), active=0, name="part",
+        self._part = models.RadioButtonGroup(labels=list(self._parts), active=0, name="part",
                                       stylesheets=[WRAPS])  # fmt: skip
         self._part.tags = [saver.source]
         self._below = column(self._hands.layout, sizing_mode="stretch_width")
         message.watch(self._part, "active", self._turn)
-        keep = Button(label="keep it beside", name="keep")
-        keep.on_click(message.safely(lambda: self._keep(self._walk)))
-        self._player.removed.on_click(message.safely(self._remove))
+        keep = models.Button(label="keep it beside", name="keep")
+        keep.on_click(message.safely(lambda: self._put_beside(self._walk)))
+        self._player.removed.on_click(message.safely(lambda: self._put_beside(None)))
         choices = flow(*self._choices.values(), keep)
         self.panels = [
             column(choices, self._player.layout, sizing_mode="stretch_width", name="The walk"),
@@ -83,7 +75,7 @@ class WalkView:
     def show(self, gains: NamedGains) -> None:
         """Let gains walk in the setting of the choices."""
         self._hands.take(gains)
-        self._first = True
+        self._start = None
         self._again()
 
     def _on_ground(self) -> None:
@@ -96,10 +88,10 @@ class WalkView:
 
     def _failed(self, error: BaseException) -> None:
         self._message.failed(error)
-        self._player.stages[0].words.text = "no walk"
+        self._player.stages[0].say("no walk", "see above")
 
     def _chosen(self) -> None:
-        self._first = True  # a walk of another setting is no comparison
+        self._start = None  # a walk of another setting is no comparison
         self._again()
 
     def _again(self) -> None:
@@ -107,86 +99,77 @@ class WalkView:
         chosen = {name: choice.value for name, choice in self._choices.items()}
         chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
         setting = walking.chosen_setting(**chosen)
-        self._player.stages[0].wait(self._hands.gains.name)
+        self._player.stages[0].say(self._hands.gains.name, "simulating ...")
         self._walks.ask(walking.walk, self._hands.gains, setting)
         if self._beside is not None:
             self._others.ask(walking.walk, self._beside.gains, setting)
 
     def _walked(self, found: walking.Walk) -> None:
-        self._walk = found
+        self._walk, self._start = found, self._start or found
         self._player.show(found)
-        self._score.show(found, self._first and self._beside is None)
-        self._first = False
-        self._draw_strides()
+        self._compare()
 
     def _walked_beside(self, found: walking.Walk) -> None:
         if self._beside is not None:  # it may have been removed meanwhile
-            self._keep(found)
+            self._put_beside(found)
+
+    def _put_beside(self, walk: walking.Walk | None) -> None:
+        """Keep a walk beside the next ones; none takes it away."""
+        self._beside = walk
+        self._player.show(walk, place=1)
+        self._compare()
+
+    def _compare(self) -> None:
+        """Show the numbers of both gaits, and their strides where they are looked at."""
+        start = self._beside or self._start
+        if self._walk is None or start is None:
+            return
+        self._score.text = score_text(self._walk, start)
+        if self._part.labels[self._part.active] == STRIDE:
+            self._cycle.show(self._walk, self._beside)
 
     @cached_property
     def _cycle(self) -> Cycle:
         """Made when it is first looked at: a page would open a quarter later."""
         return Cycle()
 
-    def _draw_strides(self) -> None:
-        """Draw the strides of both gaits, where they are looked at."""
-        if self._walk is not None and self._part.labels[self._part.active] == STRIDE:
-            self._cycle.show(self._walk, self._beside)
-
     def _turn(self) -> None:
         """Show another part alone: a hidden figure never gets a size."""
-        self._draw_strides()
+        self._compare()
         part = self._parts[self._part.labels[self._part.active]]
         self._below.children = [part or self._cycle.layout]
 
-    def _keep(self, walk: walking.Walk | None) -> None:
-        if walk is not None:
-            self._beside = walk
-            self._player.show(walk, place=1)
-            self._score.compare(walk)
-            self._draw_strides()
-
-    def _remove(self) -> None:
-        self._beside = None
-        self._player.remove()
-        self._draw_strides()
-        if self._walk is not None:
-            self._score.show(self._walk, True)
-
     def _taking(self) -> Any:
-        buttons = [Button(label=name, name=f"save-{name}") for name in walking.NAMES]
+        buttons = [
+            models.Button(label=name, name=f"save-{name}")
+            for name in (*walking.NAMES, walking.FILM)
+        ]
         for button in buttons:
-            take = partial(self._take, walking.file_of_walk, button.label)
-            button.on_click(self._message.safely(take))
-        film = Button(label="a film of its last 8 s", name="save-walk.mp4")
-        film.on_click(self._message.safely(partial(self._take, walking.film_of_walk)))
-        words = Div(text="With both files, this command draws, films and records the walk:")
-        command = Div(text=f"<code>{walking.COMMAND}</code>", name="command")
-        return column(flow(*buttons, film), words, command, sizing_mode="stretch_width")
+            button.on_click(self._message.safely(partial(self._take, button.label)))
+        words = models.Div(text="With both files, this command draws, films and records the walk:")
+        command = models.Div(text=f"<code>{walking.COMMAND}</code>", name="command")
+        return column(flow(*buttons), words, command, sizing_mode="stretch_width")
 
-    def _take(self, function: Callable[..., tuple[str, bytes]], *names: str) -> None:
+    def _take(self, name: str) -> None:
         if self._walk is not None:
-            self.save(function, self._walk, *names)
+            self.save(walking.file_of_walk, self._walk, name)
 
 
 def _choices() -> dict[str, Any]:
     """By the names of `chosen_setting`'s arguments."""
-    grounds = list(walking.GROUNDS)
-    durations = [f"{duration:g} s" for duration in walking.DURATIONS_S]
-    return {
-        "ground": Select(title="ground", options=grounds, value=grounds[0],
-                         name="ground"),
-        "disturbance": Select(title="masses of the body", options=list(walking.DISTURBANCES),
-                              value="nominal", name="disturbance"),
-        "seed": Spinner(title="seed", step=1, value=1, mode="int",
-                        name="seed"),
-        "world": Select(title="world", options=list(walking.WORLDS), value="nominal",
-                        name="world"),
-        "engine": Select(title="engine", options=list(ENGINES), value=ENGINES[0],
-                         name="engine"),
-        "duration_s": Select(title="at most", options=durations, value=durations[1],
-                             name="duration"),
+    menus: dict[str, tuple[str, Any]] = {
+        "ground": ("ground", walking.GROUNDS), "world": ("world", walking.WORLDS),
+        "disturbance": ("masses of the body", walking.DISTURBANCES),
+        "engine": ("engine", ENGINES), "duration_s": ("at most", walking.DURATIONS),
     }  # fmt: skip
+    found: dict[str, Any] = {
+        name: models.Select(title=title, options=list(options), name=name.removesuffix("_s"))
+        for name, (title, options) in menus.items()
+    }  # fmt: skip
+    for choice in found.values():
+        choice.value = choice.options[0]
+    found["duration_s"].value = f"{walking.LASTS_S['flat']:g} s"
+    return found | {"seed": models.Spinner(title="seed", step=1, value=1, mode="int", name="seed")}
 
 
 STARTS = ("published", "reference")
@@ -205,16 +188,16 @@ class Hands:
     ) -> None:
         self._message, self._changed, self._start = message, changed, start
         self._still = False  # while the page, not a person, moves the sliders
-        self._starts = Select(title="start from", options=["", *STARTS], value="",
+        self._starts = models.Select(title="start from", options=["", *STARTS], value="",
                               name="start")  # fmt: skip
         self._sliders = [
-            Slider(title=gain.meaning, start=gain.low, end=gain.high, value=gain.low,
+            models.Slider(title=gain.meaning, start=gain.low, end=gain.high, value=gain.low,
                    step=(gain.high - gain.low) / STEPS, show_value=False, stylesheets=[WRAPS],
                    sizing_mode="stretch_width", name=f"gain-{gain.name}")
             for gain in GAINS
         ]  # fmt: skip
         self._numbers = [
-            NumericInput(title=f"{gain.name} ({gain.unit})", mode="float", width=NUMBER_PX,
+            models.NumericInput(title=f"{gain.name} ({gain.unit})", mode="float", width=NUMBER_PX,
                          name=f"number-{gain.name}")
             for gain in GAINS
         ]  # fmt: skip
@@ -225,7 +208,7 @@ class Hands:
             message.watch(number, "value", partial(self._typed, place))
         self.take(gains_of_source(STARTS[0]))
         rows = flow(*(row(*pair) for pair in pairs), least_px=300)
-        self.layout: Column = column(self._starts, rows, sizing_mode="stretch_width")
+        self.layout: models.Column = column(self._starts, rows, sizing_mode="stretch_width")
 
     def take(self, gains: NamedGains) -> None:
         """Show other gains, without a call of `changed`."""
@@ -271,38 +254,14 @@ LEFT_OUT = ("end_reason", "hip_x_m", "hip_z_m")
 FIELDS = tuple(name for name, _ in (*OUTCOME_FIELDS, *SCORE_FIELDS) if name not in LEFT_OUT)
 
 
-class Score:
-    """A table of numbers of two walks on the same ground."""
-
-    def __init__(self) -> None:
-        self._start: walking.Walk | None = None
-        self._now: walking.Walk | None = None
-        self.layout = Div(text="", name="score", disable_math=True)
-
-    def show(self, walk: walking.Walk, start: bool) -> None:
-        """The numbers of a walk; later ones are compared with those of a `start`."""
-        self._now = walk
-        if start or self._start is None:
-            self._start = walk
-        self._write(self._now, self._start)
-
-    def compare(self, walk: walking.Walk) -> None:
-        """The start is another walk from now on: that beside."""
-        self._start = walk
-        if self._now is not None:
-            self._write(self._now, walk)
-
-    def _write(self, walk: walking.Walk, start: walking.Walk) -> None:
-        heads = (
-            html.escape("start" if start is walk else start.gains.name),
-            html.escape(walk.gains.name),
-            "change",
-        )
-        text = "<tr><td></td>" + "".join(f"<th scope=col>{head}</th>" for head in heads) + "</tr>"
-        for name in FIELDS:
-            before, now = float(start.row[name]), float(walk.row[name])
-            change = "" if before == now else f"{now - before:+.3g}"
-            cells = (f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>")
-            right = "".join(f"<td align=right>{cell}</td>" for cell in cells)
-            text += f"<tr><th scope=row align=left>{in_words(name)[0]}</th>{right}</tr>"
-        self.layout.text = f"<table cellspacing=4>{text}</table>"
+def score_text(walk: walking.Walk, start: walking.Walk) -> str:
+    """The numbers of a walk beside those of another one on the same ground, in HTML."""
+    heads = ["start" if start is walk else start.gains.name, walk.gains.name, "change"]
+    text = "".join(f"<th scope=col>{html.escape(head)}</th>" for head in ["", *heads])
+    for name in FIELDS:
+        before, now = float(start.row[name]), float(walk.row[name])
+        change = "" if before == now else f"{now - before:+.3g}"
+        cells = (f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>")
+        right = "".join(f"<td align=right>{cell}</td>" for cell in cells)
+        text += f"<tr><th scope=row align=left>{in_words(name)[0]}</th>{right}</tr>"
+    return f"<table cellspacing=4>{text}</table>"

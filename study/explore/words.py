@@ -5,9 +5,8 @@ abbreviations of choices.toml.
 """
 
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from storage.simulator import WALKER
 from storage.store import Store
@@ -26,8 +25,7 @@ Groups = dict[str, list[tuple[str, str]]]
 """Options of a menu: pairs of a column's name and its words, by group."""
 
 
-@dataclass(frozen=True)
-class Described:
+class Described(NamedTuple):
     """A column: its group, its words with the unit, and a line that explains it."""
 
     group: str
@@ -68,11 +66,9 @@ def in_words(name: str) -> tuple[str, str]:
     return (f"{text} ({unit})" if unit else text), parts[-1]
 
 
-def menu(columns: dict[str, Described], text: str = "", kept: str = "") -> Groups:
-    """The columns in which all words of a text are found, in groups; and the one that is kept."""
+def menu(columns: dict[str, Described]) -> Groups:
+    """The options of a menu of these columns."""
     groups: Groups = {}
     for name, column in columns.items():
-        place = f"{name} {column.words} {column.group} {column.meaning}".lower()
-        if name == kept or all(word in place for word in text.lower().split()):
-            groups.setdefault(column.group, []).append((name, column.words))
+        groups.setdefault(column.group, []).append((name, column.words))
     return groups

@@ -17,6 +17,8 @@ export default (args, changed) => {
   } else if (changed !== args.play && changed !== args.ghost) { // the page is ready, or frames have come
     const ends = args.stages.map(({frames}) => frames.data.time_s?.[0].at(-1) ?? 0)
     args.slider.setv({end: Math.max(0.1, ...ends)}, HERE)
+    args.timeline.setv({end: 1.02 * Math.max(0.1, ...ends)}, HERE)
+    args.stages.forEach((stage, which) => line_of(stage.frames.data, args.curves[which], args.falls[which]))
     if (changed !== args.stages[1].frames) state.time = 0
     if (ends[0] > 0 || changed.data) state.shown += 1
   }
@@ -60,6 +62,7 @@ function move_to(args, time) {
 function draw_all(args) {
   const [own, other] = args.stages
   for (const stage of args.stages) if (stage.frames.data.time_s?.length) draw(args, stage)
+  if (other.figure.visible === args.ghost.active) other.figure.setv({visible: !args.ghost.active}, HERE)
   const haunted = args.ghost.active && other.frames.data.time_s?.length && own.frames.data.time_s?.length
   const at = [own, other].map(({frames}) => frames.data.time_s?.length ? frame(frames.data) : 0)
   if (haunted) { // over the walker: its hip there, at the ground's height there
@@ -72,6 +75,14 @@ function draw_all(args) {
   }
   state.haunted = haunted
   args.cursor.setv({location: state.time}, HERE)
+}
+
+// A walk on the time line: the height of its hip, and its fall.
+function line_of({time_s, height_m, fell}, curve, fall) {
+  const [x, y] = [Array.from(time_s?.[0] ?? []), Array.from(height_m?.[0] ?? [])]
+  curve.setv({data: {x, y}}, HERE)
+  const end = fell?.[0][0] ? -1 : x.length
+  fall.setv({data: {x: x.slice(end), y: y.slice(end), words: x.slice(end).map((time) => `fell at ${time.toFixed(1)} s`)}}, HERE)
 }
 
 // The number of the frame that is shown now.
