@@ -30,7 +30,7 @@ ASPECT = 1.6  # of a stage, width over height
 BONES = (0, 1, 3)  # at which points of a leg's chain thigh, shank and foot begin
 GHOST = "#5B4B8A"
 GHOST_ALPHA = 0.35
-TIMELINE_PX = 110
+STAGE_PX, TIMELINE_PX = 340, 110  # the least width of a stage; the height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
 GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 RIM_M = 0.008  # of a muscle, both sides together
@@ -83,7 +83,7 @@ class Stage:
             "ghost_lines": line_source(ghost=True), "ghost_head": points(1),
         }  # fmt: skip
         self.parts["figure"] = self.figure = self._drawn(name)
-        self.layout = column(self.figure, self.words)
+        self.parts["layout"] = self.layout = column(self.figure, self.words)
 
     def say(self, name: str, words: str) -> None:
         """Tell what a gait of this name does."""
@@ -147,7 +147,7 @@ class Player:
             stages=[stage.parts for stage in self.stages], play=self._play, speed=speed,
             slider=slider, levels=COLOURS, ghost=ghost, cursor=self._cursor,
             curves=self._curves, falls=self._falls, timeline=self._timeline.x_range,
-            view_m=VIEW_WIDTH_M, below_m=BELOW_GROUND_M,
+            view_m=VIEW_WIDTH_M, below_m=BELOW_GROUND_M, least=f"{STAGE_PX}px",
         )  # fmt: skip
         for stage in self.stages:
             stage.frames.js_on_change("data", script)
@@ -158,7 +158,7 @@ class Player:
         document.js_on_event(DocumentReady, script)  # frames may have come before the page
         clock = flow(self._play, speed, slider, least_px=100)
         slider.styles = {"flex": "4 1 220px"}
-        stages = flow(*(stage.layout for stage in self.stages), least_px=340)
+        stages = flow(*(stage.layout for stage in self.stages), least_px=STAGE_PX)
         self._beside = flow(ghost, self.removed)
         self._beside.visible = self.stages[1].layout.visible = False
         self.layout: models.Column = column(

@@ -62,7 +62,10 @@ function move_to(args, time) {
 function draw_all(args) {
   const [own, other] = args.stages
   for (const stage of args.stages) if (stage.frames.data.time_s?.length) draw(args, stage)
-  if (other.figure.visible === args.ghost.active) other.figure.setv({visible: !args.ghost.active}, HERE)
+  if (other.figure.visible === args.ghost.active) { // of a ghost's stage, only the words are shown
+    other.figure.setv({visible: !args.ghost.active}, HERE)
+    other.layout.setv({styles: {flex: `1 1 ${args.ghost.active ? "100%" : args.least}`}}, HERE)
+  }
   const haunted = args.ghost.active && other.frames.data.time_s?.length && own.frames.data.time_s?.length
   const at = [own, other].map(({frames}) => frames.data.time_s?.length ? frame(frames.data) : 0)
   if (haunted) { // over the walker: its hip there, at the ground's height there
