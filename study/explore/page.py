@@ -37,7 +37,6 @@ OF_COMPARISONS = (
     "or taichi-nmm walk --trial STUDY/NUMBER --storage DIR; for a bench: taichi-nmm bench serve"
 )
 BASE = "base setting"
-DURATIONS_S = (5.0, 10.0, 20.0)
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
 VIDEO_CSS = """video { width: 100% }
 @media (prefers-color-scheme: dark) { video { filter: invert(1) hue-rotate(180deg) } }"""
@@ -69,8 +68,7 @@ class RobotView:
         )  # fmt: skip
         self._video.tags = [saver.source]
         self._world = Select(title="world", options=[BASE], value=BASE, name="world")
-        durations = [f"{duration:g} s" for duration in DURATIONS_S]
-        self._duration = Select(title="at most", options=durations, value=durations[0])
+        self._duration = Select(title="at most", options=["5 s", "10 s", "20 s"], value="5 s")
         film = Button(label="film", name="film-it", disabled=simulator is None)
         film.on_click(message.safely(self._film))
         words = "" if simulator else "films: explore --simulator my_robot.py:robot"
@@ -181,13 +179,8 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
             document.add_root(message.layout)
             return
         document.title = title
-        for root in (
-            message.layout,
-            points.panels[0],
-            view.panels[0],
-            points.panels[1],
-            *view.panels[1:],
-        ):
+        left, right = points.panels, view.panels
+        for root in (message.layout, left[0], right[0], left[1], *right[1:]):
             document.add_root(root)
         if isinstance(view, WalkView):
             message.safely(partial(view.show, gains_of_source(FIRST_GAIT)))()

@@ -75,8 +75,7 @@ class Stage:
 
     def __init__(self, name: str) -> None:
         self.frames = models.ColumnDataSource({}, name=f"{name}-frames")
-        self.words = models.Div(text="", styles={"font-size": "13px"}, disable_math=True,
-                         sizing_mode="stretch_width")  # fmt: skip
+        self.words = models.Div(text="", disable_math=True, sizing_mode="stretch_width")
         self._ground = points(2)
         self.parts: dict[str, Any] = {
             "frames": self.frames, "trail": points(2), "lines": line_source(), "head": points(1),

@@ -7,7 +7,7 @@ reads the same text, and so needs no server while a person drags a box.
 import html
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -91,35 +91,29 @@ CHOSEN_PX, POINTED_PX = 17, 11  # rings about the row that walks and the row und
 
 def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
     """A figure to drag a box over, its one image, which the script paints, and two rings."""
-    plot = figure(
-        name="cloud", height=CLOUD_PX[1], sizing_mode="stretch_width",
-        tools=[PanTool(), WheelZoomTool(), ResetTool()],
-        x_range=models.Range1d(0.0, 1.0), y_range=models.Range1d(0.0, 1.0), title=" ",
-    )  # fmt: skip
     box = BoxSelectTool(renderers=[])
-    plot.add_tools(box)
-    plot.toolbar.active_drag = box
+    plot = figure(
+        name="cloud", height=CLOUD_PX[1], sizing_mode="stretch_width", title=" ",
+        tools=[PanTool(), WheelZoomTool(), ResetTool(), box], active_drag=box,
+        x_range=models.Range1d(0.0, 1.0), y_range=models.Range1d(0.0, 1.0),
+    )  # fmt: skip
     plot.toolbar.logo = None
-    image = models.ColumnDataSource({
-        "image": [np.zeros(CLOUD_PX[::-1], np.uint32)],
-        **{name: np.array([0.0]) for name in ("x", "y")},
-        **{name: np.array([1.0]) for name in ("dw", "dh")},
-    })  # fmt: skip
+    pixels = np.zeros(CLOUD_PX[::-1], np.uint32)
+    corners = {"x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}
+    image = models.ColumnDataSource({"image": [pixels], **corners})
     plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
-    sizes = np.array([CHOSEN_PX, POINTED_PX])
-    hidden = np.full(2, np.nan)
-    rings = models.ColumnDataSource({"x": hidden, "y": hidden, "size": sizes}, name="rings")
+    nowhere = {axis: np.full(2, np.nan) for axis in "xy"}
+    rings = models.ColumnDataSource({**nowhere, "size": [CHOSEN_PX, POINTED_PX]}, name="rings")
     for width, colour in ((5, "white"), (2.5, style.VERMILION)):
         plot.scatter("x", "y", size="size", source=rings, line_color=colour, line_width=width,
                      fill_color=None)  # fmt: skip
     return plot, image, rings
 
 
-def histograms() -> tuple[list[Any], list[models.ColumnDataSource], list[models.Span]]:
+def histograms() -> Iterator[tuple[Any, models.ColumnDataSource, models.Span]]:
     """A small figure for each column; its bars, of all rows and of those selected; and a line."""
-    plots, sources, spans = [], [], []
-    sides = ("left", "right", "all", "chosen")
     for slot in range(len(ROLES)):
+        sides = ("left", "right", "all", "chosen")
         bars = models.ColumnDataSource({name: np.zeros(BINS) for name in sides})
         plot = figure(
             name=f"histogram-{slot}", height=HISTOGRAM_PX, tools="", toolbar_location=None,
@@ -137,10 +131,7 @@ def histograms() -> tuple[list[Any], list[models.ColumnDataSource], list[models.
             dimension="height", line_color=style.VERMILION, line_width=2, name=f"at-{slot}"
         )
         plot.add_layout(span)
-        plots.append(plot)
-        sources.append(bars)
-        spans.append(span)
-    return plots, sources, spans
+        yield plot, bars, span
 
 
 def table(source: models.ColumnDataSource, words: list[str]) -> models.DataTable:
@@ -201,7 +192,7 @@ class StoreView:
         pick: Callable[[int, int], None],
         save: Callable[[Ranges], None],
     ) -> None:
-        self._store, self._message, self._pick = store, message, pick
+        self._store, self._pick = store, pick
         self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
         self._words = described(store, numeric_columns(store))
         options = menu(self._words)
@@ -230,7 +221,7 @@ class StoreView:
         self._mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
         self._bar = models.ColorBar(color_mapper=self._mapper, height=10, padding=4)
         self._cloud.add_layout(self._bar, "below")
-        self._histograms, self._bars, self._spans = histograms()
+        self._histograms, self._bars, self._spans = map(list, zip(*histograms(), strict=True))
         fields = ("row", "bred", *(f"c{slot}" for slot in range(len(ROLES))))
         self._listed = models.ColumnDataSource({name: [] for name in fields}, name="listed")
         self._count = models.Div(name="count")

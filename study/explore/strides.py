@@ -70,10 +70,6 @@ class Cycle:
             curves = zip(CURVES, (mean, mean - sd, mean + sd, *means), strict=True)
             source.data = {"x": PERCENT, **dict(curves)}
             toe_off.location = float(offs.mean()) if left.enough and len(offs) else None
-        self._write(left)
-
-    def _write(self, left: Strides) -> None:
-        """Set words, titles and axes."""
         self._words.text = (
             f"{gait_cycle.subtitle(left)} Blue: left leg, 1 sd and toe-off (dotted); orange: right "
             f"leg; black, dashed: the gait beside it. Grey: {gait_cycle.SOURCE}, number: RMSE; "

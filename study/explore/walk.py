@@ -175,15 +175,11 @@ COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
-    """One of `NAMES` or `FILM` and its content, to be taken from the page.
-
-    Raises:
-        InputError: no ffmpeg that works.
-    """
+    """One of `NAMES` or `FILM` and its content, to be taken from the page."""
     if name == FILM:
         with TemporaryDirectory() as folder:
-            terrain, title = walk.experiment.terrain(0), walk.gains.name
-            path = write_movie(Path(folder) / name, walk.trajectory, terrain, title=title)
+            path, terrain = Path(folder) / name, walk.experiment.terrain(0)
+            write_movie(path, walk.trajectory, terrain, title=walk.gains.name)
             return name, path.read_bytes()
     if name == CONFIG:
         return name, to_toml(as_written(walk.experiment)).encode()

@@ -11,7 +11,6 @@ import numpy as np
 from bokeh import models
 from bokeh.document import Document
 from bokeh.layouts import column, row
-from numpy.typing import NDArray
 
 from study.experiment.gains import NamedGains, gains_of_source
 from study.explore import walk as walking
@@ -24,7 +23,6 @@ from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS
 from taichi_nmm.settings import ENGINES
 
-Floats = NDArray[np.float64]
 WRAPS = ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }"
 STRIDE = "stride beside people"
 
@@ -57,9 +55,9 @@ class WalkView:
             "gains": self._hands.layout, "score": self._score, STRIDE: None,
             "take it with you": self._taking(),
         }  # fmt: skip
-        self._part = models.RadioButtonGroup(labels=list(self._parts), active=0, name="part",
-                                      stylesheets=[WRAPS])  # fmt: skip
-        self._part.tags = [saver.source]
+        labels = list(self._parts)
+        self._part = models.RadioButtonGroup(labels=labels, active=0, stylesheets=[WRAPS],
+                                             name="part", tags=[saver.source])  # fmt: skip
         self._below = column(self._hands.layout, sizing_mode="stretch_width")
         message.watch(self._part, "active", self._turn)
         keep = models.Button(label="keep it beside", name="keep")
@@ -140,10 +138,8 @@ class WalkView:
         self._below.children = [part or self._cycle.layout]
 
     def _taking(self) -> Any:
-        buttons = [
-            models.Button(label=name, name=f"save-{name}")
-            for name in (*walking.NAMES, walking.FILM)
-        ]
+        names = (*walking.NAMES, walking.FILM)
+        buttons = [models.Button(label=name, name=f"save-{name}") for name in names]
         for button in buttons:
             button.on_click(self._message.safely(partial(self._take, button.label)))
         words = models.Div(text="With both files, this command draws, films and records the walk:")
@@ -188,23 +184,24 @@ class Hands:
     ) -> None:
         self._message, self._changed, self._start = message, changed, start
         self._still = False  # while the page, not a person, moves the sliders
-        self._starts = models.Select(title="start from", options=["", *STARTS], value="",
-                              name="start")  # fmt: skip
+        self._starts = models.Select(title="start from", options=["", *STARTS], name="start")
         self._sliders = [
-            models.Slider(title=gain.meaning, start=gain.low, end=gain.high, value=gain.low,
-                   step=(gain.high - gain.low) / STEPS, show_value=False, stylesheets=[WRAPS],
-                   sizing_mode="stretch_width", name=f"gain-{gain.name}")
+            models.Slider(
+                title=gain.meaning, start=gain.low, end=gain.high, value=gain.low,
+                step=(gain.high - gain.low) / STEPS, show_value=False, stylesheets=[WRAPS],
+                sizing_mode="stretch_width", name=f"gain-{gain.name}",
+            )
             for gain in GAINS
         ]  # fmt: skip
         self._numbers = [
             models.NumericInput(title=f"{gain.name} ({gain.unit})", mode="float", width=NUMBER_PX,
-                         name=f"number-{gain.name}")
+                                name=f"number-{gain.name}")
             for gain in GAINS
         ]  # fmt: skip
         message.watch(self._starts, "value", self._from_start)
         pairs = list(zip(self._sliders, self._numbers, strict=True))
         for place, (slider, number) in enumerate(pairs):
-            message.watch(slider, "value", partial(self._moved, place))
+            message.watch(slider, "value", partial(self._set, place, None))
             message.watch(number, "value", partial(self._typed, place))
         self.take(gains_of_source(STARTS[0]))
         rows = flow(*(row(*pair) for pair in pairs), least_px=300)
@@ -222,9 +219,6 @@ class Hands:
             self._starts.value = ""
             self._start(gains)
 
-    def _moved(self, place: int) -> None:
-        self._set(place, float(self._sliders[place].value))
-
     def _typed(self, place: int) -> None:
         if self._still:
             return
@@ -234,7 +228,8 @@ class Hands:
             raise InputError(gain.name, value, f"{gain.low:g} to {gain.high:g}")
         self._set(place, float(value))
 
-    def _set(self, place: int, value: float) -> None:
+    def _set(self, place: int, typed: float | None) -> None:
+        value = float(self._sliders[place].value) if typed is None else typed
         if self._still or value == self.gains.gains[place]:
             return
         gains = self.gains.gains.copy()
@@ -257,11 +252,10 @@ FIELDS = tuple(name for name, _ in (*OUTCOME_FIELDS, *SCORE_FIELDS) if name not 
 def score_text(walk: walking.Walk, start: walking.Walk) -> str:
     """The numbers of a walk beside those of another one on the same ground, in HTML."""
     heads = ["start" if start is walk else start.gains.name, walk.gains.name, "change"]
-    text = "".join(f"<th scope=col>{html.escape(head)}</th>" for head in ["", *heads])
+    text = "".join(f"<th scope=col>{html.escape(head)}</th>" for head in ["number", *heads])
     for name in FIELDS:
         before, now = float(start.row[name]), float(walk.row[name])
         change = "" if before == now else f"{now - before:+.3g}"
-        cells = (f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>")
-        right = "".join(f"<td align=right>{cell}</td>" for cell in cells)
-        text += f"<tr><th scope=row align=left>{in_words(name)[0]}</th>{right}</tr>"
+        cells = "<td align=right>".join(("", f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>"))
+        text += f"<tr><th scope=row align=left>{in_words(name)[0]}</th>{cells}</tr>"
     return f"<table cellspacing=4>{text}</table>"

@@ -21,9 +21,6 @@ WORDS = {muscle.lower(): words for muscle, words in PEOPLE["muscles"].items()} |
 STATISTICS = {"mean": "mean over its worlds", "sd": "standard deviation over its worlds"}
 OUTCOME, GAIT, GAIN = "outcome and score", "gait", "gains"
 
-Groups = dict[str, list[tuple[str, str]]]
-"""Options of a menu: pairs of a column's name and its words, by group."""
-
 
 class Described(NamedTuple):
     """A column: its group, its words with the unit, and a line that explains it."""
@@ -35,9 +32,9 @@ class Described(NamedTuple):
 
 def described(store: Store, names: list[str]) -> dict[str, Described]:
     """These columns of a store, by name."""
+    walker = store.simulator == WALKER
     families = sorted(store.families, key=len, reverse=True)  # a name may begin another one
-    gains = {gain.name: gain for gain in GAINS} if store.simulator == WALKER else {}
-    gait = {name for name, _ in SUMMARY_FIELDS} if store.simulator == WALKER else set()
+    gains = {gain.name: gain for gain in GAINS if walker}
     found = {}
     for name in names:
         family = next((each for each in families if name.startswith(f"{each}_")), None)
@@ -52,7 +49,7 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
             line = f"{STATISTICS.get(statistic, 'whether the row was tried')}, family {family}"
             found[name] = Described(f"family {family}", f"{family}: {words}", line)
         else:
-            group = GAIT if name in gait else OUTCOME
+            group = GAIT if walker and name in dict(SUMMARY_FIELDS) else OUTCOME
             found[name] = Described(group, in_words(name)[0], "in the base setting")
     return found
 
@@ -66,9 +63,9 @@ def in_words(name: str) -> tuple[str, str]:
     return (f"{text} ({unit})" if unit else text), parts[-1]
 
 
-def menu(columns: dict[str, Described]) -> Groups:
-    """The options of a menu of these columns."""
-    groups: Groups = {}
+def menu(columns: dict[str, Described]) -> dict[str, list[tuple[str, str]]]:
+    """The options of a menu: pairs of a column's name and its words, by group."""
+    groups: dict[str, list[tuple[str, str]]] = {}
     for name, column in columns.items():
         groups.setdefault(column.group, []).append((name, column.words))
     return groups
