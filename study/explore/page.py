@@ -14,14 +14,14 @@ from pathlib import Path
 
 import pyarrow as pa
 from bokeh.document import Document
-from bokeh.layouts import column, row
+from bokeh.layouts import column
 from bokeh.models import Button, Div, Select
 
 from storage.simulator import WALKER
 from storage.store import Store, open_store
 from study.experiment.folder import EXPERIMENT_NAME, RESULTS_NAME
 from study.experiment.gains import gains_at, gains_of_source
-from study.explore.server import Latest, Message, Saver
+from study.explore.server import Latest, Message, Saver, flow
 from study.explore.store_view import StoreView, file_of_selection
 from study.explore.walk_view import WalkView
 from study.pictures.movie import filmable, filmed
@@ -37,8 +37,9 @@ OF_COMPARISONS = (
     "or taichi-nmm walk --trial STUDY/NUMBER --storage DIR; for a bench: taichi-nmm bench serve"
 )
 BASE = "base setting"
-DURATIONS_S = (5.0, 10.0, 20.0)
-WIDTH_PX = 720
+TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
+VIDEO_CSS = """video { width: 100% }
+@media (prefers-color-scheme: dark) { video { filter: invert(1) hue-rotate(180deg) } }"""
 
 
 class RobotView:
@@ -60,17 +61,20 @@ class RobotView:
         self._films = Latest(document, makers, self._filmed, message.failed)
         saver = Saver(document, makers, message)
         self.save = saver.save
-        self._numbers = Div(text="click a point", name="numbers", width=WIDTH_PX, disable_math=True)
-        self._video = Div(text="", name="film", width=WIDTH_PX, disable_math=True)
+        self._numbers = Div(text="click a point", name="numbers", disable_math=True)
+        self._video = Div(
+            text="", name="film", stylesheets=[VIDEO_CSS], sizing_mode="stretch_width",
+            disable_math=True,
+        )  # fmt: skip
         self._video.tags = [saver.source]
-        self._world = Select(title="world", options=[BASE], value=BASE, width=230, name="world")
-        durations = [f"{duration:g} s" for duration in DURATIONS_S]
-        self._duration = Select(title="at most", options=durations, value=durations[0], width=90)
-        film = Button(label="film", width=80, name="film-it", disabled=simulator is None)
+        self._world = Select(title="world", options=[BASE], value=BASE, name="world")
+        self._duration = Select(title="at most", options=["5 s", "10 s", "20 s"], value="5 s")
+        film = Button(label="film", name="film-it", disabled=simulator is None)
         film.on_click(message.safely(self._film))
         words = "" if simulator else "films: explore --simulator my_robot.py:robot"
-        above = row(self._world, self._duration, film, Div(text=words, name="no-films"))
-        self.layout = column(above, self._video, self._numbers)
+        above = flow(self._world, self._duration, film, Div(text=words, name="no-films"))
+        parts = above, self._video, self._numbers
+        self.panels = [column(*parts, sizing_mode="stretch_width", name="The chosen row")]
 
     def show(self, place: int) -> None:
         """Show a row, by its place among the store's rows."""
@@ -93,7 +97,7 @@ class RobotView:
         self._message.tell("")
         film = base64.b64encode(content).decode()
         self._video.text = (
-            f'<video width="{WIDTH_PX}" autoplay loop controls muted '
+            f'<video autoplay loop controls muted aria-label="the run" '
             f'src="data:video/mp4;base64,{film}"></video>'
         )
 
@@ -129,10 +133,9 @@ def numbers_text(store: Store, place: int) -> str:
             value = table[name][0].as_py()
             text = f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
             shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
-    third = -(-len(shown) // 3)
-    parts = ["".join(shown[first : first + third]) for first in range(0, len(shown), third)]
-    tables = "".join(f"<table style='font-size:11px'>{part}</table>" for part in parts)
-    return f"<div style='display:flex;gap:24px;align-items:flex-start'>{tables}</div>"
+    return (
+        f"<div style='columns:240px'><table style='font-size:11px'>{''.join(shown)}</table></div>"
+    )
 
 
 def page_of(path: Path, simulator: str | None = None) -> Page:
@@ -153,7 +156,7 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
     _store(path)
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
-        message = Message()
+        document.template, message = TEMPLATE, Message("message")
         try:
             store = _store(path)
             title = f"{path}: {len(store):,} rows"
@@ -176,9 +179,9 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
             document.add_root(message.layout)
             return
         document.title = title
-        head = Div(text=f"<b>{html.escape(title)}</b>", disable_math=True)
-        document.add_root(column(row(head, message.layout), row(points.layout, view.layout),
-                                 margin=8))  # fmt: skip
+        left, right = points.panels, view.panels
+        for root in (message.layout, left[0], right[0], left[1], *right[1:]):
+            document.add_root(root)
         if isinstance(view, WalkView):
             message.safely(partial(view.show, gains_of_source(FIRST_GAIT)))()
 

@@ -1,4 +1,4 @@
-"""The page's server, calls of other processes of which the latest counts, and the message line.
+"""The page's server, calls of other processes of which the latest counts, and what views share.
 
 Requests of other names than the loopback's (`study/loopback.py`) find nothing, and sockets of other
 pages are refused. What Bokeh serves for other sites to embed is not found either.
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.models import ColumnDataSource, CustomJS, Div
+from bokeh.models import ColumnDataSource, CustomJS, Div, Row
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.util import bind_sockets
@@ -130,13 +130,21 @@ WARNING = "#B3261E"
 OURS = "this did not work; the error is printed where the command was started"
 
 
+def flow(*children: Any, least_px: int = 120) -> Row:
+    """Models beside one another, as wide as fits; those without `least_px` go to the next line."""
+    for child in children:
+        child.update(sizing_mode="stretch_width", styles={"flex": f"1 1 {least_px}px"})
+    return Row(*children, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
+
+
 class Message:
     """One line of the page: refusals of the calls that its models make."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
         self.layout = Div(
-            text="", name="message", height=20, styles={"color": WARNING}, disable_math=True
-        )
+            text="", name=name, styles={"color": WARNING}, disable_math=True,
+            sizing_mode="stretch_width",
+        )  # fmt: skip
 
     def tell(self, text: str) -> None:
         """Show this in place of the text before."""

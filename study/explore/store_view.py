@@ -7,7 +7,7 @@ reads the same text, and so needs no server while a person drags a box.
 import html
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,33 +16,23 @@ import matplotlib
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
-from bokeh.layouts import column, row
-from bokeh.models import (
-    Button,
-    ColumnDataSource,
-    CustomJS,
-    DataTable,
-    Div,
-    NumberFormatter,
-    Range1d,
-    Select,
-    Spinner,
-    TableColumn,
-    TextInput,
-)
+from bokeh import models
+from bokeh.layouts import column
 from bokeh.models.text import PlainText
 from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from storage.store import EVOLVED_ROW, ORIGIN, Store, open_store
-from study.explore.server import SCRIPTS, Message
+from study.explore.server import SCRIPTS, Message, flow
+from study.explore.words import described, menu
 from study.pictures import style
 from taichi_nmm.errors import InputError
 
 RANGE = re.compile(r"\s*(\w+)\s+(\S+?)\.\.(\S+)\s*")
 
 Ranges = dict[str, tuple[float, float]]
+MANY = "a column of the menus"  # where a refusal would name more than a line
 
 
 def read_selection(text: str, columns: Sequence[str]) -> Ranges:
@@ -58,7 +48,8 @@ def read_selection(text: str, columns: Sequence[str]) -> Ranges:
             raise InputError("selection", part.strip(), "column low..high, column low..high, ...")
         name, *ends = match.groups()
         if name not in columns:
-            raise InputError("selection", name, f"one of {', '.join(columns)}")
+            allowed = f"one of {', '.join(columns)}"
+            raise InputError("selection", name, allowed if len(columns) < 20 else MANY)
         found[name] = (_number(ends[0]), _number(ends[1]))
     return found
 
@@ -72,11 +63,6 @@ def selected(
         values = column(name)
         inside &= (values >= low) & (values <= high)
     return inside
-
-
-def selection_text(ranges: Ranges) -> str:
-    """The text that reads as these ranges."""
-    return ", ".join(f"{name} {low:g}..{high:g}" for name, (low, high) in ranges.items())
 
 
 def _number(text: str) -> float:
@@ -95,45 +81,45 @@ def file_of_selection(store: Path, ranges: Ranges) -> tuple[str, bytes]:
     return "selection.parquet", content.getvalue()
 
 
-ROLES = ("across", "up", "colour", "besides", "besides")  # of the five columns
-WIDTH_PX = 700
-CLOUD_PX = (600, 330)  # within its axes
-HISTOGRAM_PX = (WIDTH_PX // len(ROLES), 105)
+ROLES = ("across", "up", "colour", "besides", "also besides")  # of the five columns
+CLOUD_PX = (600, 440)  # the height lasts, with the axes; the width is that of the page
+HISTOGRAM_PX = 105
 BINS = 40
 BESIDES = "#D8DCE0"  # of bars
+CHOSEN_PX, POINTED_PX = 17, 11  # rings about the row that walks and the row under the pointer
 
 
-def cloud() -> tuple[Any, ColumnDataSource]:
-    """A figure to drag a box over, and its one image, whose pixels the script paints."""
-    plot = figure(
-        name="cloud", width=WIDTH_PX, frame_width=CLOUD_PX[0], frame_height=CLOUD_PX[1],
-        tools=[PanTool(), WheelZoomTool(), ResetTool()],
-        x_range=Range1d(0.0, 1.0), y_range=Range1d(0.0, 1.0), title=" ",
-    )  # fmt: skip
+def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
+    """A figure to drag a box over, its one image, which the script paints, and two rings."""
     box = BoxSelectTool(renderers=[])
-    plot.add_tools(box)
-    plot.toolbar.active_drag = box
+    plot = figure(
+        name="cloud", height=CLOUD_PX[1], sizing_mode="stretch_width", title=" ",
+        tools=[PanTool(), WheelZoomTool(), ResetTool(), box], active_drag=box,
+        x_range=models.Range1d(0.0, 1.0), y_range=models.Range1d(0.0, 1.0),
+    )  # fmt: skip
     plot.toolbar.logo = None
-    image = ColumnDataSource({
-        "image": [np.zeros(CLOUD_PX[::-1], np.uint32)],
-        **{name: np.array([0.0]) for name in ("x", "y")},
-        **{name: np.array([1.0]) for name in ("dw", "dh")},
-    })  # fmt: skip
+    pixels = np.zeros(CLOUD_PX[::-1], np.uint32)
+    corners = {"x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}
+    image = models.ColumnDataSource({"image": [pixels], **corners})
     plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
-    return plot, image
+    nowhere = {axis: np.full(2, np.nan) for axis in "xy"}
+    rings = models.ColumnDataSource({**nowhere, "size": [CHOSEN_PX, POINTED_PX]}, name="rings")
+    for width, colour in ((5, "white"), (2.5, style.VERMILION)):
+        plot.scatter("x", "y", size="size", source=rings, line_color=colour, line_width=width,
+                     fill_color=None)  # fmt: skip
+    return plot, image, rings
 
 
-def histograms() -> tuple[list[Any], list[ColumnDataSource]]:
-    """A small figure for each column, and its bars: of all rows, and of those selected."""
-    plots, sources = [], []
-    sides = ("left", "right", "all", "chosen")
+def histograms() -> Iterator[tuple[Any, models.ColumnDataSource, models.Span]]:
+    """A small figure for each column; its bars, of all rows and of those selected; and a line."""
     for slot in range(len(ROLES)):
-        bars = ColumnDataSource({name: np.zeros(BINS) for name in sides})
+        sides = ("left", "right", "all", "chosen")
+        bars = models.ColumnDataSource({name: np.zeros(BINS) for name in sides})
         plot = figure(
-            name=f"histogram-{slot}", width=HISTOGRAM_PX[0], height=HISTOGRAM_PX[1], tools="",
-            toolbar_location=None, title=" ", x_range=Range1d(0.0, 1.0),
+            name=f"histogram-{slot}", height=HISTOGRAM_PX, tools="", toolbar_location=None,
+            title=" ", x_range=models.Range1d(0.0, 1.0),
         )  # fmt: skip
-        plot.title.text_font_size = "9px"
+        plot.title.text_font_size = "10px"
         plot.yaxis.visible = False
         plot.xaxis.ticker.desired_num_ticks = 3
         plot.grid.visible = False
@@ -141,21 +127,23 @@ def histograms() -> tuple[list[Any], list[ColumnDataSource]]:
         for name, colour in (("all", BESIDES), ("chosen", style.MODEL)):
             plot.quad(left="left", right="right", bottom=0, top=name, source=bars,
                       fill_color=colour, line_color=None)  # fmt: skip
-        plots.append(plot)
-        sources.append(bars)
-    return plots, sources
+        span = models.Span(
+            dimension="height", line_color=style.VERMILION, line_width=2, name=f"at-{slot}"
+        )
+        plot.add_layout(span)
+        yield plot, bars, span
 
 
-def table(source: ColumnDataSource, names: list[str]) -> DataTable:
+def table(source: models.ColumnDataSource, words: list[str]) -> models.DataTable:
     """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
-    numbers = NumberFormatter(format="0.[0000]")
-    columns = [TableColumn(field="row", title="row", width=60),
-               TableColumn(field="bred", title="", width=40)]  # fmt: skip
+    numbers = models.NumberFormatter(format="0.[0000]")
+    columns = [models.TableColumn(field="row", title="row", width=60),
+               models.TableColumn(field="bred", title="", width=40)]  # fmt: skip
     columns += [
-        TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
-        for slot, name in enumerate(names)
+        models.TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
+        for slot, name in enumerate(words)
     ]
-    return DataTable(source=source, columns=columns, width=WIDTH_PX, height=180,
+    return models.DataTable(source=source, columns=columns, height=240, sizing_mode="stretch_width",
                      index_position=None)  # fmt: skip
 
 
@@ -191,7 +179,7 @@ def first_columns(store: Store) -> list[str]:
 
 
 class StoreView:
-    """The left half of a store's page.
+    """The panels of a store's points and rows.
 
     It calls `pick` with the place of a clicked row among the store's rows and with its number, and
     `save` with a selection.
@@ -204,43 +192,56 @@ class StoreView:
         pick: Callable[[int, int], None],
         save: Callable[[Ranges], None],
     ) -> None:
-        self._store, self._message, self._pick = store, message, pick
+        self._store, self._pick = store, pick
         self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
-        names = numeric_columns(store)
+        self._words = described(store, numeric_columns(store))
+        options = menu(self._words)
         self._columns = [
-            Select(title=role, value=name, options=names, width=WIDTH_PX // len(ROLES) - 8,
-                   name=f"column-{slot}")
+            models.Select(title=role, value=name, options=options, name=f"column-{slot}")
             for slot, (role, name) in enumerate(zip(ROLES, first_columns(store), strict=True))
-        ]  # fmt: skip
+        ]
+        find = models.TextInput(title="find in the menus", placeholder="hip mean", name="find")
+        search = {"columns": self._columns, "options": options}
+        find.js_on_change("value_input", models.CustomJS.from_file(SCRIPTS / "find.mjs", **search))
         evolved = np.zeros(len(store), np.uint8)
         if ORIGIN in store.columns:
             evolved[store.table([ORIGIN])[ORIGIN].to_numpy() == EVOLVED_ROW] = 1
-        self._source = ColumnDataSource({"row": self._rows, "evolved": evolved}, name="rows")
-        self._bounds = ColumnDataSource({"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))})
-        self.selection = TextInput(
-            title="selection: column low..high, ...; drag a box over any of the views",
-            width=WIDTH_PX - 90, name="selection",
-        )  # fmt: skip
+        self._hidden: Ranges = {}  # of columns that are not shown
+        rows = {"row": self._rows, "evolved": evolved, "kept": np.ones(len(store), np.uint8)}
+        self._source = models.ColumnDataSource(rows, name="rows")
+        ends = {"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))}
+        self._bounds = models.ColumnDataSource(ends | {"words": [""] * len(ROLES)})
+        self.selection = models.TextInput(
+            title="selection: column low..high, ...", placeholder="drag a box", name="selection"
+        )
+        self._refusal = Message("selection-message")
         # without `low` and `high`: the browser would silently replace a wrong number
-        self.row = Spinner(title="row that walks", step=1, mode="int", width=120, name="row")
-        self._cloud, self._image = cloud()
-        self._histograms, self._bars = histograms()
+        self.row = models.Spinner(title="row that walks", step=1, mode="int", name="row")
+        self._cloud, self._image, self._rings = cloud()
+        self._mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
+        self._bar = models.ColorBar(color_mapper=self._mapper, height=10, padding=4)
+        self._cloud.add_layout(self._bar, "below")
+        self._histograms, self._bars, self._spans = map(list, zip(*histograms(), strict=True))
         fields = ("row", "bred", *(f"c{slot}" for slot in range(len(ROLES))))
-        self._listed = ColumnDataSource({name: [] for name in fields}, name="listed")
-        self._count = Div(name="count", width=220)
+        self._listed = models.ColumnDataSource({name: [] for name in fields}, name="listed")
+        self._count = models.Div(name="count")
         for slot in range(len(ROLES)):
             self._load(slot)
+        self._rows_panel = column(self._table(), sizing_mode="stretch_width", name="Rows")
         self._script()
-        clear = Button(label="all rows", width=70)
+        clear = models.Button(label="all rows")
         clear.on_click(lambda: self.selection.update(value=""))
-        take = Button(label="selection as Parquet", width=150)
+        take = models.Button(label="selection as Parquet")
         take.on_click(message.safely(lambda: save(self._ranges())))
-        self._above = [
-            row(*self._columns), self._cloud, row(self.selection, clear), row(*self._histograms),
-            row(self._count, self.row, take),
+        points = [
+            flow(*self._columns, find, least_px=215), self._cloud,
+            flow(self.selection, clear, least_px=110), self._refusal.layout,
+            flow(*self._histograms, least_px=160), flow(self._count, self.row, take),
         ]  # fmt: skip
-        self.layout = column(*self._above, table(self._listed, self._names))
-        message.watch(self.selection, "value", self._check)
+        self.selection.styles = {"flex": "4 1 260px"}
+        panel = column(*points, sizing_mode="stretch_width", name="Points of the store")
+        self.panels = [panel, self._rows_panel]
+        self._refusal.watch(self.selection, "value", self._check)
         message.watch(self.row, "value", self._picked)
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
@@ -250,13 +251,24 @@ class StoreView:
         """Of the five columns."""
         return [select.value for select in self._columns]
 
+    def _table(self) -> models.DataTable:
+        return table(self._listed, [self._words[name].words for name in self._names])
+
     def _ranges(self) -> Ranges:
-        return read_selection(self.selection.value, self._names)
+        return read_selection(self.selection.value, list(self._words))
 
     def _check(self) -> None:
-        """Refuse a selection that cannot be read."""
-        self._message.tell("")
-        self._ranges()
+        """Refuse a selection that cannot be read; sieve by columns that the page does not have."""
+        self._refusal.tell("")
+        ranges: Ranges = {}
+        try:
+            ranges = self._ranges()
+        finally:
+            hidden = {name: ends for name, ends in ranges.items() if name not in self._names}
+            if hidden != self._hidden:
+                self._hidden = hidden
+                kept = selected(hidden, self._read, len(self._rows))
+                self._source.data["kept"] = kept.astype(np.uint8)
 
     def _picked(self) -> None:
         """Hand on the row that was clicked or typed."""
@@ -266,12 +278,10 @@ class StoreView:
         self._pick(int(places[0]), self.row.value)
 
     def _look_at(self, slot: int) -> None:
-        """Draw another column; the selection forgets the old one."""
-        kept = read_selection(self.selection.value, self._store.columns)
-        known = {name: ends for name, ends in kept.items() if name in self._names}
-        self.selection.value = selection_text(known)
+        """Draw another column; the ranges of the old one last."""
         self._load(slot)
-        self.layout.children = [*self._above, table(self._listed, self._names)]
+        self._rows_panel.children = [self._table()]
+        self._refusal.safely(self._check)()
 
     def _read(self, name: str) -> Floats:
         return np.asarray(self._store.table([name])[name].to_numpy(), dtype=np.float64)
@@ -282,41 +292,46 @@ class StoreView:
         low, high = _ends(values)
         edges = np.linspace(low, high, BINS + 1)
         counts, _ = np.histogram(np.clip(values[np.isfinite(values)], low, high), edges)
-        bounds = {key: np.array(ends) for key, ends in self._bounds.data.items()}
-        bounds["low"][slot], bounds["high"][slot] = low, high
+        words = self._words[name].words
+        self._columns[slot].description = f"{name}: {self._words[name].meaning}"
+        bounds = {key: list(each) for key, each in self._bounds.data.items()}
+        bounds["low"][slot], bounds["high"][slot], bounds["words"][slot] = low, high, words
         self._bounds.data = bounds
         self._bars[slot].data = {
             "left": edges[:-1], "right": edges[1:], "all": counts.astype(np.float64),
             "chosen": np.zeros(BINS),
         }  # fmt: skip
         plot = self._histograms[slot]
-        plot.title.text = PlainText(name)  # a name between dollars would be drawn as TeX
+        plot.title.text = PlainText(words)  # a name between dollars would be drawn as TeX
         plot.x_range.start, plot.x_range.end = low, high
         if slot < 2:
             axis = (self._cloud.xaxis, self._cloud.yaxis)[slot]
-            axis.axis_label = PlainText(name)
+            axis.axis_label = PlainText(words)
             span = (self._cloud.x_range, self._cloud.y_range)[slot]
             margin = MARGIN * (high - low)
             start, end = low - margin, high + margin
             span.update(start=start, end=end, reset_start=start, reset_end=end)
         if slot == 2:
-            title = f"colour: {name}, {low:.3g} (dark) to {high:.3g} (light)"
-            self._cloud.title.text = PlainText(title)
+            self._mapper.update(low=low, high=high)
+            self._bar.title = PlainText(words)
         self._source.data[f"c{slot}"] = values  # last: it makes the script paint
 
     def _script(self) -> None:
         rgba = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
-        script = CustomJS.from_file(
+        script = models.CustomJS.from_file(
             SCRIPTS / "brush.mjs",
             source=self._source, columns=self._columns, selection=self.selection, image=self._image,
             plot=self._cloud, histograms=self._histograms, bars=self._bars, bounds=self._bounds,
-            table=self._listed, count=self._count, row=self.row,
+            table=self._listed, count=self._count, row=self.row, rings=self._rings,
+            spans=self._spans, listing=self._rows_panel,
             palette=rgba.view("<u4").ravel().tolist(),
         )  # fmt: skip
         for plot in (self._cloud, *self._histograms):
             plot.js_on_event("selectiongeometry", script)
-        self._cloud.js_on_event("tap", script)
+        for event in ("tap", "mousemove", "mouseleave"):
+            self._cloud.js_on_event(event, script)
         self._cloud.js_on_change("inner_width", script)  # it has been laid out
+        self.row.js_on_change("value", script)
         self._source.js_on_change("data", script)
         self.selection.js_on_change("value", script)
         self._listed.selected.js_on_change("indices", script)

@@ -2,9 +2,9 @@
 
 import json
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import matplotlib
@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.trials import row_text
+from study.explore.words import CHOICES
 from study.pictures import style
+from study.pictures.movie import write_movie
 from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
-from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_outlines, trunk
+from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
 from taichi_nmm.config import Table
 from taichi_nmm.result import (
     COMPLETED,
@@ -29,11 +31,11 @@ from taichi_nmm.result import (
 )
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 
-CHOICES = tomllib.loads(Path(__file__).with_name("choices.toml").read_text(encoding="utf-8"))
 GROUNDS: dict[str, dict[str, Any]] = CHOICES["grounds"]
 WORLDS: dict[str, dict[str, list[float]]] = CHOICES["worlds"]
 DISTURBANCES: dict[str, float] = CHOICES["disturbances"]
-DURATIONS_S = (5.0, 10.0, 20.0, 100.0)
+LASTS_S: dict[str, float] = CHOICES["lasts_s"]  # by the kind of ground
+DURATIONS = ("5 s", "10 s", "20 s", "40 s", "100 s")
 NAME = "walk"  # of the configuration
 
 
@@ -81,7 +83,8 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
         near, far: hip, knee, ankle, heel and ball of the left and the right leg, [f, 5, 2].
         trunk: hip and shoulder, [f, 2, 2].
         head: its centre, [f, 1, 2].
-        muscles: closed outlines, left leg then right, [f, 14, p, 2].
+        height_m: of the hip over the ground, [f].
+        muscles: lines along which they run, left leg then right, [f, 14, p, 2].
         activation: of these, in 255ths, [f, 14].
         forces: foot and tip of the arrow of the ground's force, left and right, [f, 2, 2, 2].
         ground: profile, [k, 2].
@@ -98,16 +101,17 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     arrows = [
         np.stack([foot, foot + push], axis=1) for foot, push in zip(feet, pushes, strict=True)
     ]
-    outlines = [*muscle_outlines(q, LEFT), *muscle_outlines(q, RIGHT)]
+    paths = [*muscle_paths(q, LEFT), *muscle_paths(q, RIGHT)]
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
     drawn = {
         "time_s": motion.time_s,
         "camera_m": np.stack([q[:, 0], motion.level_m], axis=1),
+        "height_m": q[:, 1] - terrain.height(q[:, 0]),
         "near": leg(q, LEFT).chain(),
         "far": leg(q, RIGHT).chain(),
         "trunk": np.stack([q[:, :2], shoulder], axis=1),
         "head": head[:, None],
-        "muscles": np.stack(outlines, axis=1),
+        "muscles": np.stack(paths, axis=1),
         "forces": np.stack(arrows, axis=1),
         "ground": np.stack([x, terrain.height(x)], axis=1),
     }
@@ -154,8 +158,8 @@ def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
     lean, height_m = float(last[2]), float(last[1] - terrain.height(last[0]))
     if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / max(height_m, 1e-6):
         way = "forward" if lean > 0 else "backward"
-        return f": the trunk leaned {math.degrees(abs(lean)):.0f} deg {way}"
-    return f": the hip sank to {height_m:.1f} m over the ground"
+        return f": the trunk leaned {way} beyond {math.degrees(FALL_LEAN_RAD):.0f} deg"
+    return f": the hip sank to {FALL_HEIGHT_M:g} m over the ground"
 
 
 def warm_up() -> None:
@@ -164,13 +168,19 @@ def warm_up() -> None:
     walk(gains_of_source("reference"), level)
 
 
+FILM = "walk.mp4"  # of its last 8 s
 GAINS, CONFIG = NAMES = "gains.json", "walk.toml"  # what every command takes: --gains, --config
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
-    """One of `NAMES` and its content, to be taken from the page."""
+    """One of `NAMES` or `FILM` and its content, to be taken from the page."""
+    if name == FILM:
+        with TemporaryDirectory() as folder:
+            path, terrain = Path(folder) / name, walk.experiment.terrain(0)
+            write_movie(path, walk.trajectory, terrain, title=walk.gains.name)
+            return name, path.read_bytes()
     if name == CONFIG:
         return name, to_toml(as_written(walk.experiment)).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()

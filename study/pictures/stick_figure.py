@@ -138,8 +138,14 @@ def trunk(q: Array) -> tuple[Array, Array]:
 
 def muscle_outlines(q: Array, side: int) -> list[Array]:
     """Closed outlines of the seven muscles of a leg in poses q [..., 9], order of `MUSCLES`."""
+    paths = zip(MUSCLES, muscle_paths(q, side), strict=True)
+    return [_belly(path, DRAWN[name]["belly_m"]) for name, path in paths]
+
+
+def muscle_paths(q: Array, side: int) -> list[Array]:
+    """The lines along which these muscles run, each [..., `PATH_POINTS`, 2]."""
     frames = _frames(q, side)
-    return [_belly(_path(frames, name), DRAWN[name]["belly_m"]) for name in MUSCLES]
+    return [_path(frames, name) for name in MUSCLES]
 
 
 def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:

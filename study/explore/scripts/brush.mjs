@@ -17,7 +17,12 @@ export default (args, event) => {
   if (event.geometry) {
     if (event.final) brush(args, event)
   } else if (event.event_name === "tap") {
-    pick(args, event)
+    const place = nearest(args, event)
+    if (place >= 0) args.row.value = args.source.data.row[place]
+  } else if (event.event_name === "mousemove" || event.event_name === "mouseleave") {
+    point_at(args, event.event_name === "mousemove" ? nearest(args, event) : -1)
+  } else if (event === args.row) {
+    mark(args)
   } else if (event === args.table.selected) {
     const [place] = event.indices
     if (place !== undefined) args.row.value = args.table.data.row[place]
@@ -28,33 +33,32 @@ export default (args, event) => {
   }
 }
 
-// Ranges by the place of their column among the five.
+// Ranges by the names of their columns, of the five and of others.
 function ranges(args) {
   const found = new Map()
   for (const part of args.selection.value.split(",")) {
     const [, name, low, high] = RANGE.exec(part) ?? []
-    const slot = args.columns.findIndex((select) => select.value === name)
-    if (slot >= 0 && !isNaN(low) && !isNaN(high)) found.set(slot, [Number(low), Number(high)])
+    if (name && !isNaN(low) && !isNaN(high)) found.set(name, [Number(low), Number(high)])
   }
   return found
 }
 
 function brush(args, {geometry, origin}) {
   const found = ranges(args)
-  const slot = args.histograms.indexOf(origin)
   const bounds = args.bounds.data
+  const take = (slot, ends) => { // a box up to the edge takes what lies beyond, too
+    ends.sort((one, other) => one - other)
+    if (ends[0] <= bounds.low[slot]) ends[0] = -Infinity
+    if (ends[1] >= bounds.high[slot]) ends[1] = Infinity
+    found.set(args.columns[slot].value, ends)
+  }
   if (origin === args.plot) {
-    found.set(0, sorted(geometry.x0, geometry.x1))
-    found.set(1, sorted(geometry.y0, geometry.y1))
+    take(0, [geometry.x0, geometry.x1])
+    take(1, [geometry.y0, geometry.y1])
   } else {
-    found.set(slot, sorted(geometry.x0, geometry.x1))
+    take(args.histograms.indexOf(origin), [geometry.x0, geometry.x1])
   }
-  for (const [place, ends] of found) { // a box up to the edge takes what lies beyond, too
-    if (ends[0] <= bounds.low[place]) ends[0] = -Infinity
-    if (ends[1] >= bounds.high[place]) ends[1] = Infinity
-  }
-  const words = [...found].map(([place, ends]) =>
-    `${args.columns[place].value} ${ends.map((end) => Number(end.toPrecision(6))).join("..")}`)
+  const words = [...found].map(([name, ends]) => `${name} ${ends.map((end) => Number(end.toPrecision(6))).join("..")}`)
   args.selection.value = words.join(", ")
 }
 
@@ -62,8 +66,10 @@ function refresh(args) {
   const began = performance.now()
   const data = args.source.data
   const rows = data.c0.length
-  const inside = new Uint8Array(rows).fill(1)
-  for (const [slot, [low, high]] of ranges(args)) {
+  const inside = Uint8Array.from(data.kept) // by ranges of columns that are not among the five
+  for (const [name, [low, high]] of ranges(args)) {
+    const slot = args.columns.findIndex((select) => select.value === name)
+    if (slot < 0) continue
     const values = data[`c${slot}`]
     for (let i = 0; i < rows; i++) if (!(values[i] >= low && values[i] <= high)) inside[i] = 0
   }
@@ -73,6 +79,7 @@ function refresh(args) {
   paint(args)
   count(args, chosen)
   list(args, chosen.slice(0, MOST_ROWS))
+  mark(args)
   args.count.setv({text: `${chosen.length.toLocaleString("en")} of ${rows.toLocaleString("en")} rows`}, HERE)
   state.ms = performance.now() - began
   state.refreshed += 1
@@ -81,8 +88,13 @@ function refresh(args) {
 // Rows outside the selection first, pale; then those inside, coloured; bred ones last, with a rim.
 function paint({source, image, plot, bounds, palette}) {
   const {c0, c1, c2, evolved} = source.data
-  const pixels = image.data.image[0]
-  const [height, width] = pixels.shape
+  let pixels = image.data.image[0]
+  const laid_out = !plot.properties.inner_width.is_unset && plot.inner_width > 0 && plot.inner_height > 0
+  const [height, width] = laid_out ? [plot.inner_height, plot.inner_width].map(Math.round) : pixels.shape
+  if (height !== pixels.shape[0] || width !== pixels.shape[1]) {
+    pixels = new pixels.constructor(height * width, [height, width])
+    image.data.image = [pixels]
+  }
   const {x_range, y_range} = plot
   const [left, bottom] = [x_range.start, y_range.start]
   const [across, up] = [width / (x_range.end - left), height / (y_range.end - bottom)]
@@ -123,25 +135,47 @@ function count({source, bars, bounds}, chosen) {
   })
 }
 
-function list({source, table, columns}, some) {
+function list({source, table, columns, listing}, some) {
   const data = {row: some.map((i) => source.data.row[i]), bred: some.map((i) => source.data.evolved[i] ? "bred" : "")}
   columns.forEach((_, slot) => { data[`c${slot}`] = some.map((i) => source.data[`c${slot}`][i]) })
   table.setv({data}, HERE)
+  listing.children[0].view.change.emit() // a table does not see other rows if they are as many
 }
 
-function pick({source, plot, image, row}, {x, y}) {
+// The place of the row nearest to the pointer, or -1.
+function nearest({source, plot}, {x, y}) {
   const {c0, c1} = source.data
-  const [height, width] = image.data.image[0].shape
-  const [across, up] = [width / (plot.x_range.end - plot.x_range.start), height / (plot.y_range.end - plot.y_range.start)]
-  let [nearest, least] = [-1, NEAR_PX]
+  const [across, up] = [plot.inner_width / (plot.x_range.end - plot.x_range.start), plot.inner_height / (plot.y_range.end - plot.y_range.start)]
+  let [found, least] = [-1, NEAR_PX]
   for (let i = 0; i < c0.length; i++) {
     if (!state.inside[i]) continue
     const away = Math.hypot((c0[i] - x) * across, (c1[i] - y) * up)
-    if (away < least) [nearest, least] = [i, away]
+    if (away < least) [found, least] = [i, away]
   }
-  if (nearest >= 0) row.value = source.data.row[nearest]
+  return found
 }
 
-function sorted(one, other) {
-  return one < other ? [one, other] : [other, one]
+function point_at({source, plot, rings, bounds}, place) {
+  if (place === state.pointed) return
+  state.pointed = place
+  const number = (slot) => `${bounds.data.words[slot]} ${Number(source.data[`c${slot}`][place].toPrecision(4))}`
+  const text = place < 0 ? " " : [`row ${source.data.row[place]}`, number(0), number(1), number(2)].join(", ")
+  plot.title.setv({text}, HERE)
+  ring(rings, 1, source.data, place)
+}
+
+// The row that walks: a ring in the cloud, a line in each histogram, a colour in the table.
+function mark({source, rings, spans, row, table}) {
+  const place = source.data.row.indexOf(row.value)
+  ring(rings, 0, source.data, place)
+  spans.forEach((span, slot) => span.setv({location: place < 0 ? null : source.data[`c${slot}`][place]}, HERE))
+  const listed = table.data.row.indexOf(row.value)
+  table.selected.setv({indices: listed < 0 ? [] : [listed]}, HERE)
+}
+
+function ring(rings, which, {c0, c1}, place) {
+  const {x, y} = rings.data
+  x[which] = place < 0 ? NaN : c0[place]
+  y[which] = place < 0 ? NaN : c1[place]
+  rings.change.emit()
 }

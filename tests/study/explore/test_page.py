@@ -1,6 +1,7 @@
 """The explorer as a person uses it: a headless Chromium on a store."""
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
 from study.explore.walk import RATE_HZ
-from tests.browser import opened_page, save
+from tests.browser import SCREENSHOTS, opened_page, save
 from tests.cases import cases
 from tests.storage.fake import content
 from tests.study import fake_walker
@@ -183,24 +184,26 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     page.wait_for_function(f"{MODEL}('count').text.startsWith(window.store_view.chosen + ' of')")
     table = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
     assert page.evaluate("window.store_view.chosen") == int((table <= 0.5).sum())
+    listed = page.locator(".slick-row").first.inner_text()
+    assert float(listed.split()[1]) == pytest.approx(table[table <= 0.5][0], abs=1e-4)
     change(page, "selection", "value", "")
     change(page, "selection", "value", "speed of light")
-    page.wait_for_function(f"{MODEL}('message').text.includes('column low..high')")
+    page.wait_for_function(f"{MODEL}('selection-message').text.includes('column low..high')")
     assert page.evaluate("window.store_view.all")  # and nothing is selected by it
     change(page, "selection", "value", "")
-    page.wait_for_function(f"{MODEL}('message').text === ''")
+    page.wait_for_function(f"{MODEL}('selection-message').text === ''")
 
 
 def test_another_column_is_drawn(page: Any, store: Path) -> None:
     change(page, "column-0", "value", "distance_m")
-    page.wait_for_function(f"{MODEL}('cloud').below[0].axis_label.text === 'distance_m'")
+    page.wait_for_function(f"{MODEL}('cloud').below[0].axis_label.text === 'distance (m)'")
     values = open_store(store).table(["distance_m"])["distance_m"].to_numpy()
     page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {float(values[0])!r}")
     page.get_by_text(f"{values[0]:.4f}".rstrip("0")).first.wait_for()  # in the table
     change(page, "column-0", "value", "mean_speed_mps")
     speeds = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
     page.get_by_text(f"{speeds[0]:.4f}".rstrip("0")).first.wait_for()
-    assert model(page, "cloud", "below[0].axis_label.text") == "mean_speed_mps"
+    assert model(page, "cloud", "below[0].axis_label.text") == "mean speed (m/s)"
     assert page.evaluate(f"{MODEL}('rows').data.c0[0]") == speeds[0]
 
 
@@ -220,12 +223,68 @@ def test_a_click_walks(page: Any, store: Path) -> None:
     assert model(page, "row", "value") != 17
 
 
+def test_the_chosen_row_is_marked(page: Any, store: Path) -> None:
+    walks(page, lambda: change(page, "row", "value", 23))
+    rows = f"{MODEL}('rows').data"
+    at = [page.evaluate(f"{rows}.c{slot}[{rows}.row.indexOf(23)]") for slot in range(5)]
+    assert [model(page, "rings", f"data.{axis}[0]") for axis in "xy"] == at[:2]
+    assert [model(page, f"at-{slot}", "location") for slot in range(5)] == at
+    assert page.evaluate(f"{MODEL}('listed').data.row[{MODEL}('listed').selected.indices[0]]") == 23
+
+
+def test_ranges_last_when_a_column_changes(page: Any, store: Path) -> None:
+    change(page, "selection", "value", "mean_speed_mps 0..0.5")
+    page.wait_for_function("!window.store_view.all")
+    chosen, text = page.evaluate("window.store_view.chosen"), model(page, "selection", "value")
+    for column in ("distance_m", "mean_speed_mps"):
+        change(page, "column-0", "value", column)
+        values = open_store(store).table([column])[column].to_numpy()
+        page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {float(values[0])!r}")
+        page.wait_for_timeout(300)
+        assert page.evaluate("window.store_view.chosen") == chosen < len(values)
+        assert model(page, "selection", "value") == text
+    change(page, "selection", "value", "")
+
+
+def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
+    change(page, "find", "value_input", "knee swing rad")
+    page.wait_for_function(f"{MODEL}('column-0').options.gait?.[0][1] === 'knee peak swing (rad)'")
+    assert model(page, "column-0", "value") == "mean_speed_mps"  # and still there
+    change(page, "find", "value_input", "")
+
+
+EDGES = """() => {
+    const [boxes, views] = [
+        [...document.querySelectorAll("details")],
+        [...Bokeh.index.query((view) => view.model.sizing_mode !== undefined)].map(({el}) => el),
+    ].map((all) => all.map((one) => one.getBoundingClientRect()))
+    const [low, high] = [(a, b) => a.right <= b.left, (a, b) => a.bottom <= b.top]
+    const apart = (a, b) => low(a, b) || low(b, a) || high(a, b) || high(b, a)
+    const wide = Math.max(document.documentElement.scrollWidth, ...views.map(({right}) => right))
+    const whole = boxes.every((one, i) => boxes.slice(i + 1).every((other) => apart(one, other)))
+    return [wide, whole, boxes[0].top === boxes[2].top]
+}"""
+
+
+@pytest.mark.parametrize("width", [390, 1280, 1920])
+def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 1250})
+    page.wait_for_timeout(1000)
+    wide, apart, beside = page.evaluate(EDGES)
+    page.set_viewport_size({"width": 1500, "height": 1250})
+    assert wide <= width and apart and beside == (width > 1000)
+
+
 def test_play_pause_and_scrub(page: Any, store: Path) -> None:
     change(page, "play", "active", False)
     change(page, "time", "value", 0.5)
     page.wait_for_function("window.walk_player.time === 0.5")
     page.wait_for_timeout(200)
     assert page.evaluate("window.walk_player.time") == 0.5
+    page.keyboard.press("Space")
+    page.wait_for_function(f"{MODEL}('play').active")
+    page.keyboard.press("Space")
+    change(page, "time", "value", 0.5)
     shown_s = float(model(page, "stage", "title.text").split(" s")[0])
     assert 0.5 - 1.0 / RATE_HZ - 0.01 < shown_s <= 0.5
     change(page, "play", "active", True)
@@ -269,10 +328,13 @@ def test_out_of_bounds_is_said(page: Any, store: Path, field: str, text: str, sa
 def test_a_fall_is_said_on_the_ground_that_was_chosen(page: Any, store: Path) -> None:
     walks(page, lambda: change(page, "start", "value", "published"))
     walks(page, lambda: change(page, "ground", "value", "stairs up, 10 cm a step"))
-    walks(page, lambda: change(page, "duration", "value", "20 s"))
+    assert model(page, "duration", "value") == "20 s"  # until it has met the stairs
     page.get_by_text("fell after").first.wait_for()
     said = page.get_by_text("fell after").first.inner_text()
     assert "the trunk leaned" in said or "the hip sank" in said
+    [mark], end_s = model(page, "fall-0", "data.words"), model(page, "time", "end")
+    assert mark == f"fell at {end_s:.1f} s"
+    assert model(page, "fall-0", "data.x[0]") == pytest.approx(end_s)
     save(page, "stairs")
 
 
@@ -287,6 +349,12 @@ def test_two_gaits_on_one_ground(page: Any, store: Path) -> None:
     words = page.locator(".bk-Div b").all_inner_texts()
     assert "reference" in words and "published" in words
     save(page, "beside")
+    change(page, "ghost", "active", True)
+    page.wait_for_function("window.walk_player.haunted")
+    page.get_by_role("button", name="remove").click()
+    page.wait_for_function(f"!{MODEL}('beside-frames').data.time_s")
+    page.wait_for_function("!window.walk_player.haunted")
+    assert "published" not in page.locator(".bk-Div b").all_inner_texts()
 
 
 def test_the_stride_beside_people(page: Any, store: Path) -> None:
@@ -347,3 +415,16 @@ def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) 
         (growing / shards[1].name).write_bytes(b"damaged")
         page.goto(address)
         page.get_by_text("store: ").first.wait_for()
+
+
+@pytest.mark.skipif(SCREENSHOTS not in os.environ, reason="draws docs/img/explorer-store.png")
+def test_the_picture_of_the_docs(page: Any) -> None:
+    with opened(page, Path("out/store-worlds")):
+        page.wait_for_function(f"{WALKS} > 0")
+        walks(page, lambda: change(page, "row", "value", 20100))
+        walks(page, lambda: page.get_by_text("keep it beside").click())
+        walks(page, lambda: change(page, "start", "value", "published"))
+        change(page, "ghost", "active", True)
+        change(page, "part", "active", 2)
+        page.wait_for_function(f"{MODEL}('cycle-knee')?.inner_width > 100")
+        save(page, "explorer-store")

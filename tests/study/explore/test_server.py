@@ -145,13 +145,13 @@ def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing
      "allowed: a machine with the libraries that taichi_python needs (README.md)"),
 ])  # fmt: skip
 def test_what_the_machine_lacks_is_said(error: ImportError, said: str) -> None:
-    message = Message()
+    message = Message("message")
     message.failed(error)
     assert message.layout.text == said.replace("'", "&#x27;")
 
 
 def test_a_mistake_of_ours_is_called_so(capsys: pytest.CaptureFixture[str]) -> None:
-    message = Message()
+    message = Message("message")
     message.failed(ImportError("cannot import name 'x'", name="study.view", path="/study/view.py"))
     assert message.layout.text == OURS
     assert "cannot import name 'x'" in capsys.readouterr().err

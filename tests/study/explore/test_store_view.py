@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from study.explore.store_view import read_selection, selected, selection_text
+from study.explore.store_view import read_selection, selected
 from taichi_nmm.errors import InputError
 from tests.cases import asset
 
@@ -13,7 +13,6 @@ COLUMNS = ("speed", "phi_printed")
 def test_a_text_and_its_ranges() -> None:
     ranges = read_selection(" speed -0.5..1.25,phi_printed 1e1..Infinity, ", COLUMNS)
     assert ranges == {"speed": (-0.5, 1.25), "phi_printed": (10.0, np.inf)}
-    assert read_selection(selection_text(ranges), COLUMNS) == ranges
     assert read_selection("", COLUMNS) == {}
     values = {"speed": np.array([0.0, 1.0, 2.0, np.nan]), "phi_printed": np.arange(4.0)}
     inside = selected({"speed": (0.0, 1.0), "phi_printed": (1.0, np.inf)}, values.__getitem__, 4)

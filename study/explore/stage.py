@@ -1,0 +1,187 @@
+"""Walkers that walk on the page: bones and muscles as lines of their thickness, a trail, a clock.
+
+The page's script (scripts/play.mjs) draws the frames; nothing is asked of the server meanwhile.
+"""
+
+import html
+from typing import Any
+
+import numpy as np
+from bokeh import models
+from bokeh.document import Document
+from bokeh.events import DocumentReady
+from bokeh.layouts import column
+from bokeh.plotting import figure
+
+from study.explore.server import SCRIPTS, flow
+from study.explore.walk import COLOURS, Walk
+from study.pictures import style
+from study.pictures.scene import BELOW_GROUND_M, FORCE_WIDTH_M, VIEW_WIDTH_M
+from study.pictures.stick_figure import (
+    DRAWN,
+    HEAD_RADIUS_M,
+    PATH_POINTS,
+    TRUNK_WIDTH_M,
+    WIDTHS_M,
+)
+from taichi_nmm.result import FELL, MUSCLES
+
+ASPECT = 1.6  # of a stage, width over height
+BONES = (0, 1, 3)  # at which points of a leg's chain thigh, shank and foot begin
+GHOST = "#5B4B8A"
+GHOST_ALPHA = 0.35
+STAGE_PX, TIMELINE_PX = 340, 110  # the least width of a stage; the height
+SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
+GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
+RIM_M = 0.008  # of a muscle, both sides together
+
+
+def line_source(ghost: bool = False) -> models.ColumnDataSource:
+    """The lines of a walker, which the script moves, from the back to the front.
+
+    Each has the name of its frames, its first point there, its width in metres, its colour, and the
+    number of its muscle, -1 of a bone. A ghost has one colour and no forces.
+    """
+    lines: list[tuple[str, int, int, float, str, int]] = []  # the third is the count of points
+    for key, colour, side in (("far", style.FAR_LIMB, 1), ("near", style.NEAR_LIMB, 0)):
+        if side == 0:
+            lines.append(("trunk", 0, 2, TRUNK_WIDTH_M, style.NEAR_LIMB, -1))
+        lines += [
+            (key, at, 2, width, colour, -1) for at, width in zip(BONES, WIDTHS_M, strict=True)
+        ]
+        for number, muscle in enumerate(MUSCLES, len(MUSCLES) * side):
+            path, width = ("muscles", number * PATH_POINTS, PATH_POINTS), DRAWN[muscle]["belly_m"]
+            lines.append((*path, width + RIM_M, style.INK, -1))
+            lines.append((*path, width, COLOURS[0], number))
+    lines += [("forces", at, 2, FORCE_WIDTH_M, style.MODEL, -1) for at in (0, 2)]
+    keys, firsts, counts, metres, colours, muscles = zip(
+        *lines[: -2 if ghost else None], strict=True
+    )
+    return models.ColumnDataSource({
+        **{axis: [np.full(count, np.nan, "f4") for count in counts] for axis in ("xs", "ys")},
+        "key": keys, "first": firsts, "metres": metres, "width": np.ones(len(keys)),
+        "colour": [GHOST] * len(keys) if ghost else colours,
+        "muscle": [-1] * len(keys) if ghost else muscles,
+    })  # fmt: skip
+
+
+def points(count: int) -> models.ColumnDataSource:
+    """Points that the script moves."""
+    return models.ColumnDataSource({axis: np.full(count, np.nan, "f4") for axis in "xy"})
+
+
+class Stage:
+    """One walker: muscles coloured by activation, forces of the ground, the trail of the hip."""
+
+    def __init__(self, name: str) -> None:
+        self.frames = models.ColumnDataSource({}, name=f"{name}-frames")
+        self.words = models.Div(text="", disable_math=True, sizing_mode="stretch_width")
+        self._ground = points(2)
+        self.parts: dict[str, Any] = {
+            "frames": self.frames, "trail": points(2), "lines": line_source(), "head": points(1),
+            "ghost_lines": line_source(ghost=True), "ghost_head": points(1),
+        }  # fmt: skip
+        self.parts["figure"] = self.figure = self._drawn(name)
+        self.parts["layout"] = self.layout = column(self.figure, self.words)
+
+    def say(self, name: str, words: str) -> None:
+        """Tell what a gait of this name does."""
+        self.words.text = f"<b>{html.escape(name)}</b>: {html.escape(words)}"
+
+    def show(self, walk: Walk | None) -> None:
+        """Begin to play a walk; or take it away."""
+        if walk is None:
+            self.frames.data, self.words.text = {}, ""
+            return
+        x, y = walk.frames["ground"].T
+        self._ground.data = {"x": x, "y": y}
+        self.say(walk.gains.name, walk.ended)
+        # Each as the one entry of a column, as Bokeh sends arrays of any shape.
+        frames = walk.frames | {"fell": np.array([walk.row["end_reason"] == FELL])}
+        self.frames.data = {name: [values] for name, values in frames.items()}
+
+    def _drawn(self, name: str) -> Any:
+        plot = figure(
+            name=name, sizing_mode="scale_width", aspect_ratio=ASPECT, tools="",
+            toolbar_location=None, title=" ", x_axis_label="distance (m)",
+            x_range=models.Range1d(0.0, VIEW_WIDTH_M),
+            y_range=models.Range1d(-BELOW_GROUND_M, VIEW_WIDTH_M / ASPECT - BELOW_GROUND_M),
+        )  # fmt: skip
+        plot.grid.visible = False
+        plot.yaxis.visible = False
+        plot.varea("x", -1e4, "y", source=self._ground, fill_color=style.GROUND,
+                   hatch_pattern="right_diagonal_line", hatch_alpha=0.15)  # fmt: skip
+        plot.line("x", "y", source=self._ground, line_color=style.INK, line_width=1.5)
+        plot.line("x", "y", source=self.parts["trail"], line_color=style.MODEL, line_dash="dotted")
+        for kind, colour, alpha in (("ghost_", GHOST, GHOST_ALPHA), ("", style.NEAR_LIMB, 1.0)):
+            head, lines = self.parts[f"{kind}head"], self.parts[f"{kind}lines"]
+            plot.circle("x", "y", radius=HEAD_RADIUS_M, source=head, color=colour, alpha=alpha)
+            plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width="width",
+                            line_alpha=alpha, line_cap="round")  # fmt: skip
+        return plot
+
+
+class Player:
+    """Two stages, their clock and their time line; the second stage comes with a kept gait.
+
+    `removed` is a button; what it does is the caller's.
+    """
+
+    def __init__(self, document: Document) -> None:
+        self.stages = (Stage("stage"), Stage("beside"))
+        self._play = models.Toggle(label="play / pause", active=True, name="play")
+        speed = models.Select(title="speed", value="1x", options=list(SPEEDS), name="speed")
+        slider = models.Slider(title="time (s)", start=0, end=1, value=0, step=0.01, name="time")
+        ghost = models.Toggle(label="as a ghost", name="ghost")
+        self.removed = models.Button(label="remove", name="remove")
+        self._curves = [models.ColumnDataSource({"x": [], "y": []}) for _ in self.stages]
+        self._falls = [
+            models.ColumnDataSource({"x": [], "y": [], "words": []}, name=name)
+            for name in ("fall-0", "fall-1")
+        ]
+        self._cursor = models.Span(dimension="height", location=0.0, line_color=style.FAINT)
+        self._timeline = self._time_plot()
+        script = models.CustomJS.from_file(
+            SCRIPTS / "play.mjs",
+            stages=[stage.parts for stage in self.stages], play=self._play, speed=speed,
+            slider=slider, levels=COLOURS, ghost=ghost, cursor=self._cursor,
+            curves=self._curves, falls=self._falls, timeline=self._timeline.x_range,
+            view_m=VIEW_WIDTH_M, below_m=BELOW_GROUND_M, least=f"{STAGE_PX}px",
+        )  # fmt: skip
+        for stage in self.stages:
+            stage.frames.js_on_change("data", script)
+        slider.js_on_change("value", script)
+        self._play.js_on_change("active", script)
+        ghost.js_on_change("active", script)
+        self._timeline.js_on_event("tap", script)
+        document.js_on_event(DocumentReady, script)  # frames may have come before the page
+        clock = flow(self._play, speed, slider, least_px=100)
+        slider.styles = {"flex": "4 1 220px"}
+        stages = flow(*(stage.layout for stage in self.stages), least_px=STAGE_PX)
+        self._beside = flow(ghost, self.removed)
+        self._beside.visible = self.stages[1].layout.visible = False
+        self.layout: models.Column = column(
+            stages, clock, self._timeline, self._beside, sizing_mode="stretch_width"
+        )
+
+    def show(self, walk: Walk | None, place: int = 0) -> None:
+        """Play a walk on a stage, the first or that beside it; none takes the second away."""
+        self.stages[place].show(walk)
+        if place:
+            self._beside.visible = self.stages[1].layout.visible = walk is not None
+
+    def _time_plot(self) -> Any:
+        plot = figure(
+            name="timeline", height=TIMELINE_PX, sizing_mode="stretch_width", tools="",
+            toolbar_location=None, x_range=models.Range1d(0.0, 10.0), x_axis_label="time (s)",
+            y_axis_label="hip (m)", min_border_top=14,
+        )  # fmt: skip
+        plot.yaxis.ticker.desired_num_ticks = 3
+        for curve, fall, colour in zip(self._curves, self._falls, GAITS, strict=True):
+            plot.line("x", "y", source=curve, line_color=colour)
+            plot.scatter("x", "y", source=fall, marker="x", size=13, line_color=style.VERMILION,
+                         line_width=3)  # fmt: skip
+            plot.text("x", "y", "words", source=fall, text_align="right", x_offset=-12,
+                      text_baseline="bottom", y_offset=-4, text_font_size="11px")  # fmt: skip
+        plot.add_layout(self._cursor)
+        return plot

@@ -1,0 +1,71 @@
+"""The columns of a store in words: with units, in groups, and each with a line that explains it.
+
+The words follow from the names: the store's families, the walker's fields and parameters, and the
+abbreviations of choices.toml.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from storage.simulator import WALKER
+from storage.store import Store
+from study.pictures.gait_cycle import PEOPLE
+from taichi_nmm.parameters import GAINS
+from taichi_nmm.result import SUMMARY_FIELDS
+
+CHOICES: dict[str, Any] = tomllib.loads(
+    Path(__file__).with_name("choices.toml").read_text(encoding="utf-8")
+)
+WORDS = {muscle.lower(): words for muscle, words in PEOPLE["muscles"].items()} | CHOICES["words"]
+STATISTICS = {"mean": "mean over its worlds", "sd": "standard deviation over its worlds"}
+OUTCOME, GAIT, GAIN = "outcome and score", "gait", "gains"
+
+
+class Described(NamedTuple):
+    """A column: its group, its words with the unit, and a line that explains it."""
+
+    group: str
+    words: str
+    meaning: str
+
+
+def described(store: Store, names: list[str]) -> dict[str, Described]:
+    """These columns of a store, by name."""
+    walker = store.simulator == WALKER
+    families = sorted(store.families, key=len, reverse=True)  # a name may begin another one
+    gains = {gain.name: gain for gain in GAINS if walker}
+    found = {}
+    for name in names:
+        family = next((each for each in families if name.startswith(f"{each}_")), None)
+        if name in gains:
+            gain = gains[name]
+            line = f"{gain.meaning}; {gain.low:g} to {gain.high:g} {gain.unit}"
+            found[name] = Described(GAIN, f"{name} ({gain.unit})", line)
+        elif name in store.gain_names:
+            found[name] = Described(GAIN, name, "a searched parameter")
+        elif family is not None:
+            words, statistic = in_words(name.removeprefix(f"{family}_"))
+            line = f"{STATISTICS.get(statistic, 'whether the row was tried')}, family {family}"
+            found[name] = Described(f"family {family}", f"{family}: {words}", line)
+        else:
+            group = GAIT if walker and name in dict(SUMMARY_FIELDS) else OUTCOME
+            found[name] = Described(group, in_words(name)[0], "in the base setting")
+    return found
+
+
+def in_words(name: str) -> tuple[str, str]:
+    """The words of a name with its unit, and its last word before the unit."""
+    *parts, last = name.split("_")
+    unit = CHOICES["units"].get(last) if parts else None
+    parts = parts if unit else [*parts, last]
+    text = " ".join(WORDS.get(part, part) for part in parts)
+    return (f"{text} ({unit})" if unit else text), parts[-1]
+
+
+def menu(columns: dict[str, Described]) -> dict[str, list[tuple[str, str]]]:
+    """The options of a menu: pairs of a column's name and its words, by group."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for name, column in columns.items():
+        groups.setdefault(column.group, []).append((name, column.words))
+    return groups
