@@ -1,10 +1,4 @@
-"""Find a walker on rough ground from nothing: a small store, three studies, pictures.
-
-    taichi-nmm quickstart
-
-does the work of precompute, study and walk, in about a minute. The same command goes on where it
-was stopped. Exit codes: 0, 2 bad input, 130 interrupted.
-"""
+"""Find a walker on rough ground from nothing: a small store, three studies, pictures."""
 
 from argparse import Namespace
 from contextlib import closing

@@ -1,18 +1,4 @@
-"""Simulate one controller, and draw how it walks.
-
-    taichi-nmm walk --gains reference --config flat --out out/walk/reference
-    taichi-nmm walk --store out/store --row 17
-    taichi-nmm walk --store out/store-speed --speed 1.0
-    taichi-nmm walk --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
-        --config rough8-smooth --run 7
-
-writes strip.png, gait_cycle.png and movie.mp4 to the folder --out. Gains are a name (reference,
-published), a JSON file of gains, a row of a store (or, with --speed, the one that walks so fast
-with the least energy), or a finished trial of a study database or of a comparison. With --engine
-mujoco, MuJoCo moves the body; with --engine both, strips.png shows both walks, one above the other.
---mjcf writes MuJoCo's model and its ground for MuJoCo's own viewer; --trajectory writes all
-samples, and --opensim a folder that OpenSim 4 opens. Exit codes: 0, 2 bad input, 130 interrupted.
-"""
+"""Simulate one controller, and draw how it walks."""
 
 import json
 import tempfile
