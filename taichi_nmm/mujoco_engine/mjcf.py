@@ -38,7 +38,6 @@ from taichi_nmm.body import (
     BALL_OFFSET_M,
     GRAVITY_MPS2,
     HEEL_OFFSET_M,
-    SEGMENT_NAMES,
     SHANK_LENGTH_M,
     THIGH_LENGTH_M,
     Bodies,
@@ -50,54 +49,27 @@ from taichi_nmm.terrain import GRID_X_M, Terrain
 
 Array = NDArray[np.float64]
 
-# Of each segment at q = 0: where its proximal joint lies in the parent, and the link's direction.
-ORIGINS = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))  # x, z
-DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
-
-
 JOINT_PARENT = (2, 3, 4, 2, 6, 7)  # coordinate of the segment above hip, knee and ankle
 RELATIVE: Array = np.eye(9)  # child minus parent at the six joints, the rest unchanged
 RELATIVE[range(3, 9), JOINT_PARENT] = -1.0
 
 
-def linkage(bodies: Bodies, row: int = 0) -> Element:
-    """MJCF of one body in free flight: no contact, no damping, no armature."""
-    root = Element("mujoco")
-    SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
-    SubElement(root, "option", gravity=f"0 0 {-GRAVITY_MPS2!r}")
-    hat = _add_link(SubElement(root, "worldbody"), bodies, row, 0)
-    for axis, direction in (("x", "1 0 0"), ("z", "0 0 1")):
-        SubElement(hat, "joint", name=axis, type="slide", axis=direction)
-    _add_hinge(hat)
-    parent = hat
-    for index in range(1, len(SEGMENT_NAMES)):
-        parent = _add_link(hat if index % 3 == 1 else parent, bodies, row, index)
-        _add_hinge(parent)
-    return root
+def linkage(bodies: Bodies, row: int, settings: Settings, friction: float) -> Element:
+    """MJCF of one of some bodies: all but the ground, and the limits of the joints."""
+    mass, inertia, com = (values[row].tolist() for values in vars(bodies).values())
+    template = Path(__file__).with_name("walker.xml").read_text(encoding="utf-8")
+    text = template.format(
+        mass=mass, inertia=inertia, com=com, down=[-each for each in com],
+        thigh_m=THIGH_LENGTH_M, shank_m=SHANK_LENGTH_M, heel_m=HEEL_OFFSET_M, ball_m=BALL_OFFSET_M,
+        sole_m=SOLE_RADIUS_M, gravity_mps2=GRAVITY_MPS2, step_s=settings.physics_step_s,
+        impratio=IMPRATIO, friction=float(friction), solref=_solref(settings),
+    )  # fmt: skip
+    return ElementTree.fromstring(text)
 
 
 def compile_model(root: Element) -> mujoco.MjModel:
     """The model of an MJCF tree."""
     return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
-
-
-def _add_link(parent: Element, bodies: Bodies, row: int, index: int) -> Element:
-    """A segment, by its index in `SEGMENT_NAMES`, with its inertia."""
-    kind = 0 if index == 0 else (index - 1) % 3 + 1
-    x, z = ORIGINS[kind]
-    link = SubElement(parent, "body", name=SEGMENT_NAMES[index], pos=f"{x!r} 0 {z!r}")
-    com_x, com_z = (float(bodies.com_m[row, index]) * part for part in DIRECTIONS[kind])
-    inertia = repr(float(bodies.inertia_kgm2[row, index]))
-    SubElement(
-        link, "inertial",
-        pos=f"{com_x!r} 0 {com_z!r}", mass=repr(float(bodies.mass_kg[row, index])),
-        diaginertia=" ".join([inertia] * 3),  # only the y axis ever turns
-    )  # fmt: skip
-    return link
-
-
-def _add_hinge(body: Element) -> None:
-    SubElement(body, "joint", name=body.attrib["name"], type="hinge", axis="0 1 0")
 
 
 LEAST_RANGE_RAD = math.radians(10.0)  # the law is followed so far at least; walking stays within
@@ -229,36 +201,10 @@ def write_mjcf(
 
 def _walker(bodies: Bodies, settings: Settings, friction: float) -> Element:
     """All but the ground."""
-    root = linkage(bodies, 0)
+    root = linkage(bodies, 0, settings, friction)
     invweights = compile_model(root).dof_invweight0
-    option = _find(root, "option")
-    option.set("timestep", repr(settings.physics_step_s))
-    option.set("integrator", "implicitfast")
-    option.set("cone", "elliptic")
-    option.set("impratio", repr(IMPRATIO))
-    # Else MuJoCo puts a walker that diverges back to the start.
-    SubElement(option, "flag", autoreset="disable")
-    SubElement(
-        SubElement(root, "default"), "geom",
-        friction=_numbers((friction, 0.0, 0.0)), solref=_solref(settings),
-    )  # fmt: skip
-    for leg, side in enumerate(SIDES):
-        foot = _find(root, "body", f"foot_{side}")
-        for end, x_m in enumerate((HEEL_OFFSET_M, BALL_OFFSET_M)):
-            SubElement(
-                foot, "geom", name=f"sole_{2 * leg + end}",
-                type="sphere", size=repr(SOLE_RADIUS_M), pos=_numbers((x_m, 0.0, SOLE_RADIUS_M)),
-                contype="1", conaffinity="0", group="0",
-            )  # fmt: skip
-    actuator, sensor = SubElement(root, "actuator"), SubElement(root, "sensor")
     for index, joint in enumerate(JOINTS):
         _limit_joint(root, joint, float(invweights[3 + index]), settings)
-        SubElement(actuator, "motor", name=joint, joint=joint)
-    for side in SIDES:
-        SubElement(
-            sensor, "contact",
-            body1=f"foot_{side}", data="found force", reduce="netforce", num="1",
-        )  # fmt: skip
     return root
 
 
