@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import commit, require_folder, writable
+from storage.commit import commit_text, require_folder, writable
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.gains import (
     NamedGains,
@@ -90,19 +90,12 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
 def write_model(path: Path, experiment: Experiment, run: int) -> None:
     """MuJoCo's model of a run's body and ground, standing where the walk starts."""
     from taichi_nmm.mujoco_engine.engine import start_state
-    from taichi_nmm.mujoco_engine.mjcf import write_mjcf
+    from taichi_nmm.mujoco_engine.mjcf import mjcf_text
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
     body, friction = experiment.body(run), float(experiment.world(run).friction[0])
-
-    def write(temporary: Path) -> None:
-        write_mjcf(temporary, body, friction, terrain, settings, start_state(terrain))
-
-    def check(temporary: Path) -> None:
-        if not temporary.read_text(encoding="utf-8").endswith("</mujoco>\n"):
-            raise OSError("the model was not written whole")
-
-    commit(path, write, check, "mjcf")
+    text = mjcf_text(body, friction, terrain, settings, start_state(terrain))
+    commit_text(path, text, "mjcf")
 
 
 def write_engines(

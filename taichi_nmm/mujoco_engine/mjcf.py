@@ -157,15 +157,10 @@ def walk_model(bodies: Bodies, settings: Settings, friction: float) -> mujoco.Mj
     return compile_model(root)
 
 
-def write_mjcf(
-    path: Path,
-    bodies: Bodies,
-    friction: float,
-    ground: Terrain,
-    settings: Settings,
-    start: Array,
-) -> None:
-    """Write the model, with the ground and the start as key frame, for MuJoCo's viewer.
+def mjcf_text(
+    bodies: Bodies, friction: float, ground: Terrain, settings: Settings, start: Array
+) -> str:
+    """The model as a file, with the ground and the start as key frame, for MuJoCo's viewer.
 
     A file can only have solids: the ground is a height field of the whole table. Links and muscles
     are sites and tendons, without mass, contact or force. `start` is qpos then qvel, [18].
@@ -196,7 +191,7 @@ def write_mjcf(
     # Where the viewer looks, and from how far: not at the whole ground.
     SubElement(root, "statistic", extent=repr(VIEWED_M), center=_numbers((start[0], 0.0, start[1])))
     ElementTree.indent(root)
-    path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _walker(bodies: Bodies, settings: Settings, friction: float) -> Element:
