@@ -37,6 +37,7 @@ Declared = Mapping[str, Any]
 
 DECLARED = tomllib.loads(HERE.joinpath("options.toml").read_text(encoding="utf-8"))
 COMMANDS: dict[str, Declared] = DECLARED["commands"]
+REMOVED: dict[str, str] = DECLARED["removed"]
 
 
 def looked_up(place: str) -> Any:
@@ -132,13 +133,6 @@ class Options(argparse.ArgumentParser):
             self.add_argument(
                 "--list-configs", action=_ListConfigs, nargs=0, const=stores, help=what
             )
-
-
-# Commands of version 0.2.0 that are gone, and what to use instead.
-REMOVED = {
-    "draw-store": "explore STORE",
-    "optimum": "compare --config optimum-smooth --arms cmaes-cold --trials 10000",
-}
 
 
 def parser_of(name: str) -> Options:

@@ -5,8 +5,6 @@ or it is not. A correction and an undoing are entries too. The trials are read f
 are not undone, in their order. What a clock says decides nothing.
 """
 
-import getpass
-import socket
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -89,9 +87,8 @@ class State:
 class Journal:
     """The entries of one bench in a study database."""
 
-    def __init__(self, url: str, name: str, operator: str | None = None) -> None:
+    def __init__(self, url: str, name: str) -> None:
         self.url, self.name = url, name
-        self.operator = operator or f"{getpass.getuser()}@{socket.gethostname()}"
         self.storage = open_studies(url)
 
     @contextmanager
@@ -134,16 +131,16 @@ class Journal:
                 number += 1
         return found
 
-    def append(self, kind: str, data: Mapping[str, Any]) -> Entry:
-        """Add an entry, in a turn."""
+    def append(self, kind: str, data: Mapping[str, Any], operator: str) -> Entry:
+        """Add an entry of an operator, in a turn."""
         number = len(self.entries())
         study = optuna.create_study(
             storage=self.storage, study_name=self.name + LOG, load_if_exists=True
         )
         moment = datetime.now(UTC).isoformat(timespec="seconds")
-        head = {"kind": kind, "time": moment, "by": self.operator}
+        head = {"kind": kind, "time": moment, "by": operator}
         study.set_user_attr(KEY.format(number), head | dict(data))
-        return Entry(number, kind, moment, self.operator, dict(data))
+        return Entry(number, kind, moment, operator, dict(data))
 
 
 def trials_of(entry: Entry) -> list[int]:

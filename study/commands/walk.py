@@ -2,6 +2,7 @@
 
 import json
 import tempfile
+import tomllib
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -42,6 +43,7 @@ ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk
 LONGEST_MOVIE_S = 120.0
 CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name the controller
 REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected")
+WORDS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 def find_gains(args: Namespace) -> NamedGains:
@@ -139,20 +141,9 @@ def write_pictures(
 def summary(title: str, row: np.void) -> str:
     """For people, a line each."""
     degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
-    lines = (
-        title,
-        f"cost of transport   {row['cost_of_transport_jpkgpm']:.2f} J/(kg m)",
-        f"scored steps        {row['step_count']}, {row['step_length_mean_m']:.3f} m"
-        f" and {row['step_duration_mean_s']:.3f} s each,"
-        f" double support {100 * row['double_support_fraction']:.0f} %",
-        f"knee peak in swing  {degrees['knee_peak_swing_rad']:.0f} deg flexed",
-        f"ankle               {degrees['ankle_strike_rad']:+.0f} deg at strike,"
-        f" {degrees['ankle_takeoff_rad']:+.0f} deg at take-off (plantarflexion +)",
-        f"trunk               {degrees['trunk_mean_rad']:+.1f} deg (forward +)",
-        f"score               phi {row['phi_printed']:.1f} as printed,"
-        f" {row['phi_corrected']:.1f} corrected",
-    )
-    return "\n".join(lines)
+    values = {name: row[name].item() for name in row.dtype.names or ()} | degrees
+    values["double_support_percent"] = 100 * values["double_support_fraction"]
+    return str(WORDS["summary"]).format(title=title, **values)
 
 
 def report(

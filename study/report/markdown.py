@@ -92,13 +92,14 @@ def _walkers(
 
 def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] = NO_STORES) -> str:
     """The document; it links the figures beside it. `stores` as `saw` takes them."""
+    within = {limit for arm in numbers.arms for limit in arm.within}
     parts = [
         f"# {results.name}",
         _state(results),
         "\n".join(f"- {key}: {value}" for key, value in facts(results).items()),
         "## What the arms reached",
         METHOD,
-        _reached(numbers),
+        table(*_walkers(numbers, sorted(within), _label)),
         "## Best cost",
         _costs(numbers, results.cost),
         WORDS["proposal"] if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
@@ -127,11 +128,6 @@ def _state(results: Results) -> str:
         "of the trials that all runs of an arm have (runs x trials; the most: "
         f"{results.runs} x {results.trials}): {', '.join(behind)}."
     )
-
-
-def _reached(numbers: Numbers) -> str:
-    limits = sorted({limit for arm in numbers.arms for limit in arm.within})
-    return table(*_walkers(numbers, limits, _label))
 
 
 def _costs(numbers: Numbers, cost: str) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 
 from study.experiment.robots import ARMS, RobotExperiment
-from study.report.markdown import table
+from study.report.markdown import WORDS, table
 from study.report.numbers import mcnemar, wilcoxon
 from study.report.runs import ArmRuns
 
@@ -45,17 +45,12 @@ class RobotResults:
     def markdown(self) -> str:
         """The report."""
         known, fell_cost = self.experiment, self.experiment.objective.fell_cost
-        return "\n\n".join([
-            f"# {known.name}",
-            f"{known.runs} robots of {known.simulator.name}, {known.trials} trials of"
-            f" {known.duration_s:g} s on each, seed {known.seed}. A robot's world is drawn from the"
-            f" ranges of the configuration. A run that lasts costs its {known.objective.cost},"
-            f" at most {fell_cost:g}; one that ends early costs more, up to {2 * fell_cost:g}."
-            f" Samplers are told costs with {100 * known.noise:g} % noise; the tables are without.",
-            self._walkers(),
-            self._costs(),
-            *self._tests(),
-        ]) + "\n"  # fmt: skip
+        about = WORDS["robots"].format(
+            name=known.name, runs=known.runs, simulator=known.simulator.name, trials=known.trials,
+            seconds=known.duration_s, seed=known.seed, cost=known.objective.cost, most=fell_cost,
+            twice=2 * fell_cost, noise=100 * known.noise,
+        )  # fmt: skip
+        return "\n\n".join([about, self._walkers(), self._costs(), *self._tests()]) + "\n"
 
     def _walkers(self) -> str:
         within = [at for at in FIRST_TRIALS if at < self.experiment.trials]

@@ -130,8 +130,7 @@ def _nearest_power(largest: float, widths_of_rho: float) -> float:
 IMPRATIO = 10.0  # of friction to normal impedance: feet creep less
 SIDES = ("l", "r")
 JOINTS = tuple(f"{segment}_{side}" for side in SIDES for segment in STOPS)
-VIEWED_M = 2.0  # of a file opened in MuJoCo's viewer
-HALF_WIDTH_M, BASE_M = 1.0, 1.0  # of its ground; the second below the lowest place
+HALF_WIDTH_M, BASE_M = 1.0, 1.0  # of a file's ground; the second below the lowest place
 LEAST_RANGE_M = 1e-3  # of heights of a level ground
 FOOT_SENSOR = 4  # numbers: contacts found, then the force x, y, z
 
@@ -165,31 +164,21 @@ def mjcf_text(
     A file can only have solids: the ground is a height field of the whole table. Links and muscles
     are sites and tendons, without mass, contact or force. `start` is qpos then qvel, [18].
     """
-    root = _walker(bodies, settings, friction)
-    world = _find(root, "worldbody")
-    height_m = ground.height_m
+    root, height_m = _walker(bodies, settings, friction), ground.height_m
     range_m = max(float(np.ptp(height_m)), LEAST_RANGE_M)  # MuJoCo scales heights from 0 to this
-    SubElement(
-        SubElement(root, "asset"), "hfield",
-        name="ground", nrow="2", ncol=str(len(height_m)), elevation=_numbers(np.tile(height_m, 2)),
+    template = Path(__file__).with_name("visible.xml").read_text(encoding="utf-8")
+    text = template.format(
+        columns=len(height_m), heights=_numbers(np.tile(height_m, 2)),
         size=_numbers((0.5 * np.ptp(GRID_X_M), HALF_WIDTH_M, range_m, BASE_M)),
+        place=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
+        centre=_numbers((start[0], 0.0, start[1])),
+        qpos=_numbers(start[:9]), qvel=_numbers(start[9:]),
     )  # fmt: skip
-    SubElement(
-        world, "geom",
-        type="hfield", hfield="ground", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
-        pos=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
-    )  # fmt: skip
-    seen = ElementTree.parse(Path(__file__).with_name("visible.xml"))
-    for part in seen.iter("body"):
-        _find(root, "body", part.attrib["name"]).extend(part)
-    for tag in ("asset", "worldbody", "tendon"):
-        SubElement(root, tag).extend(
-            each for each in seen.iterfind(f"{tag}/*") if each.tag != "body"
-        )
-    keyframe = SubElement(root, "keyframe")
-    SubElement(keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:]))
-    # Where the viewer looks, and from how far: not at the whole ground.
-    SubElement(root, "statistic", extent=repr(VIEWED_M), center=_numbers((start[0], 0.0, start[1])))
+    for part in ElementTree.fromstring(text):
+        for body in part.findall("body"):
+            _find(root, "body", body.attrib["name"]).extend(body)
+            part.remove(body)
+        root.append(part)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
