@@ -285,12 +285,6 @@ class Bench:
             f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
         )
 
-    def require_begun(self) -> None:
-        """Refuse a bench without entries."""
-        if not self._entries:
-            new = f"a bench that was begun: taichi-nmm bench new {self.plan.path}"
-            raise InputError("bench", str(self.plan.path), new)
-
     def shown(self) -> optuna.Study:
         """The study that the dashboard shows."""
         return optuna.load_study(study_name=self.plan.name, storage=self._journal.storage)

@@ -7,7 +7,7 @@ are not undone, in their order. What a clock says decides nothing.
 
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -99,20 +99,17 @@ class Journal:
             InputError: another command holds the bench for long, or the database cannot be written.
         """
         deadline_s = time.monotonic() + WAIT_S
-        while True:
-            held = only_run(self.url, self.name + LOG)
-            try:
-                held.__enter__()
-                break
-            except InputError as error:
-                if error.field != "study" or time.monotonic() > deadline_s:
-                    raise
-                time.sleep(0.1)
-        try:
+        with ExitStack() as held:
+            while True:
+                try:
+                    held.enter_context(only_run(self.url, self.name + LOG))
+                    break
+                except InputError as error:
+                    if error.field != "study" or time.monotonic() > deadline_s:
+                        raise
+                    time.sleep(0.1)
             with storage_errors(self.url):
                 yield
-        finally:
-            held.__exit__(None, None, None)
 
     def entries(self) -> list[Entry]:
         """All entries, in their order; none where the bench has not begun."""

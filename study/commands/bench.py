@@ -43,7 +43,9 @@ def main(args: Namespace) -> None:
         print(f"next: taichi-nmm bench next --bench {bench.plan.path}")
         return
     bench = Bench(args.bench or only_bench(), args.operator)
-    bench.require_begun()
+    if not bench.entries:
+        new = f"a bench that was begun: taichi-nmm bench new {bench.plan.path}"
+        raise InputError("bench", str(bench.plan.path), new)
     ACTIONS[args.action](bench, args)
 
 
