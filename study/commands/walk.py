@@ -25,11 +25,11 @@ from study.experiment.gains import (
 from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
-from study.pictures.opensim import write_opensim
 from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
     kept,
     require_trajectory_file,
+    write_opensim,
     write_trajectory,
 )
 from taichi_nmm import checks

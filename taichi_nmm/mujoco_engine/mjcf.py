@@ -136,7 +136,7 @@ FOOT_SENSOR = 4  # numbers: contacts found, then the force x, y, z
 
 
 def walk_model(bodies: Bodies, settings: Settings, friction: float) -> mujoco.MjModel:
-    """The model of the first of some bodies, each sole over the planes of `ground` alone.
+    """The model of the first of some bodies, each sole over its `ContactPlanes` alone.
 
     The planes are MuJoCo's mocap bodies, in that order.
     """

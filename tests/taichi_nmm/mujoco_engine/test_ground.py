@@ -11,8 +11,7 @@ from taichi_nmm import Bodies, Settings, terrain
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.contact_planes import PLANES, SOLE_RADIUS_M
 from taichi_nmm.kernel.layout import CONTACTS
-from taichi_nmm.mujoco_engine.engine import start_state
-from taichi_nmm.mujoco_engine.ground import ContactPlanes
+from taichi_nmm.mujoco_engine.engine import ContactPlanes, start_state
 from taichi_nmm.mujoco_engine.mjcf import mjcf_text, walk_model
 from taichi_nmm.simulator import LONGEST_WALK_S
 from taichi_nmm.terrain import GRID_END_M, GRID_START_M, GRID_X_M, KINDS, Terrain
