@@ -107,10 +107,6 @@ class Options(argparse.ArgumentParser):
         """A folder or a file; further options are argparse's."""
         self.add_argument(name, metavar=metavar, help=help, type=Path, **options)
 
-    def flag(self, name: str, help: str) -> None:
-        """A switch."""
-        self.add_argument(name, action="store_true", help=help)
-
     def declare(self, option: Declared) -> None:
         """Add an option, or options, as the file declares them."""
         words = dict(option)

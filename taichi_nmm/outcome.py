@@ -68,21 +68,13 @@ def result_rows(
 
 def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
     ticks = sums[:, Sums.ticks]
-    moments = {
-        ("trunk_mean_rad", "trunk_sd_rad"): (Sums.trunk, ticks),
-        ("hip_height_mean_m", "hip_height_sd_m"): (Sums.hip_height, ticks),
-        ("", "hip_speed_sd_mps"): (Sums.hip_speed, ticks),
-        ("step_length_mean_m", "step_length_sd_m"): (Sums.step_length, sums[:, Sums.strikes]),
-        ("step_duration_mean_s", "step_duration_sd_s"): (
-            Sums.step_duration, sums[:, Sums.step_durations],
-        ),
-    }  # fmt: skip
-    for (mean_name, sd_name), (row, count) in moments.items():
+    for name, of in COLUMNS["moments"].items():
+        row, count = getattr(Sums, name), sums[:, getattr(Sums, of["over"])]
         mean = _quotient(sums[:, row], count)
         square = _quotient(sums[:, row + 1], count)  # the row after a sum holds its squares
-        rows[sd_name] = np.sqrt(np.maximum(square - mean**2, 0.0))
-        if mean_name:
-            rows[mean_name] = mean
+        rows[of["sd"]] = np.sqrt(np.maximum(square - mean**2, 0.0))
+        if "mean" in of:
+            rows[of["mean"]] = mean
     rows["double_support_fraction"] = _quotient(sums[:, Sums.double_support], ticks)
     rows["flight_fraction"] = _quotient(sums[:, Sums.flight], ticks)
     vertical = sums[:, Sums.impulse + 1] + sums[:, Sums.impulse + 3]

@@ -216,8 +216,7 @@ def other(bench: Bench, args: Namespace) -> None:
 
 def serve(bench: Bench, args: Namespace) -> None:
     """Serve the page with forms until Ctrl-C."""
-    from study.bench.films import Films, filming_of
-    from study.bench.form import application
+    from study.bench.form import Films, application, filming_of
 
     address, filming = args.listen or HOST, filming_of(bench, args.simulator)
     with tempfile.TemporaryDirectory() as folder, Processes(1) as makers:

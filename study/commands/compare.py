@@ -20,9 +20,8 @@ from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.folder import PACKAGES
-from study.report.markdown import arms_documents, arms_text, dashboard_summary
+from study.report.markdown import RobotResults, arms_documents, arms_text, dashboard_summary
 from study.report.numbers import numbers
-from study.report.robots import RobotResults
 from study.report.runs import read_facts, read_results
 from taichi_nmm.errors import InputError
 from taichi_nmm.walker_simulator import Walker, require_engine

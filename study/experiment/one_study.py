@@ -20,7 +20,7 @@ from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task
 from study.experiment.trials import KEPT, fell
-from study.sampler.diagnostics import TITLE, WORLDS_TITLE
+from study.sampler.diagnostics import TITLE, WORLDS_TITLE, Likeness, Worth
 from study.sampler.draws import Purpose, name_key, seed_64bit
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
@@ -195,16 +195,23 @@ def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
     return found
 
 
-def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
-    """Show what the arm's feature or worlds were worth with the study, if it has any.
-
-    The note takes the place of an earlier one; a note of the user's stays.
-    """
+def worth_of_study(
+    experiment: Experiment, arm: Arm, run: int, study: optuna.Study
+) -> Worth | Likeness | None:
+    """The worth of the arm's feature or worlds in the trials of its study; None: it has none."""
     sampler = new_sampler(experiment, arm, run) if arm.store else None
     if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
+        return None
+    return sampler.worth(study)
+
+
+def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
+    """Show the worth with the study, in place of an earlier one; a note of the user's stays."""
+    worth = worth_of_study(experiment, arm, run, study)
+    if worth is None:
         return
     from optuna_dashboard import get_note, save_note  # a second, which other studies need not spend
 
-    known, note = get_note(study), sampler.worth(study).markdown()
+    known, note = get_note(study), worth.markdown()
     if note != known and (not known or known.startswith((f"## {TITLE}", f"## {WORLDS_TITLE}"))):
         save_note(study, note)

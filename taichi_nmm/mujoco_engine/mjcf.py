@@ -186,20 +186,16 @@ def mjcf_text(
 def _walker(bodies: Bodies, settings: Settings, friction: float) -> Element:
     """All but the ground."""
     root = linkage(bodies, 0, settings, friction)
-    invweights = compile_model(root).dof_invweight0
-    for index, joint in enumerate(JOINTS):
-        _limit_joint(root, joint, float(invweights[3 + index]), settings)
+    invweights = compile_model(root).dof_invweight0.tolist()
+    for inverse_inertia, joint in zip(invweights[3:], JOINTS, strict=True):
+        hinge, stop = _find(root, "joint", joint), STOPS[joint.split("_")[0]]
+        hinge.set("limited", "true")
+        hinge.set("range", _numbers((stop.low_rad, stop.high_rad)))
+        if settings.mujoco.limits == LIMITS_AS_STOPS:
+            solref, solimp = limit(stop, inverse_inertia, settings.physics_step_s)
+            hinge.set("solreflimit", _numbers(solref))
+            hinge.set("solimplimit", _numbers(solimp))
     return root
-
-
-def _limit_joint(root: Element, joint: str, inverse_inertia: float, settings: Settings) -> None:
-    hinge, stop = _find(root, "joint", joint), STOPS[joint.split("_")[0]]
-    hinge.set("limited", "true")
-    hinge.set("range", _numbers((stop.low_rad, stop.high_rad)))
-    if settings.mujoco.limits == LIMITS_AS_STOPS:
-        solref, solimp = limit(stop, inverse_inertia, settings.physics_step_s)
-        hinge.set("solreflimit", _numbers(solref))
-        hinge.set("solimplimit", _numbers(solimp))
 
 
 def _solref(settings: Settings) -> str:
