@@ -70,14 +70,14 @@ def _locked_new(path: Path) -> BinaryIO:
         held.close()
 
 
-def commit_text(path: Path, text: str) -> None:
-    """Make a text file."""
+def commit_text(path: Path, text: str, field: str = "out") -> None:
+    """Make a text file; errors name it as `field`."""
 
     def check(temporary: Path) -> None:
         if temporary.read_text(encoding="utf-8") != text:
             raise OSError("what was read back differs from what was written")
 
-    commit(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), check)
+    commit(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), check, field)
 
 
 def commit_json(path: Path, document: dict[str, Any]) -> None:

@@ -35,10 +35,7 @@ Floats = NDArray[np.float64]
 KNOWN = tomllib.loads(Path(__file__).with_name("mujoco.toml").read_text(encoding="utf-8"))
 WORLDS: dict[str, float] = KNOWN["worlds"]
 COLUMNS: tuple[str, ...] = (SURVIVED, *KNOWN["columns"])
-POSITIVE = ("mass", "inertia", "strength")
-SIGNED = ("slope",)  # all others are zero or more
-MOST_SPREAD = 0.9
-LONGEST_DELAY_S = 1.0
+ALLOWED: dict[str, list[Any]] = KNOWN["allowed"]  # least, most, and these in words
 MOST_COST = 100.0
 NUMERICS = b"1"  # raised with each change of this file that changes what a run gives
 
@@ -253,13 +250,8 @@ class MujocoSimulator(FunctionSimulator):
 
     def _require_worlds(self, worlds: DrawnNumbers) -> None:
         for name, values in worlds.items():
-            if name == SEED or name in SIGNED:
-                continue
-            positive = name in POSITIVE
-            most = {"mass_spread": MOST_SPREAD, "delay_s": LONGEST_DELAY_S}.get(name, np.inf)
-            for value in values[(values < 0.0) | (values > most) | (positive & (values == 0.0))]:
-                least = "more than 0" if positive else "0 or more"
-                allowed = least if most == np.inf else f"0 to {most:g}"
+            least, most, allowed = ALLOWED.get(name, (0.0, np.inf, "0 or more"))
+            for value in values[(values < least) | (values > most)] if name != SEED else ():
                 raise InputError(f"world.{name}", float(value), allowed)
 
     @property

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.folder import remove
 from storage.points import in_unit_cube, within_bounds
 from storage.pool import Pool
 from storage.simulator import Simulator, judge_rows, run_points
 from storage.specification import BATCH, EMITTERS, STARTS, Family, Repertoire, Specification
 from storage.store import evaluated_name, family_names
-from storage.store_folder import StoreFolder, Tried
+from storage.store_folder import GENERATION_PATTERN, StoreFolder, Tried
 from taichi_nmm.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ def evolved_points(
         kept = folder.read_repertoire()
     else:
         walked(repertoire.walks, False)
-    folder.finish_search()
+    remove(folder.path, GENERATION_PATTERN)  # the repertoire holds all of them
     if kept is None:
         raise InputError("out", str(folder.path), "a folder whose files stay as they were written")
     return kept

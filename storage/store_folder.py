@@ -120,10 +120,6 @@ class StoreFolder(Folder):
         points = np.column_stack(list(tried.values()))[np.argsort(rows, kind="stable")]
         return points[np.count_nonzero(rows == NOT_CHOSEN) :]
 
-    def finish_search(self) -> None:
-        """Remove the generations: the repertoire holds all of them."""
-        remove(self.path, GENERATION_PATTERN)
-
     @cached_property
     def _footer(self) -> dict[str, Any]:
         """With which each file of this store begins."""

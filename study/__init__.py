@@ -13,12 +13,7 @@ if TYPE_CHECKING:
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
 
-__all__ = [
-    "DoGSampler",
-    "FeatureKernelSampler",
-    "FeatureTable",
-    "world_table",
-]
+__all__ = ["DoGSampler", "FeatureKernelSampler", "FeatureTable", "world_table"]
 
 _MODULES = {
     "DoGSampler": "study.sampler.sampler",

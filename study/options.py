@@ -1,9 +1,8 @@
 """The options of every command, in a file that is quick to load: `taichi-nmm COMMAND --help`.
 
-`COMMANDS` has a function for each command that adds the command's options to its parser. The
-docstring of the command's file in `study/commands` is its description. Whole numbers are checked
-against the bounds of configurations. An option that cannot be used is an `InputError`: one line, as
-for all other input.
+`options.toml` has them, and all of a command's description but its first line, which is that of the
+docstring of its file in `study/commands`. Whole numbers are checked against the bounds of
+configurations. An option that cannot be used is an `InputError`: one line, as for all other input.
 """
 
 import argparse
@@ -12,13 +11,13 @@ import os
 import sys
 import tomllib
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
 from taichi_nmm.errors import InputError, one_line, shortened
-from taichi_nmm.settings import ARCHITECTURES, ENGINES
+from taichi_nmm.settings import ENGINES
 
 PROGRAM = "taichi-nmm"
 HERE = Path(__file__).resolve().parent
@@ -27,37 +26,38 @@ CONFIGS = INSTALLED if INSTALLED.is_dir() else HERE.parent / "configs"
 
 MOST_WORKERS = 1024  # processes; each takes hundreds of MB
 LARGEST_SEED = 2**63 - 1  # as in configurations
-LARGEST_PORT = 65535
 LONGEST_NAME_BYTES = 255  # NAME_MAX of Linux and of macOS
 LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
 UNPRINTABLE = ("Cc", "Cs", "Zl", "Zp")  # Unicode's control characters, half characters, line ends
 BOTH_ENGINES = "both"
-FROM_CONFIG = "default: the configuration's"
+WALKED_ENGINES = (*ENGINES, BOTH_ENGINES)
 
-Bound = int | Callable[[], int]
+Declared = Mapping[str, Any]
+"""An option, or a command, as `options.toml` has it."""
+
+DECLARED = tomllib.loads(HERE.joinpath("options.toml").read_text(encoding="utf-8"))
+COMMANDS: dict[str, Declared] = DECLARED["commands"]
+REMOVED: dict[str, str] = DECLARED["removed"]
 
 
-def later(module: str, name: str) -> Callable[[], int]:
-    """A bound that is looked up when a number is given: its module is slow to load."""
-    return lambda: int(getattr(import_module(module), name))
-
-
-MOST_RUNS = later("study.experiment.experiment", "MOST_RUNS")
-MOST_TRIALS = later("study.experiment.experiment", "MOST_TRIALS")
-LARGEST_SEQUENCE = later("storage.points", "LARGEST_SEQUENCE")
+def looked_up(place: str) -> Any:
+    """The value of "module:NAME"."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
 
 
 class Options(argparse.ArgumentParser):
     """The parser of the command in a file, which is called `prog`; by default, as this process was.
 
-    The file's docstring is the description. It is read from the source, since `python -OO` drops
-    docstrings.
+    The file's docstring is the description, and `more` follows. It is read from the source, since
+    `python -OO` drops docstrings.
     """
 
-    def __init__(self, file: str | Path, prog: str | None = None) -> None:
+    def __init__(self, file: str | Path, prog: str | None = None, more: str = "") -> None:
         raw = argparse.RawDescriptionHelpFormatter
-        super().__init__(prog, description=documentation(Path(file)), formatter_class=raw)
-        self.bounds: dict[str, tuple[int, Bound]] = {}  # of whole numbers
+        about = f"{documentation(Path(file))}\n\n{more}".strip()
+        super().__init__(prog, description=about, formatter_class=raw)
+        self.bounds: dict[str, tuple[int, int | str]] = {}  # of whole numbers
         self.takes_others = False  # options of names that a file gives, as `others`
 
     def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:  # type: ignore[override]
@@ -98,208 +98,37 @@ class Options(argparse.ArgumentParser):
         """One line, as for all bad input."""
         self.exit(2, f"error: {one_line(shortened(message))}\n")
 
-    def whole(self, flag: str, low: int, high: Bound, **options: Any) -> None:
-        """A whole number from `low` to `high`; further options are argparse's."""
+    def whole(self, flag: str, low: int, high: int | str, **options: Any) -> None:
+        """A whole number from `low` to `high`, or "module:NAME" for it; others are argparse's."""
         added = self.add_argument(flag, **({"metavar": "N"} | options))
         self.bounds[added.dest] = low, high
 
-    def text(self, name: str, metavar: str, help: str, **options: Any) -> None:
-        """A text, or of another type; further options are argparse's."""
-        self.add_argument(name, metavar=metavar, help=help, **options)
-
     def path(self, name: str, help: str, metavar: str = "DIR", **options: Any) -> None:
         """A folder or a file; further options are argparse's."""
-        self.text(name, metavar, help, type=Path, **options)
+        self.add_argument(name, metavar=metavar, help=help, type=Path, **options)
 
-    def out(self, default: str, metavar: str = "DIR") -> None:
-        """The folder or file to write."""
-        self.path("--out", f"default: {default}", metavar)
-
-    def flag(self, name: str, help: str) -> None:
-        """A switch."""
-        self.add_argument(name, action="store_true", help=help)
-
-    def seed(self, purpose: str = "replaces the configuration's") -> None:
-        """The seed of an experiment."""
-        self.whole("--seed", 0, LARGEST_SEED, help=purpose)
-
-    def run(self, purpose: str) -> None:
-        """A run of an experiment, which checks it."""
-        self.text("--run", "N", f"{purpose} (%(default)s)", type=int, default=0)
-
-    def port(self, default: int) -> None:
-        """The port of a page."""
-        self.whole("--port", 0, LARGEST_PORT, default=default, help="%(default)s; 0: any free port")
-
-    def arch(self) -> None:
-        """The Taichi backend."""
-        what = "Taichi backend; overrides the configuration's"
-        self.add_argument("--arch", choices=ARCHITECTURES, help=what)
-
-    def json(self, what: str = "the result") -> None:
-        """Output for programs."""
-        self.flag("--json", f"print {what} as one JSON object")
-
-    def workers(self) -> None:
-        """How many processes of this machine do the work, or which Dask cluster."""
-        default = "processes; default: one a core, or 1 on a GPU"
-        self.whole("--workers", 1, MOST_WORKERS, help=default)
-        what = "a Dask scheduler, or N processes of this machine, instead of --workers"
-        self.text("--cluster", "ADDRESS|local:N", what)
-        self.flag("--mixed", "allow workers of a cluster whose results differ in their last bits")
-
-    def config(self, default: str | None = None, stores: bool = False) -> None:
-        """A configuration of an experiment or a store, and the list of those that ship.
-
-        It is required where there is no default.
-        """
-        what = "a shipped configuration's name, or a TOML file"
-        what += "" if default is None else f"; default: {default}"
-        self.text(
-            "--config", "NAME|FILE", what, type=config_path, required=default is None,
-            default=default and config_path(default),
-        )  # fmt: skip
-        what = "list the shipped configurations and exit"
-        self.add_argument("--list-configs", action=_ListConfigs, nargs=0, const=stores, help=what)
-
-
-def bench(options: Options) -> None:
-    """Options of `bench`."""
-    options.takes_others = True
-    options.text("action", "ACTION", "one of those above")
-    options.text("what", "WHAT", "a trial, an entry, a name, a file", nargs="?")
-    options.path("--bench", "default: the only bench among the *.toml of this folder", "FILE")
-    options.add_argument("--cost", "--value", type=float, metavar="X", help="of a trial: its value")
-    options.text("--seconds", "S", "after which a trial failed", type=float)
-    options.text("--note", "TEXT", "kept with the entry", default="")
-    options.path("--log", "CSV with columns time (s) and position (m), of a walk", "FILE")
-    options.path("--gains", "JSON of parameters by name", "FILE")
-    options.whole("--batch", 1, 1000, default=1, help="trials to run side by side (%(default)s)")
-    options.text("--repeat", "N", "a trial to run once more", type=int)
-    options.path("--json", "write the next trials' parameters there too", "FILE")
-    options.text("--operator", "NAME", "default: the user and the machine")
-    what = "of the page of `serve`, for others too, by the link that is printed; default: loopback"
-    options.text("--listen", "ADDRESS", what)
-    options.text(
-        "--simulator", "FILE:NAME", "films candidates of a simulator of your own on that page"
-    )
-    options.port(8090)
-
-
-def compare(options: Options) -> None:
-    """Options of `compare`."""
-    options.config()
-    options.text("--arms", "A,B,C", FROM_CONFIG)
-    options.whole("--runs", 1, MOST_RUNS, help=FROM_CONFIG)
-    options.whole("--trials", 1, MOST_TRIALS, help=f"of a run, in total; {FROM_CONFIG}")
-    options.seed("other bodies, grounds and samplers than the configuration's, to tune on")
-    options.out("out/compare/NAME or NAME-seed-N")
-    options.text("--storage", "URL", "default: sqlite:///DIR/studies.db")
-    options.path("--store", f"store of scores, if the arms read one; {FROM_CONFIG}")
-    options.workers()
-    options.arch()
-    options.json()
-
-
-def dashboard(options: Options) -> None:
-    """Options of `dashboard`."""
-    options.path("folder", "folder of an experiment; default: the newest in out/compare", nargs="?")
-    options.text("--storage", "URL", "default: sqlite:///DIR/studies.db")
-    options.path("--artifacts", "default: DIR/artifacts")
-    options.port(8080)
-
-
-def explore(options: Options) -> None:
-    """Options of `explore`."""
-    options.path("folder", "folder or file of a store")
-    options.text("--simulator", "FILE:NAME", "films rows of a store of your own simulator")
-    options.port(5006)
-    options.flag("--no-browser", "only print the address")
-
-
-def precompute(options: Options) -> None:
-    """Options of `precompute`."""
-    options.config("store", stores=True)
-    options.whole("--samples", 1, LARGEST_SEQUENCE, help=f"points; {FROM_CONFIG}")
-    options.out("out/NAME of the configuration")
-    options.arch()
-    options.workers()
-    options.flag("--fresh", "delete the store and start over")
-    options.json("the summary")
-
-
-def quickstart(options: Options) -> None:
-    """Options of `quickstart`."""
-    options.path("--out", "%(default)s", default=Path("out/quickstart"))
-
-
-def report(options: Options) -> None:
-    """Options of `report`."""
-    options.path("folders", "folder of a comparison", nargs="+")
-    options.path("--out", "folder for the overview of several comparisons")
-
-
-def study(options: Options) -> None:
-    """Options of `study`."""
-    options.config()
-    what = "worlds, dog, random or another one; an unknown name lists all"
-    options.text("--arm", "ARM", what, required=True)
-    options.run("number of the body and the ground")
-    options.whole("--trials", 1, MOST_TRIALS, help=f"in total; {FROM_CONFIG}")
-    options.seed()
-    options.text("--storage", "URL", "sqlite:///FILE, or one of PostgreSQL", required=True)
-    options.path("--store", f"store of scores, if the arm reads one; {FROM_CONFIG}")
-    options.out("out/NAME, for the best gains")
-    options.arch()
-    options.json()
-
-
-def validate(options: Options) -> None:
-    """Options of `validate`."""
-    most = 1_000_000  # at once in memory, unlike those of a store
-    options.whole("--samples", 100, most, default=20_000, help="points (%(default)s)")
-    options.whole("--draws", 1, MOST_RUNS, default=4, help="bodies and rough grounds (%(default)s)")
-    options.whole("--seed", 0, LARGEST_SEED, default=2016, help="of points and draws (%(default)s)")
-    options.json("the figures")
-
-
-def walk(options: Options) -> None:
-    """Options of `walk`."""
-    options.text("--gains", "NAME|FILE", "reference (default), published, FILE.json")
-    options.text("--row", "N", "a row of --store", type=int)
-    what = "the row of --store that walks at this speed with the least energy"
-    options.text("--speed", "MPS", what, type=float)
-    options.path("--store", "a store, for --row or --speed")
-    options.text("--trial", "STUDY/NUMBER", "a finished trial of --storage")
-    options.text("--storage", "URL|DIR", "a study database, or a comparison's folder")
-    options.config("flat")
-    options.run("number of the body and the ground")
-    options.seed()
-    options.text("--duration", "S", f"seconds; {FROM_CONFIG}", type=float)
-    options.out("out/walk/NAME, for the pictures")
-    what = "length of the film (%(default)s); 0: none"
-    options.text("--movie-seconds", "S", what, type=float, default=8.0)
-    engines = (*ENGINES, BOTH_ENGINES)
-    options.add_argument("--engine", choices=engines, help="overrides the configuration's")
-    options.path("--mjcf", "write MuJoCo's model there too", "FILE")
-    what = "write all samples there too: .csv, or OpenSim's .mot (coordinates), .sto (states)"
-    options.path("--trajectory", what, "FILE", action="append", default=[])
-    options.path("--opensim", "write OpenSim's model, motion, states and loads there")
-    options.arch()
-    options.json()
-
-
-COMMANDS: dict[str, Callable[[Options], None]] = {
-    "bench": bench, "compare": compare, "dashboard": dashboard, "explore": explore,
-    "precompute": precompute, "quickstart": quickstart, "report": report, "study": study,
-    "validate": validate, "walk": walk,
-}  # fmt: skip
-
-# Commands of version 0.2.0 that are gone, and what to use instead.
-REMOVED = {
-    "draw-store": "explore STORE",
-    "optimum": "compare --config optimum-smooth --arms cmaes-cold --trials 10000",
-}
+    def declare(self, option: Declared) -> None:
+        """Add an option, or options, as the file declares them."""
+        words = dict(option)
+        if "like" in words:
+            for each in DECLARED["shared"][words.pop("like")]:
+                self.declare(each | words)
+            return
+        flags, stores = words.pop("flags"), words.pop("stores", False)
+        if "whole" in words:
+            self.whole(*flags, *words.pop("whole"), **words)
+            return
+        if "choices" in words:
+            words["choices"] = looked_up(words["choices"])
+        kind = words.get("type")
+        if kind is not None:
+            words["type"] = TYPES[kind]
+        self.add_argument(*flags, **words)
+        if kind == "config":
+            what = "list the shipped configurations and exit"
+            self.add_argument(
+                "--list-configs", action=_ListConfigs, nargs=0, const=stores, help=what
+            )
 
 
 def parser_of(name: str) -> Options:
@@ -313,8 +142,11 @@ def parser_of(name: str) -> Options:
         raise InputError("command", name, instead)
     if name not in COMMANDS:
         raise InputError("command", name, ", ".join(COMMANDS))
-    parser = Options(file_of(name), f"{PROGRAM} {name}")
-    COMMANDS[name](parser)
+    command = COMMANDS[name]
+    parser = Options(file_of(name), f"{PROGRAM} {name}", command["about"])
+    parser.takes_others = command.get("others", False)
+    for option in command["options"]:
+        parser.declare(option)
     return parser
 
 
@@ -353,6 +185,9 @@ def config_path(name: str | Path) -> Path:
     return Path(name)
 
 
+TYPES = {"int": int, "float": float, "path": Path, "config": config_path}
+
+
 def shipped_configs(stores: bool) -> dict[str, str]:
     """A line on every shipped configuration of stores, or of experiments, by its name."""
     found: dict[str, str] = {}
@@ -386,9 +221,9 @@ def _check_word(field: str, word: object) -> None:
             raise InputError(field, str(word), allowed)
 
 
-def _whole(field: str, text: str, low: int, high: Bound) -> int:
+def _whole(field: str, text: str, low: int, high: int | str) -> int:
     """The whole number within bounds that a text is."""
-    high = high() if callable(high) else high
+    high = looked_up(high) if isinstance(high, str) else high
     try:
         value = int(text)
     except ValueError:  # no number, or one of thousands of digits

@@ -25,23 +25,12 @@ from taichi_nmm.kernel.layout import (
 )
 from taichi_nmm.kernel.muscle_table import FMAX_N, MUSCLE_DATA, TORQUES_NM
 from taichi_nmm.packs import Packs
-from taichi_nmm.result import EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
+from taichi_nmm.result import COLUMNS, EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 
 Array = NDArray[np.float64]
 
 TICKS_PER_SECOND = round(1.0 / CONTROL_TICK_S)
-SCORE_SUMS = {
-    "m1": "m1_sum", "m2": "m2_sum", "m3": "m3_sum", "m4": "m4_sum", "m5": "m5_sum_mps",
-    "m5_corrected": "m5_corrected_sum",
-}  # fmt: skip
-STEP_MEANS = {
-    "m1": "m1_mean", "m2": "m2_mean", "m3": "m3_mean", "m4": "m4_mean", "m5": "m5_mean_mps",
-    "knee_peak_swing": "knee_peak_swing_rad", "knee_peak_stance": "knee_peak_stance_rad",
-    "ankle_strike": "ankle_strike_rad", "ankle_takeoff": "ankle_takeoff_rad",
-    "vertical_peak": "grf_vertical_peak_bw", "braking_peak": "grf_braking_peak_bw",
-    "propulsion_peak": "grf_propulsion_peak_bw",
-}  # fmt: skip
 
 
 def result_rows(
@@ -66,9 +55,9 @@ def result_rows(
     rows["survived_fraction"] = rows["duration_s"] / duration_s
     steps = sums[:, Sums.steps]
     rows["step_count"] = np.round(steps).astype(np.int32)
-    for name, column in SCORE_SUMS.items():
+    for column, name in COLUMNS["sums"].items():
         rows[column] = sums[:, getattr(Sums, name)]
-    for name, column in STEP_MEANS.items():
+    for column, name in COLUMNS["step_means"].items():
         rows[column] = _quotient(sums[:, getattr(Sums, name)], steps)
     binary = rows["m1_sum"] + rows["m2_sum"] + rows["m3_sum"] + rows["m4_sum"]
     rows["phi_printed"] = binary + rows["m5_sum_mps"]
@@ -79,21 +68,13 @@ def result_rows(
 
 def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
     ticks = sums[:, Sums.ticks]
-    moments = {
-        ("trunk_mean_rad", "trunk_sd_rad"): (Sums.trunk, ticks),
-        ("hip_height_mean_m", "hip_height_sd_m"): (Sums.hip_height, ticks),
-        ("", "hip_speed_sd_mps"): (Sums.hip_speed, ticks),
-        ("step_length_mean_m", "step_length_sd_m"): (Sums.step_length, sums[:, Sums.strikes]),
-        ("step_duration_mean_s", "step_duration_sd_s"): (
-            Sums.step_duration, sums[:, Sums.step_durations],
-        ),
-    }  # fmt: skip
-    for (mean_name, sd_name), (row, count) in moments.items():
+    for name, of in COLUMNS["moments"].items():
+        row, count = getattr(Sums, name), sums[:, getattr(Sums, of["over"])]
         mean = _quotient(sums[:, row], count)
         square = _quotient(sums[:, row + 1], count)  # the row after a sum holds its squares
-        rows[sd_name] = np.sqrt(np.maximum(square - mean**2, 0.0))
-        if mean_name:
-            rows[mean_name] = mean
+        rows[of["sd"]] = np.sqrt(np.maximum(square - mean**2, 0.0))
+        if "mean" in of:
+            rows[of["mean"]] = mean
     rows["double_support_fraction"] = _quotient(sums[:, Sums.double_support], ticks)
     rows["flight_fraction"] = _quotient(sums[:, Sums.flight], ticks)
     vertical = sums[:, Sums.impulse + 1] + sums[:, Sums.impulse + 3]

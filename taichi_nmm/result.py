@@ -26,10 +26,10 @@ MUSCLES = ("SOL", "TA", "GAS", "VAS", "HAM", "GLU", "HFL")
 Fields = tuple[tuple[str, str], ...]
 
 
-_COLUMNS = tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encoding="utf-8"))
-OUTCOME_FIELDS: Fields = tuple(_COLUMNS["outcome"].items())
-SCORE_FIELDS: Fields = tuple(_COLUMNS["score"].items())  # the determinants of gait
-SUMMARY_FIELDS: Fields = tuple(_COLUMNS["summary"].items())
+COLUMNS = tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encoding="utf-8"))
+OUTCOME_FIELDS: Fields = tuple(COLUMNS["outcome"].items())
+SCORE_FIELDS: Fields = tuple(COLUMNS["score"].items())  # the determinants of gait
+SUMMARY_FIELDS: Fields = tuple(COLUMNS["summary"].items())
 
 RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS])
 

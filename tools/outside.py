@@ -17,7 +17,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import repeat
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -247,20 +247,16 @@ def of_optuna(sampler: Callable[..., BaseSampler], **options: Any) -> Costs:
     return lambda problem, seed, trials: study_costs(problem, sampler(seed=seed, **options), trials)
 
 
-def _ours(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
-    return study_costs(problem, FeatureKernelSampler(table(problem), seed=seed), trials)
+def of_ours(pool: Callable[[OutsideProblem], FeatureTable], **options: Any) -> Costs:
+    """Of our sampler over a problem's pool, with its defaults but for the options."""
+    return lambda problem, seed, trials: study_costs(
+        problem, FeatureKernelSampler(pool(problem), seed=seed, **options), trials
+    )
 
 
-def _ours_ranked(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
-    """A cost was computed for the rows of the pool alone: no other point is proposed."""
-    sampler = FeatureKernelSampler(table(problem, ranking=True), seed=seed, off_grid=0)
-    return study_costs(problem, sampler, trials)
-
-
-def _by_formula(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
-    """Ours over a pool of which only the formulas of its components (SMILES) are known."""
-    pool = FeatureTable.from_kernel(formula_similarity(problem.columns), problem.columns)
-    return study_costs(problem, FeatureKernelSampler(pool, seed=seed), trials)
+def by_formula(problem: OutsideProblem) -> FeatureTable:
+    """The pool if only the formulas of its components (SMILES) are known."""
+    return FeatureTable.from_kernel(formula_similarity(problem.columns), problem.columns)
 
 
 def formula_similarity(columns: Columns) -> Floats:
@@ -361,11 +357,14 @@ class Arm(NamedTuple):
         return self.sees != (RANKED if problem in MEASURED else FORMULAS)
 
 
+# A cost was computed for the rows of the pool alone: no other point is proposed.
+OURS_RANKED = of_ours(partial(table, ranking=True), off_grid=0)
+
 # CmaEsSampler draws choices at random, as always in Optuna.
 ARMS = {
-    "ours": Arm("ours", FEATURES, _ours, ours=True),
-    "ours-ranked": Arm("ours, with the ranking", RANKED, _ours_ranked, ours=True),
-    "ours-formulas": Arm("ours, formulas alone", FORMULAS, _by_formula, ours=True),
+    "ours": Arm("ours", FEATURES, of_ours(table), ours=True),
+    "ours-ranked": Arm("ours, with the ranking", RANKED, OURS_RANKED, ours=True),
+    "ours-formulas": Arm("ours, formulas alone", FORMULAS, of_ours(by_formula), ours=True),
     "ranking": Arm("the ranking alone", RANKED, _ranking_alone),
     "tpe-ranking": Arm(
         f"TPESampler, {ENQUEUED} best-ranked rows first", RANKED, _tpe_after_ranking
@@ -402,8 +401,8 @@ class Run(NamedTuple):
             return None
 
     def seconds(self, cache: Path) -> float:
-        """The time that it took; NaN of an old file, which has none."""
-        return float(json.loads(self.file(cache).read_text()).get("seconds", np.nan))
+        """The time that it took; its costs are in the cache."""
+        return float(json.loads(self.file(cache).read_text())["seconds"])
 
     def execute(self, cache: Path) -> list[float]:
         """Run it, and keep its costs."""

@@ -34,7 +34,7 @@ def main() -> None:
     parser = Options(__file__)
     parser.whole("--samples", 1, MOST_SAMPLES, default=1000, help="(%(default)s)")
     parser.whole("--seed", 0, LARGEST_SEED, default=2016, help="of the Sobol points (%(default)s)")
-    parser.flag("--json", "print one list of objects")
+    parser.declare({"like": "json", "help": "print one list of objects"})
     options = parser.parse_args()
     require_engine(MUJOCO)
     how = f"{options.samples} Sobol points, MuJoCo's default contact, 1 ms"

@@ -90,13 +90,11 @@ def write_studies(storage: RDBStorage, studies: Iterable[FinishedStudy]) -> int:
     return added
 
 
-def attach(
-    storage: RDBStorage, attributes: Iterable[tuple[str, int, str, Any]]
-) -> set[tuple[str, int]]:
-    """Add system attributes to finished trials, which Optuna itself does not let anyone do.
+def attach(storage: RDBStorage, study: str, number: int, key: str, value: Any) -> None:
+    """Add a system attribute to a finished trial, which Optuna itself does not let anyone do.
 
-    Of each: name of the study, number of the trial, key, plain value. A key that the trial has
-    already is left as it is. Returns which trials got something: name of the study, number.
+    The trial is of a study of this name, the value a plain one. An attribute that the trial has
+    already is left as it is.
 
     Raises:
         InputError: a database of another Optuna version.
@@ -104,25 +102,21 @@ def attach(
     """
     tables = known_tables(storage)
     studies, trials = tables["studies"].c, tables["trials"].c
-    table = tables["trial_system_attributes"]
-    wanted = list(attributes)
+    known = tables["trial_system_attributes"].c
     with storage.engine.begin() as connection:
-        _lock(connection, tables["studies"], [name for name, *_ in wanted])
-        query = sql.select(studies.study_name, trials.number, trials.trial_id).where(
+        _lock(connection, tables["studies"], [study])
+        query = sql.select(trials.trial_id).where(
             trials.study_id == studies.study_id,
-            studies.study_name.in_({name for name, *_ in wanted}),
-            trials.number.in_({number for _, number, *_ in wanted}),
+            studies.study_name == study,
+            trials.number == number,
         )
-        ids = {(name, number): trial_id for name, number, trial_id in connection.execute(query)}
-        known = sql.select(table.c.trial_id, table.c.key).where(table.c.trial_id.in_(ids.values()))
-        there = {(trial_id, key) for trial_id, key in connection.execute(known)}
-        new = [item for item in wanted if (ids[item[0], item[1]], item[2]) not in there]
-        rows = [
-            {"trial_id": ids[name, number], **_attributes({key: value})[0]}
-            for name, number, key, value in new
-        ]
-        _insert(connection, tables, {"trial_system_attributes": rows})
-    return {(name, number) for name, number, *_ in new}
+        trial_id = connection.execute(query).scalar()
+        if trial_id is None:
+            raise KeyError(study, number)
+        there = sql.select(known.key).where(known.trial_id == trial_id, known.key == key)
+        if connection.execute(there).first() is None:
+            row = {"trial_id": trial_id, **_attributes({key: value})[0]}
+            _insert(connection, tables, {"trial_system_attributes": [row]})
 
 
 def _batches(studies: Iterable[FinishedStudy]) -> Iterator[list[FinishedStudy]]:

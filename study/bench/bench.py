@@ -6,6 +6,8 @@ leaves no trace in later proposals. What was learned in other contexts is one mo
 more feature and the ranking by it.
 """
 
+import getpass
+import socket
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -48,13 +50,17 @@ class Bench:
         path: of the TOML file.
         operator: who makes the entries; by default the user and the machine.
 
+    Attributes:
+        operator: the same; it may be changed between entries.
+
     Raises:
         InputError: naming the key of the file; or the bench was begun with another file.
     """
 
     def __init__(self, path: str | Path, operator: str | None = None) -> None:
         self.plan: Plan = read_plan(Path(path))
-        self._journal = Journal(self.plan.url, self.plan.name, operator)
+        self.operator = operator or f"{getpass.getuser()}@{socket.gethostname()}"
+        self._journal = Journal(self.plan.url, self.plan.name)
         self._entries = self._journal.entries()
         if not self._entries:
             return
@@ -81,15 +87,6 @@ class Bench:
                 }  # fmt: skip
                 bench._add("begin", begun)
         return bench
-
-    @property
-    def operator(self) -> str:
-        """Who makes the entries."""
-        return self._journal.operator
-
-    @operator.setter
-    def operator(self, name: str) -> None:
-        self._journal.operator = name
 
     def look(self) -> State:
         """What all entries come to, also those that others have made since."""
@@ -288,12 +285,6 @@ class Bench:
             f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
         )
 
-    def require_begun(self) -> None:
-        """Refuse a bench without entries."""
-        if not self._entries:
-            new = f"a bench that was begun: taichi-nmm bench new {self.plan.path}"
-            raise InputError("bench", str(self.plan.path), new)
-
     def shown(self) -> optuna.Study:
         """The study that the dashboard shows."""
         return optuna.load_study(study_name=self.plan.name, storage=self._journal.storage)
@@ -312,7 +303,7 @@ class Bench:
             show(self)
 
     def _add(self, kind: str, data: Mapping[str, Any]) -> None:
-        self._entries.append(self._journal.append(kind, data))
+        self._entries.append(self._journal.append(kind, data, self.operator))
 
     def _propose(self, state: State, asked: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """The next trial, after those that were just asked for."""

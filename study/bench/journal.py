@@ -5,11 +5,9 @@ or it is not. A correction and an undoing are entries too. The trials are read f
 are not undone, in their order. What a clock says decides nothing.
 """
 
-import getpass
-import socket
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -89,9 +87,8 @@ class State:
 class Journal:
     """The entries of one bench in a study database."""
 
-    def __init__(self, url: str, name: str, operator: str | None = None) -> None:
+    def __init__(self, url: str, name: str) -> None:
         self.url, self.name = url, name
-        self.operator = operator or f"{getpass.getuser()}@{socket.gethostname()}"
         self.storage = open_studies(url)
 
     @contextmanager
@@ -102,20 +99,17 @@ class Journal:
             InputError: another command holds the bench for long, or the database cannot be written.
         """
         deadline_s = time.monotonic() + WAIT_S
-        while True:
-            held = only_run(self.url, self.name + LOG)
-            try:
-                held.__enter__()
-                break
-            except InputError as error:
-                if error.field != "study" or time.monotonic() > deadline_s:
-                    raise
-                time.sleep(0.1)
-        try:
+        with ExitStack() as held:
+            while True:
+                try:
+                    held.enter_context(only_run(self.url, self.name + LOG))
+                    break
+                except InputError as error:
+                    if error.field != "study" or time.monotonic() > deadline_s:
+                        raise
+                    time.sleep(0.1)
             with storage_errors(self.url):
                 yield
-        finally:
-            held.__exit__(None, None, None)
 
     def entries(self) -> list[Entry]:
         """All entries, in their order; none where the bench has not begun."""
@@ -134,16 +128,16 @@ class Journal:
                 number += 1
         return found
 
-    def append(self, kind: str, data: Mapping[str, Any]) -> Entry:
-        """Add an entry, in a turn."""
+    def append(self, kind: str, data: Mapping[str, Any], operator: str) -> Entry:
+        """Add an entry of an operator, in a turn."""
         number = len(self.entries())
         study = optuna.create_study(
             storage=self.storage, study_name=self.name + LOG, load_if_exists=True
         )
         moment = datetime.now(UTC).isoformat(timespec="seconds")
-        head = {"kind": kind, "time": moment, "by": self.operator}
+        head = {"kind": kind, "time": moment, "by": operator}
         study.set_user_attr(KEY.format(number), head | dict(data))
-        return Entry(number, kind, moment, self.operator, dict(data))
+        return Entry(number, kind, moment, operator, dict(data))
 
 
 def trials_of(entry: Entry) -> list[int]:

@@ -1,21 +1,4 @@
-"""Tune a real machine: what to try next, and results entered by hand, over days.
-
-    taichi-nmm bench new walk.toml      # begins a bench: candidates, what a trial is, what is good
-    taichi-nmm bench next --batch 3     # what to try, why, and what is expected
-    taichi-nmm bench record 17 --cost 0.21 --torque 81 --note "slipped on the mat"
-    taichi-nmm bench fail 18 --seconds 2.1    # how far it came teaches
-    taichi-nmm bench abort 19           # the machine broke: nothing is learned, it is tried again
-    taichi-nmm bench correct 17 --cost 0.31
-    taichi-nmm bench undo               # the last entry, or the one of a number in `status`
-    taichi-nmm bench add --gains mine.json --cost 0.4     # a trial of your own
-    taichi-nmm bench context gravel     # new ground: what was learned counts as far as it agrees
-    taichi-nmm bench status | recommend | compare-to-simulator
-    taichi-nmm bench export trials.csv | import trials.csv
-    taichi-nmm bench serve              # a page with forms, for a phone beside the machine
-
-Options of other names (--torque) are the columns of the file. Every entry is kept with its time and
-operator; the study can be opened with `taichi-nmm dashboard`. Exit codes: 0, 2 bad input.
-"""
+"""Tune a real machine: what to try next, and results entered by hand, over days."""
 
 import csv
 import json
@@ -60,7 +43,9 @@ def main(args: Namespace) -> None:
         print(f"next: taichi-nmm bench next --bench {bench.plan.path}")
         return
     bench = Bench(args.bench or only_bench(), args.operator)
-    bench.require_begun()
+    if not bench.entries:
+        new = f"a bench that was begun: taichi-nmm bench new {bench.plan.path}"
+        raise InputError("bench", str(bench.plan.path), new)
     ACTIONS[args.action](bench, args)
 
 
@@ -231,8 +216,7 @@ def other(bench: Bench, args: Namespace) -> None:
 
 def serve(bench: Bench, args: Namespace) -> None:
     """Serve the page with forms until Ctrl-C."""
-    from study.bench.films import Films, filming_of
-    from study.bench.form import application
+    from study.bench.form import Films, application, filming_of
 
     address, filming = args.listen or HOST, filming_of(bench, args.simulator)
     with tempfile.TemporaryDirectory() as folder, Processes(1) as makers:

@@ -1,17 +1,4 @@
-"""Compare samplers on the walker: every arm tries the same robots on the same grounds.
-
-    taichi-nmm compare --config rough8-smooth --arms dog,random --runs 10
-
-writes trials.parquet and proposal_times.parquet to the folder --out. The command can be stopped at
-any time; the same command goes on where it stopped. A later call may add arms, runs or trials.
-
-A configuration that names a simulator, such as walker2d-robots, compares on its robots, each a run:
-
-    taichi-nmm precompute --config walker2d
-    taichi-nmm compare --config walker2d-robots --runs 10
-
-writes trials.parquet and report.md. Exit codes: 0, 2 bad input, 130 interrupted.
-"""
+"""Compare samplers on the walker: every arm tries the same robots on the same grounds."""
 
 import json
 import time
@@ -33,9 +20,8 @@ from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.folder import PACKAGES
-from study.report.markdown import arms_documents, arms_text, dashboard_summary
+from study.report.markdown import RobotResults, arms_documents, arms_text, dashboard_summary
 from study.report.numbers import numbers
-from study.report.robots import RobotResults
 from study.report.runs import read_facts, read_results
 from taichi_nmm.errors import InputError
 from taichi_nmm.walker_simulator import Walker, require_engine

@@ -1,11 +1,4 @@
-"""Show the studies of an experiment in optuna-dashboard, with their pictures.
-
-    taichi-nmm dashboard                         # the newest folder in out/compare
-    taichi-nmm dashboard out/compare/rough8-smooth
-    taichi-nmm dashboard --storage postgresql+psycopg://me@host/walker --artifacts DIR
-
-The server answers this machine only (127.0.0.1), until Ctrl-C. Exit codes: 0, 2 bad input.
-"""
+"""Show the studies of an experiment in optuna-dashboard, with their pictures."""
 
 from argparse import Namespace
 from contextlib import suppress

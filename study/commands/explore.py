@@ -1,12 +1,4 @@
-"""Explore a store in the browser, where a click lets any gait walk.
-
-    taichi-nmm explore out/store
-    taichi-nmm explore out/walker2d --simulator configs/walker2d.py:robot
-
-opens a page that this machine alone can reach (127.0.0.1), until Ctrl-C, and prints its address.
-Nothing is written into the folder. The command needs the extra `explore`. Exit codes: 0, 2 bad
-input.
-"""
+"""Explore a store in the browser, where a click lets any gait walk."""
 
 import os
 import sys

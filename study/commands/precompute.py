@@ -1,12 +1,4 @@
-"""Compute a store of gait scores: simulate points of a Sobol sequence, shard by shard.
-
-    taichi-nmm precompute --config store
-    taichi-nmm precompute --config store-worlds --workers 8
-
-With a table [repertoire] in the configuration, a search then breeds further candidates from the
-survivors. The command can be stopped at any time; the same command goes on where it stopped. Exit
-codes: 0, 2 bad input, 130 interrupted.
-"""
+"""Compute a store of gait scores: simulate points of a Sobol sequence, shard by shard."""
 
 import json
 from argparse import Namespace

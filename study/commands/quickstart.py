@@ -1,10 +1,4 @@
-"""Find a walker on rough ground from nothing: a small store, three studies, pictures.
-
-    taichi-nmm quickstart
-
-does the work of precompute, study and walk, in about a minute. The same command goes on where it
-was stopped. Exit codes: 0, 2 bad input, 130 interrupted.
-"""
+"""Find a walker on rough ground from nothing: a small store, three studies, pictures."""
 
 from argparse import Namespace
 from contextlib import closing
@@ -12,10 +6,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import optuna
 
-import taichi_nmm
 from storage.commit import commit_json, require_folder
 from storage.databases.studies import (
     only_run,
@@ -31,12 +23,11 @@ from study.commands.study import command_line, dashboard_command, film_command
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, read_experiment, study_name
 from study.experiment.folder import live_artifacts
+from study.experiment.gains import gains_of_source, named_gains, recorded_walk
 from study.experiment.live_study import run_study
-from study.experiment.trials import progress_line, simulate_trials, study_line
+from study.experiment.trials import progress_line, study_line
 from study.options import config_path
-from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.config import read_toml
-from taichi_nmm.terrain import flat
 from taichi_nmm.walker_simulator import require_engine
 
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
@@ -44,6 +35,7 @@ ARMS = ("worlds", "dog", "random")
 STORES = ("flat", "worlds")  # names under which these arms read the one store
 RUN = 0
 REFERENCE_S = 30.0  # of the reference gait, for its pictures
+RECORD_RATE_HZ = 100.0
 
 
 def make_store(path: Path) -> None:
@@ -75,22 +67,19 @@ def draw_walks(out: Path, experiment: Experiment, study: optuna.Study) -> list[P
     """A strip and a gait cycle of the best trial, and of the reference gait on flat ground."""
     from study import pictures  # here, where matplotlib is needed
 
-    gains, settings = np.array([list(study.best_params.values())]), experiment.conditions.settings
-    found = simulate_trials(experiment, [RUN], gains, record=True)
-    reference = taichi_nmm.simulate(
-        taichi_nmm.load_gains("reference"), duration_s=REFERENCE_S, settings=settings, record=(0,)
-    )
-    paths = []
-    ground, body = experiment.terrain(RUN), experiment.body(RUN)
-    for name, title, result, terrain, bodies in (
-        ("found", f"Found by {study.study_name}", found, ground, body),
-        ("reference", "Reference gait", reference, flat(), Bodies.nominal()),
+    level = read_experiment(config_path("flat"))
+    level = replace(level, conditions=replace(level.conditions, duration_s=REFERENCE_S))
+    found, paths = named_gains("found", study.best_params), []
+    for name, title, gains, where in (
+        ("found", f"Found by {study.study_name}", found, experiment),
+        ("reference", "Reference gait", gains_of_source("reference"), level),
     ):
-        trajectory, weight_n = result.trajectories[0], float(bodies.mass_kg.sum()) * GRAVITY_MPS2
+        result = recorded_walk(gains, where, RUN, RECORD_RATE_HZ)
+        trajectory, terrain = result.trajectories[0], where.terrain(RUN)
         title += f": {result.end_reason[0]} {result['duration_s'][0]:.0f} s"
         strip, cycle = out / f"{name}_strip.png", out / f"{name}_gait_cycle.png"
         paths.append(pictures.write_strip(strip, trajectory, terrain, title))
-        paths.append(pictures.write_gait_cycle(cycle, trajectory, weight_n, title))
+        paths.append(pictures.write_gait_cycle(cycle, trajectory, where.weight_n(RUN), title))
     return paths
 
 

@@ -1,12 +1,4 @@
-"""Make figures and tables of one or several comparisons.
-
-    taichi-nmm report out/compare/rough8-smooth
-    taichi-nmm report out/compare/* --out out/overview
-
-Each folder gets a folder `report`; the overview of several goes to --out. The report of an
-unfinished comparison covers its finished trials, and states how many those are. Exit codes: 0, 2
-bad input, 130 interrupted.
-"""
+"""Make figures and tables of one or several comparisons."""
 
 from argparse import Namespace
 

@@ -1,16 +1,4 @@
-"""Run one live study: an arm proposes gains, and the simulator of the walker tries them.
-
-    taichi-nmm study --config rough8 --arm dog --trials 30 \\
-        --storage sqlite:///out/studies.db
-
-or, with a configuration that names a simulator, on one of its robots (--run):
-
-    taichi-nmm study --config walker2d-robots --arm worlds --run 3 --storage sqlite:///out/studies.db
-
-Its trials equal those of the same arm and run in a comparison of the same configuration. The
-dashboard shows a picture of the best one. The same command goes on where it was stopped. Exit
-codes: 0, 2 bad input, 130 interrupted.
-"""
+"""Run one live study: an arm proposes gains, and the simulator of the walker tries them."""
 
 import json
 import os

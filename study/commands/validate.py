@@ -1,11 +1,4 @@
-"""Measure the walker against the figures that it must show, as a Markdown table.
-
-    taichi-nmm validate --samples 20000
-
-measures the population of the search space on flat and on rough ground, the published gait, step
-sizes and precisions. It takes about twelve minutes for 20,000 points on two cores. Exit codes: 0, 2
-bad input.
-"""
+"""Measure the walker against the figures that it must show, as a Markdown table."""
 
 import json
 import platform

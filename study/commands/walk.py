@@ -1,21 +1,8 @@
-"""Simulate one controller, and draw how it walks.
-
-    taichi-nmm walk --gains reference --config flat --out out/walk/reference
-    taichi-nmm walk --store out/store --row 17
-    taichi-nmm walk --store out/store-speed --speed 1.0
-    taichi-nmm walk --trial rough8-smooth/dog/run-007/12 --storage out/compare/rough8-smooth \\
-        --config rough8-smooth --run 7
-
-writes strip.png, gait_cycle.png and movie.mp4 to the folder --out. Gains are a name (reference,
-published), a JSON file of gains, a row of a store (or, with --speed, the one that walks so fast
-with the least energy), or a finished trial of a study database or of a comparison. With --engine
-mujoco, MuJoCo moves the body; with --engine both, strips.png shows both walks, one above the other.
---mjcf writes MuJoCo's model and its ground for MuJoCo's own viewer; --trajectory writes all
-samples, and --opensim a folder that OpenSim 4 opens. Exit codes: 0, 2 bad input, 130 interrupted.
-"""
+"""Simulate one controller, and draw how it walks."""
 
 import json
 import tempfile
+import tomllib
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 import taichi_nmm
-from storage.commit import commit, require_folder, writable
+from storage.commit import commit_text, require_folder, writable
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.gains import (
     NamedGains,
@@ -38,11 +25,11 @@ from study.experiment.gains import (
 from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES
 from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
-from study.pictures.opensim import write_opensim
 from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
     kept,
     require_trajectory_file,
+    write_opensim,
     write_trajectory,
 )
 from taichi_nmm import checks
@@ -56,6 +43,7 @@ ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk
 LONGEST_MOVIE_S = 120.0
 CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name the controller
 REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected")
+WORDS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 def find_gains(args: Namespace) -> NamedGains:
@@ -104,19 +92,12 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
 def write_model(path: Path, experiment: Experiment, run: int) -> None:
     """MuJoCo's model of a run's body and ground, standing where the walk starts."""
     from taichi_nmm.mujoco_engine.engine import start_state
-    from taichi_nmm.mujoco_engine.mjcf import write_mjcf
+    from taichi_nmm.mujoco_engine.mjcf import mjcf_text
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
     body, friction = experiment.body(run), float(experiment.world(run).friction[0])
-
-    def write(temporary: Path) -> None:
-        write_mjcf(temporary, body, friction, terrain, settings, start_state(terrain))
-
-    def check(temporary: Path) -> None:
-        if not temporary.read_text(encoding="utf-8").endswith("</mujoco>\n"):
-            raise OSError("the model was not written whole")
-
-    commit(path, write, check, "mjcf")
+    text = mjcf_text(body, friction, terrain, settings, start_state(terrain))
+    commit_text(path, text, "mjcf")
 
 
 def write_engines(
@@ -160,20 +141,9 @@ def write_pictures(
 def summary(title: str, row: np.void) -> str:
     """For people, a line each."""
     degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
-    lines = (
-        title,
-        f"cost of transport   {row['cost_of_transport_jpkgpm']:.2f} J/(kg m)",
-        f"scored steps        {row['step_count']}, {row['step_length_mean_m']:.3f} m"
-        f" and {row['step_duration_mean_s']:.3f} s each,"
-        f" double support {100 * row['double_support_fraction']:.0f} %",
-        f"knee peak in swing  {degrees['knee_peak_swing_rad']:.0f} deg flexed",
-        f"ankle               {degrees['ankle_strike_rad']:+.0f} deg at strike,"
-        f" {degrees['ankle_takeoff_rad']:+.0f} deg at take-off (plantarflexion +)",
-        f"trunk               {degrees['trunk_mean_rad']:+.1f} deg (forward +)",
-        f"score               phi {row['phi_printed']:.1f} as printed,"
-        f" {row['phi_corrected']:.1f} corrected",
-    )
-    return "\n".join(lines)
+    values = {name: row[name].item() for name in row.dtype.names or ()} | degrees
+    values["double_support_percent"] = 100 * values["double_support_fraction"]
+    return str(WORDS["summary"]).format(title=title, **values)
 
 
 def report(

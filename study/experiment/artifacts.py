@@ -56,7 +56,7 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     # As `optuna.artifacts.upload_artifact` would register the file with the trial.
     value = json.dumps({"artifact_id": file.name, **STRIP, "encoding": None})
     with opened(url) as storage, read_errors(url):
-        attach(storage, [(study.study_name, best.number, f"artifacts:{file.name}", value)])
+        attach(storage, study.study_name, best.number, f"artifacts:{file.name}", value)
         # In any case: a call that was killed may have attached the file alone.
         _note(storage, study.study_name, best.number, title, file.name)
 

@@ -129,10 +129,6 @@ class RobotExperiment:
         numbers = ("cost", "measured", "survived", *self.names)
         return pa.schema([*words, *((name, pa.float64()) for name in numbers)])
 
-    def costs(self, rows: NDArray[np.void]) -> Floats:
-        """Costs of the simulator's rows, [n]."""
-        return self.objective.costs(rows)
-
 
 def is_of_robots(path: Path) -> bool:
     """Whether a configuration names a simulator of its own."""
@@ -264,7 +260,8 @@ class Runs:
         self._world = experiment.rule.draw([stream(experiment.seed, Purpose.WORLD, run)])
         errors = generator(experiment.seed, Purpose.COST_NOISE, run)
         self.factors = np.exp(experiment.noise * errors.standard_normal(experiment.trials))
-        self._space = candidates(experiment).rows.space.as_dict()
+        table = candidates(experiment.store, experiment.objective)
+        self._space = table.rows.space.as_dict()
         self._known: dict[bytes, np.void] = {}
 
     def ask(self, studies: Iterable[optuna.Study]) -> tuple[list[optuna.Trial], Floats]:
@@ -297,7 +294,7 @@ def try_robot(unit: Unit) -> pa.Table:
         for trial in range(experiment.trials):
             asked, points = runs.ask(studies.values())
             rows = runs.rows(points)
-            costs = experiment.costs(rows)
+            costs = experiment.objective.costs(rows)
             measured = costs * runs.factors[trial]
             for place, (arm, study) in enumerate(studies.items()):
                 study.tell(asked[place], float(measured[place]))
@@ -338,7 +335,7 @@ def live_study(
             row = runs.rows(points)
             for column in experiment.simulator.scores:
                 asked.set_user_attr(column, float(row[column][0]))
-            cost = float(experiment.costs(row)[0] * runs.factors[done])
+            cost = float(experiment.objective.costs(row)[0] * runs.factors[done])
             report(study, study.tell(asked, cost))
         return study
 
@@ -348,7 +345,7 @@ def _study(
     name: str | None = None,
 ) -> optuna.Study:  # fmt: skip
     """The study of an arm on a robot, which begins with the rows that the arm is given."""
-    table = candidates(experiment)
+    table = candidates(experiment.store, experiment.objective)
     chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
     sampler = chosen.new_sampler(table, seed, experiment.objective.fell_cost)
     study = optuna.create_study(
@@ -377,18 +374,14 @@ def _ready(arms: Iterable[str]) -> Iterator[None]:
         yield
 
 
-def candidates(experiment: RobotExperiment) -> FeatureTable:
-    """The rows of the store, with what a trial costs in each of its worlds.
+@lru_cache(maxsize=4)
+def candidates(store: Path, objective: Objective) -> FeatureTable:
+    """The rows of a store, with what a trial costs in each of its worlds.
 
     Raises:
         InputError: a store without families, or that has not kept the cost in each world.
     """
-    return _candidates(experiment.store, experiment.objective)
-
-
-@lru_cache(maxsize=4)
-def _candidates(path: Path, objective: Objective) -> FeatureTable:
-    return table_of_worlds(open_store(path), objective.in_worlds)
+    return table_of_worlds(open_store(store), objective.in_worlds)
 
 
 def _in_order(kept: list[pa.Table]) -> pa.Table:

@@ -14,6 +14,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from scipy.signal import lfilter
 
 from study.pictures import style
 from study.pictures.stick_figure import (
@@ -296,11 +297,9 @@ def pressure_point(q: Array, side: int) -> Array:
 
 def camera_level(ground_m: Array, rate_hz: int) -> Array:
     """The ground's height at each frame, smoothed for a calm camera."""
-    level = ground_m.copy()
     blend = 1.0 / (rate_hz * HEIGHT_TRACKING_S)
-    for number in range(1, len(level)):
-        level[number] = level[number - 1] + blend * (level[number] - level[number - 1])
-    return level
+    level, _ = lfilter([blend], [1.0, blend - 1.0], ground_m, zi=(1.0 - blend) * ground_m[:1])
+    return np.asarray(level)
 
 
 def smooth_force(trajectory: Trajectory) -> Array:

@@ -1,27 +1,166 @@
-"""A recorded walk as a file for other programs: CSV by our own names, .mot and .sto by OpenSim's.
+"""A recorded walk as files for other programs: CSV by our own names, and all that OpenSim 4 takes.
 
-Numbers have as many digits as needed to read the same float64 back.
+OpenSim gets the model of its body, motion, states, and the ground's forces. The model has our seven
+links and planar joints, by the names of OpenSim's gait10dof18musc: its pelvis is head, arms and
+trunk in one, with the hip as its origin. Angles are counter-clockwise positive, flexion of the knee
+negative. Numbers have as many digits as needed to read the same float64 back.
 """
 
+import tomllib
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from storage.commit import commit_text, require_writable
-from study.pictures.opensim import (
-    SIDED,
-    SIDES,
-    Columns,
-    motion,
-    states,
-    storage_text,
-    table,
-    table_lines,
-)
-from study.pictures.stick_figure import NOT_SAMPLED
+from storage.commit import commit_text, require_writable, together
+from study.pictures.stick_figure import NOT_SAMPLED, down, finite, forward, leg
+from taichi_nmm import __version__
+from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.result import Trajectory
+from taichi_nmm.result import MUSCLES, Trajectory
+
+Array = NDArray[np.float64]
+Columns = dict[str, Array]
+
+FOLDER = Path(__file__).parent  # of the model's template, and the list of external loads
+OPENSIM = tomllib.loads(FOLDER.joinpath("opensim.toml").read_text(encoding="utf-8"))
+SIDES = ("l", "r")
+FEET = ("1_", "")  # before the names of the left and right foot's columns, as in OpenSim's examples
+SIDED = [(side, muscle) for side in SIDES for muscle in MUSCLES]
+MUSCLE_NAMES = [f"{OPENSIM['muscles'][muscle]}_{side}" for side, muscle in SIDED]
+BASE = [f"ground_pelvis/pelvis_{name}" for name in ("tilt", "tx", "ty")]
+COORDINATES = BASE + [path.format(side=side) for side in SIDES for path in OPENSIM["leg"]]
+MOTION, STATES, LOADS = "motion.mot", "states.sto", "ground_forces.mot"
+MODEL, EXTERNAL = "walker.osim", "external_loads.xml"
+
+
+def write_opensim(folder: Path, trajectory: Trajectory, body: Bodies, name: str = "walk") -> None:
+    """Write all five files of a walk into a folder, or none.
+
+    Args:
+        folder: new, or one that this function has written.
+        trajectory: with forces and torques as means over the intervals.
+        body: the first of these walked.
+        name: a line of each file.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    trajectory = finite(trajectory)
+    with together(folder) as new:
+        commit_text(new / MODEL, model_text(body, name))
+        commit_text(new / MOTION, storage_text(motion(trajectory), "coordinates", name))
+        commit_text(new / STATES, storage_text(states(trajectory), "states", name))
+        commit_text(new / LOADS, storage_text(loads(trajectory, body), "loads", name))
+        commit_text(new / EXTERNAL, FOLDER.joinpath(EXTERNAL).read_text("utf-8"))
+
+
+def storage_text(columns: Columns, words: str, name: str) -> str:
+    """OpenSim's storage, version 1: lines before `endheader` that are no keys are remarks."""
+    rows = len(columns["time"])
+    degrees = "yes" if words == "coordinates" else "no"
+    head = f"{name}\nversion=1\nnRows={rows}\nnColumns={len(columns)}\ninDegrees={degrees}\n\n"
+    names, lines = "\t".join(columns), table_lines(columns, "\t")
+    return f"{head}{OPENSIM[words]}\nendheader\n{names}\n{lines}"
+
+
+def table_lines(columns: Columns, between: str) -> str:
+    """Rows with as many digits as needed to read the same float64 back."""
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    return "".join(between.join(map(repr, row)) + "\n" for row in rows)
+
+
+def table(time: str, time_s: Array, named: Iterable[tuple[Sequence[str], Array]]) -> Columns:
+    """The time, and the columns of arrays [t, k] by their names, k each."""
+    columns = {time: time_s}
+    for names, values in named:
+        columns |= dict(zip(names, values.T, strict=True))
+    return columns
+
+
+def _coordinates(pose: Array) -> Array:
+    """OpenSim's coordinates of q, or their rates of qdot, [t, 9] both."""
+    joints = pose[:, 3:] - pose[:, [2, 3, 4, 2, 6, 7]]  # extension, flexion, plantarflexion
+    return np.hstack([-pose[:, 2:3], pose[:, :2], -joints])
+
+
+def motion(trajectory: Trajectory) -> Columns:
+    """Coordinates of the model, angles in degrees."""
+    values = _coordinates(trajectory.q)
+    values[:, [0, *range(3, 9)]] = np.rad2deg(values[:, [0, *range(3, 9)]])
+    names = [path.rpartition("/")[2] for path in COORDINATES]
+    return table("time", trajectory.time_s, [(names, values)])
+
+
+def states(trajectory: Trajectory) -> Columns:
+    """All states of the model by the paths of OpenSim 4: coordinates, speeds, muscles."""
+    paths = [f"/jointset/{path}" for path in COORDINATES]
+    muscles = [f"/forceset/{name}" for name in MUSCLE_NAMES]
+    return table("time", trajectory.time_s, [
+        ([f"{path}/value" for path in paths], _coordinates(trajectory.q)),
+        ([f"{path}/speed" for path in paths], _coordinates(trajectory.qdot)),
+        ([f"{muscle}/activation" for muscle in muscles], trajectory.activation),
+        ([f"{muscle}/fiber_length" for muscle in muscles], trajectory.fibre_length_m),
+    ])  # fmt: skip
+
+
+def loads(trajectory: Trajectory, body: Bodies) -> Columns:
+    """Force, point and torque of the ground on each foot, at the middles of the intervals.
+
+    The point follows from the foot's equation of motion; a torque is what a point between heel and
+    ball leaves over.
+    """
+    interval_s = float(np.diff(trajectory.time_s[:2]).sum()) or 1.0
+    q, qdot = trajectory.q, trajectory.qdot
+    columns = {"time": trajectory.time_s - 0.5 * interval_s}
+    for side, foot in enumerate(FEET):
+        mass, inertia, com_m = (each[0, 3 + 3 * side] for each in vars(body).values())
+        thigh, shank, angle = q[:, 3 + 3 * side : 6 + 3 * side].T
+        w = qdot[:, 3 + 3 * side : 6 + 3 * side, None]
+        speed = qdot[:, :2] - THIGH_LENGTH_M * w[:, 0] * forward(thigh)
+        speed += com_m * w[:, 2] * down(angle) - SHANK_LENGTH_M * w[:, 1] * forward(shank)
+        drawn, lever = leg(_middle(q), side), -com_m * forward(_middle(angle))
+        force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2]
+        above = mass * (_gained(speed) / interval_s + [0.0, GRAVITY_MPS2]) - force  # of the shank
+        moment = trajectory.joint_torque_nm[:, 3 * side + 2] - _cross(lever, above)
+        moment -= inertia * _gained(w[:, 2, 0]) / interval_s
+        low, high = np.sort([drawn.heel, drawn.ball], axis=0) - (drawn.ankle - lever)
+        on = force[:, 1] > 0.0
+        ahead = (moment + low[:, 1] * force[:, 0]) / np.where(on, force[:, 1], np.inf)
+        point = np.column_stack([np.clip(ahead, low[:, 0], high[:, 0]), low[:, 1]])
+        left = np.where(on, moment - _cross(point, force), 0.0)
+        zero, (ahead, above) = np.zeros_like(left), (drawn.ankle - lever + point).T
+        values = (*force.T, zero, ahead, above, zero, zero, zero, left)
+        kinds = (f"{foot}ground_{kind}" for kind in ("force_v", "force_p", "torque_"))
+        names = [f"{kind}{axis}" for kind in kinds for axis in "xyz"]
+        columns |= dict(zip(names, values, strict=True))
+    return columns
+
+
+def _gained(values: Array) -> Array:
+    """How much values grow in the interval that ends at a sample, 0 at the first."""
+    return np.diff(values, axis=0, prepend=values[:1])
+
+
+def _middle(values: Array) -> Array:
+    """Values in the middle of the interval that ends at a sample."""
+    return values - 0.5 * _gained(values)
+
+
+def _cross(arm: Array, force: Array) -> Array:
+    """Moment of forces [t, 2], counter-clockwise, [t]."""
+    return np.asarray(arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0])
+
+
+def model_text(body: Bodies, name: str = "walk") -> str:
+    """The model of the first body, as XML."""
+    mass, inertia, com = (values[0].tolist() for values in vars(body).values())
+    numbers = {"mass": mass, "inertia": inertia, "com": com, "down": [-each for each in com]}
+    text = FOLDER.joinpath(MODEL).read_text("utf-8")
+    return text.format(name=name, version=__version__, **numbers)
+
 
 FORMATS = (".csv", ".mot", ".sto")
 RECORD_RATE_HZ = 1000.0  # of walks that are kept: loads of every tick
@@ -29,7 +168,7 @@ KEPT_RATE_HZ = 200.0
 MEANS = ("ground_force_n", "joint_torque_nm", "swing_torque_nm")
 
 SEGMENTS = ("thigh", "shank", "foot")
-COORDINATES = (
+OWN_COORDINATES = (
     "x_m", "z_m", "hat_rad", *(f"{segment}_{side}_rad" for side in SIDES for segment in SEGMENTS),
 )  # fmt: skip
 OWN_JOINTS = ("hip_extension", "knee_flexion", "ankle_plantarflexion")
@@ -54,8 +193,8 @@ def own_columns(trajectory: Trajectory) -> Columns:
     """All samples, by names with units; signs as in `Trajectory`."""
     swing = [name for name in TORQUES if "ankle" not in name]
     return table("time_s", trajectory.time_s, [
-        (COORDINATES, trajectory.q),
-        ([f"{name}ps" for name in COORDINATES], trajectory.qdot),
+        (OWN_COORDINATES, trajectory.q),
+        ([f"{name}ps" for name in OWN_COORDINATES], trajectory.qdot),
         ([f"{name}_rad" for name in TORQUES], trajectory.joint_rad),
         ([f"{side}_{muscle}_activation" for side, muscle in SIDED], trajectory.activation),
         ([f"{side}_{muscle}_force_n" for side, muscle in SIDED], trajectory.muscle_force_n),

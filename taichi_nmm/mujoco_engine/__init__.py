@@ -1,8 +1,7 @@
 """MuJoCo as the engine of a walk: its bodies, contacts and joint limits under our controller.
 
-`mjcf` makes the model: links, feet, limits, motors; `ground` puts planes under the soles, or makes
-solids of a terrain for a file; `engine` advances a batch. All of them need the package mujoco, an
-extra.
+`mjcf` makes the model: links, feet, limits, motors, and the ground of a file; `engine` puts planes
+under the soles and advances a batch. Both need the package mujoco, an extra.
 """
 
 from importlib.util import find_spec

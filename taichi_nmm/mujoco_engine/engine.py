@@ -1,7 +1,7 @@
 """A batch of walkers whose bodies MuJoCo moves, one model each, and one controller batch for all.
 
 A physics step is: our kernel senses, controls and contracts the muscles of all (`carried.drive`)
-and lays the ground under their soles (`ground`); MuJoCo steps each body; our kernel takes
+and lays the ground under their soles (`ContactPlanes`); MuJoCo steps each body; our kernel takes
 in where they are (`carried.follow`).
 """
 
@@ -21,13 +21,13 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.initial import PENETRATION_M, initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.carried import drive, follow
+from taichi_nmm.kernel.contact_planes import PLANES, lay_planes
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, State
 from taichi_nmm.kernel.muscle_table import muscle_table
-from taichi_nmm.mujoco_engine.ground import ContactPlanes
 from taichi_nmm.mujoco_engine.mjcf import FOOT_SENSOR, RELATIVE, walk_model
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
-from taichi_nmm.terrain import Terrain
+from taichi_nmm.terrain import GRID_X_M, Terrain
 from taichi_nmm.walkers import Batch, blends
 from taichi_nmm.world import NOT_OURS, OWN_CONTACT
 
@@ -35,7 +35,46 @@ Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 OF_RELATIVE: Array = np.linalg.inv(RELATIVE).astype(np.float64)  # q = OF_RELATIVE qpos
+APRON_M = 30e3  # level ground before and behind the table: beyond the longest walk
 CACHED = 256  # models: those of an experiment's runs come again with every trial
+
+
+class ContactPlanes:
+    """The planes of some walkers, [n, PLANES], and the grounds that they lie on."""
+
+    def __init__(self, terrains: tuple[Terrain, ...], index: NDArray[np.integer[Any]]) -> None:
+        heights = np.array([ground.height_m for ground in terrains])
+        self._heights = np.pad(heights, ((0, 0), (1, 1)), mode="edge")
+        ends = GRID_X_M[0] - APRON_M, GRID_X_M[-1] + APRON_M
+        self._nodes = np.concatenate([ends[:1], GRID_X_M, ends[1:]])
+        self._index = index.astype(np.int32)
+        self._qpos = np.zeros((len(index), COORDINATES))
+        self._positions = np.zeros((len(index), PLANES, 3))
+        self._quaternions = np.zeros((len(index), PLANES, 4))
+        self._bind()
+
+    def keep(self, still: NDArray[np.bool_]) -> None:
+        """Go on with these walkers alone."""
+        index = self._index[: len(still)][still]
+        self._index[: len(index)] = index
+
+    def under(self, qpos: Array) -> tuple[Array, Array]:
+        """Where the planes lie: points [n, PLANES, 3] and quaternions [n, PLANES, 4].
+
+        `qpos` is MuJoCo's, [n, 9]. The arrays are overwritten by the next call.
+        """
+        count = len(qpos)
+        self._qpos[:count] = qpos
+        if self._kernel.stale:
+            self._bind()
+        self._kernel.launch(count=count)
+        return self._positions[:count], self._quaternions[:count]
+
+    def _bind(self) -> None:
+        self._kernel = backend.BoundKernel(
+            lay_planes, 0, self._index, self._nodes, self._heights, self._qpos,
+            self._positions, self._quaternions,
+        )  # fmt: skip
 
 
 class Herd:

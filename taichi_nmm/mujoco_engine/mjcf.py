@@ -38,7 +38,6 @@ from taichi_nmm.body import (
     BALL_OFFSET_M,
     GRAVITY_MPS2,
     HEEL_OFFSET_M,
-    SEGMENT_NAMES,
     SHANK_LENGTH_M,
     THIGH_LENGTH_M,
     Bodies,
@@ -50,54 +49,27 @@ from taichi_nmm.terrain import GRID_X_M, Terrain
 
 Array = NDArray[np.float64]
 
-# Of each segment at q = 0: where its proximal joint lies in the parent, and the link's direction.
-ORIGINS = ((0, 0), (0, 0), (0, -THIGH_LENGTH_M), (0, -SHANK_LENGTH_M))  # x, z
-DIRECTIONS = ((0, 1), (0, -1), (0, -1), (1, 0))  # HAT up, thigh and shank down, foot forward
-
-
 JOINT_PARENT = (2, 3, 4, 2, 6, 7)  # coordinate of the segment above hip, knee and ankle
 RELATIVE: Array = np.eye(9)  # child minus parent at the six joints, the rest unchanged
 RELATIVE[range(3, 9), JOINT_PARENT] = -1.0
 
 
-def linkage(bodies: Bodies, row: int = 0) -> Element:
-    """MJCF of one body in free flight: no contact, no damping, no armature."""
-    root = Element("mujoco")
-    SubElement(root, "compiler", angle="radian", inertiafromgeom="false")
-    SubElement(root, "option", gravity=f"0 0 {-GRAVITY_MPS2!r}")
-    hat = _add_link(SubElement(root, "worldbody"), bodies, row, 0)
-    for axis, direction in (("x", "1 0 0"), ("z", "0 0 1")):
-        SubElement(hat, "joint", name=axis, type="slide", axis=direction)
-    _add_hinge(hat)
-    parent = hat
-    for index in range(1, len(SEGMENT_NAMES)):
-        parent = _add_link(hat if index % 3 == 1 else parent, bodies, row, index)
-        _add_hinge(parent)
-    return root
+def linkage(bodies: Bodies, row: int, settings: Settings, friction: float) -> Element:
+    """MJCF of one of some bodies: all but the ground, and the limits of the joints."""
+    mass, inertia, com = (values[row].tolist() for values in vars(bodies).values())
+    template = Path(__file__).with_name("walker.xml").read_text(encoding="utf-8")
+    text = template.format(
+        mass=mass, inertia=inertia, com=com, down=[-each for each in com],
+        thigh_m=THIGH_LENGTH_M, shank_m=SHANK_LENGTH_M, heel_m=HEEL_OFFSET_M, ball_m=BALL_OFFSET_M,
+        sole_m=SOLE_RADIUS_M, gravity_mps2=GRAVITY_MPS2, step_s=settings.physics_step_s,
+        impratio=IMPRATIO, friction=float(friction), solref=_solref(settings),
+    )  # fmt: skip
+    return ElementTree.fromstring(text)
 
 
 def compile_model(root: Element) -> mujoco.MjModel:
     """The model of an MJCF tree."""
     return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
-
-
-def _add_link(parent: Element, bodies: Bodies, row: int, index: int) -> Element:
-    """A segment, by its index in `SEGMENT_NAMES`, with its inertia."""
-    kind = 0 if index == 0 else (index - 1) % 3 + 1
-    x, z = ORIGINS[kind]
-    link = SubElement(parent, "body", name=SEGMENT_NAMES[index], pos=f"{x!r} 0 {z!r}")
-    com_x, com_z = (float(bodies.com_m[row, index]) * part for part in DIRECTIONS[kind])
-    inertia = repr(float(bodies.inertia_kgm2[row, index]))
-    SubElement(
-        link, "inertial",
-        pos=f"{com_x!r} 0 {com_z!r}", mass=repr(float(bodies.mass_kg[row, index])),
-        diaginertia=" ".join([inertia] * 3),  # only the y axis ever turns
-    )  # fmt: skip
-    return link
-
-
-def _add_hinge(body: Element) -> None:
-    SubElement(body, "joint", name=body.attrib["name"], type="hinge", axis="0 1 0")
 
 
 LEAST_RANGE_RAD = math.radians(10.0)  # the law is followed so far at least; walking stays within
@@ -158,14 +130,13 @@ def _nearest_power(largest: float, widths_of_rho: float) -> float:
 IMPRATIO = 10.0  # of friction to normal impedance: feet creep less
 SIDES = ("l", "r")
 JOINTS = tuple(f"{segment}_{side}" for side in SIDES for segment in STOPS)
-VIEWED_M = 2.0  # of a file opened in MuJoCo's viewer
-HALF_WIDTH_M, BASE_M = 1.0, 1.0  # of its ground; the second below the lowest place
+HALF_WIDTH_M, BASE_M = 1.0, 1.0  # of a file's ground; the second below the lowest place
 LEAST_RANGE_M = 1e-3  # of heights of a level ground
 FOOT_SENSOR = 4  # numbers: contacts found, then the force x, y, z
 
 
 def walk_model(bodies: Bodies, settings: Settings, friction: float) -> mujoco.MjModel:
-    """The model of the first of some bodies, each sole over the planes of `ground` alone.
+    """The model of the first of some bodies, each sole over its `ContactPlanes` alone.
 
     The planes are MuJoCo's mocap bodies, in that order.
     """
@@ -185,91 +156,46 @@ def walk_model(bodies: Bodies, settings: Settings, friction: float) -> mujoco.Mj
     return compile_model(root)
 
 
-def write_mjcf(
-    path: Path,
-    bodies: Bodies,
-    friction: float,
-    ground: Terrain,
-    settings: Settings,
-    start: Array,
-) -> None:
-    """Write the model, with the ground and the start as key frame, for MuJoCo's viewer.
+def mjcf_text(
+    bodies: Bodies, friction: float, ground: Terrain, settings: Settings, start: Array
+) -> str:
+    """The model as a file, with the ground and the start as key frame, for MuJoCo's viewer.
 
     A file can only have solids: the ground is a height field of the whole table. Links and muscles
     are sites and tendons, without mass, contact or force. `start` is qpos then qvel, [18].
     """
-    root = _walker(bodies, settings, friction)
-    world = _find(root, "worldbody")
-    height_m = ground.height_m
+    root, height_m = _walker(bodies, settings, friction), ground.height_m
     range_m = max(float(np.ptp(height_m)), LEAST_RANGE_M)  # MuJoCo scales heights from 0 to this
-    SubElement(
-        SubElement(root, "asset"), "hfield",
-        name="ground", nrow="2", ncol=str(len(height_m)), elevation=_numbers(np.tile(height_m, 2)),
+    template = Path(__file__).with_name("visible.xml").read_text(encoding="utf-8")
+    text = template.format(
+        columns=len(height_m), heights=_numbers(np.tile(height_m, 2)),
         size=_numbers((0.5 * np.ptp(GRID_X_M), HALF_WIDTH_M, range_m, BASE_M)),
+        place=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
+        centre=_numbers((start[0], 0.0, start[1])),
+        qpos=_numbers(start[:9]), qvel=_numbers(start[9:]),
     )  # fmt: skip
-    SubElement(
-        world, "geom",
-        type="hfield", hfield="ground", contype="0", conaffinity="1", rgba="0.6 0.6 0.55 1",
-        pos=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
-    )  # fmt: skip
-    seen = ElementTree.parse(Path(__file__).with_name("visible.xml"))
-    for part in seen.iter("body"):
-        _find(root, "body", part.attrib["name"]).extend(part)
-    for tag in ("asset", "worldbody", "tendon"):
-        SubElement(root, tag).extend(
-            each for each in seen.iterfind(f"{tag}/*") if each.tag != "body"
-        )
-    keyframe = SubElement(root, "keyframe")
-    SubElement(keyframe, "key", name="start", qpos=_numbers(start[:9]), qvel=_numbers(start[9:]))
-    # Where the viewer looks, and from how far: not at the whole ground.
-    SubElement(root, "statistic", extent=repr(VIEWED_M), center=_numbers((start[0], 0.0, start[1])))
+    for part in ElementTree.fromstring(text):
+        for body in part.findall("body"):
+            _find(root, "body", body.attrib["name"]).extend(body)
+            part.remove(body)
+        root.append(part)
     ElementTree.indent(root)
-    path.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _walker(bodies: Bodies, settings: Settings, friction: float) -> Element:
     """All but the ground."""
-    root = linkage(bodies, 0)
-    invweights = compile_model(root).dof_invweight0
-    option = _find(root, "option")
-    option.set("timestep", repr(settings.physics_step_s))
-    option.set("integrator", "implicitfast")
-    option.set("cone", "elliptic")
-    option.set("impratio", repr(IMPRATIO))
-    # Else MuJoCo puts a walker that diverges back to the start.
-    SubElement(option, "flag", autoreset="disable")
-    SubElement(
-        SubElement(root, "default"), "geom",
-        friction=_numbers((friction, 0.0, 0.0)), solref=_solref(settings),
-    )  # fmt: skip
-    for leg, side in enumerate(SIDES):
-        foot = _find(root, "body", f"foot_{side}")
-        for end, x_m in enumerate((HEEL_OFFSET_M, BALL_OFFSET_M)):
-            SubElement(
-                foot, "geom", name=f"sole_{2 * leg + end}",
-                type="sphere", size=repr(SOLE_RADIUS_M), pos=_numbers((x_m, 0.0, SOLE_RADIUS_M)),
-                contype="1", conaffinity="0", group="0",
-            )  # fmt: skip
-    actuator, sensor = SubElement(root, "actuator"), SubElement(root, "sensor")
-    for index, joint in enumerate(JOINTS):
-        _limit_joint(root, joint, float(invweights[3 + index]), settings)
-        SubElement(actuator, "motor", name=joint, joint=joint)
-    for side in SIDES:
-        SubElement(
-            sensor, "contact",
-            body1=f"foot_{side}", data="found force", reduce="netforce", num="1",
-        )  # fmt: skip
+    root = linkage(bodies, 0, settings, friction)
+    invweights = compile_model(root).dof_invweight0.tolist()
+    for inverse_inertia, joint in zip(invweights[3:], JOINTS, strict=True):
+        hinge, stop = _find(root, "joint", joint), STOPS[joint.split("_")[0]]
+        hinge.set("limited", "true")
+        hinge.set("range", _numbers((stop.low_rad, stop.high_rad)))
+        if settings.mujoco.limits == LIMITS_AS_STOPS:
+            solref, solimp = limit(stop, inverse_inertia, settings.physics_step_s)
+            hinge.set("solreflimit", _numbers(solref))
+            hinge.set("solimplimit", _numbers(solimp))
     return root
-
-
-def _limit_joint(root: Element, joint: str, inverse_inertia: float, settings: Settings) -> None:
-    hinge, stop = _find(root, "joint", joint), STOPS[joint.split("_")[0]]
-    hinge.set("limited", "true")
-    hinge.set("range", _numbers((stop.low_rad, stop.high_rad)))
-    if settings.mujoco.limits == LIMITS_AS_STOPS:
-        solref, solimp = limit(stop, inverse_inertia, settings.physics_step_s)
-        hinge.set("solreflimit", _numbers(solref))
-        hinge.set("solimplimit", _numbers(solimp))
 
 
 def _solref(settings: Settings) -> str:

@@ -295,7 +295,7 @@ def fuzz() -> None:
     parser.whole("--cases", 1, MOST_CASES, default=2000, help="(%(default)s)")
     parser.whole("--seed", 0, LARGEST_SEED, default=1, help="of the cases (%(default)s)")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="(%(default)s)")
-    parser.workers()
+    parser.declare({"like": "workers"})
     options = parser.parse_args()
     require_folder(options.out)
     if is_folder(options.out) and any(options.out.iterdir()):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import InputError, forward_dynamics
+from taichi_nmm import InputError, Settings, forward_dynamics
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.mujoco_engine.mjcf import RELATIVE, compile_model, linkage
 from tests.parity import numpy_dynamics
@@ -40,7 +40,7 @@ def by_mujoco(q: Array, qdot: Array, joint_torque: Array, bodies: Bodies) -> Arr
     """Accelerations [n, 9] by `mj_forward`, in our coordinates; one body a state."""
     accelerations = []
     for row in range(len(q)):
-        model = compile_model(linkage(bodies, row))
+        model = compile_model(linkage(bodies, row, Settings(engine="mujoco"), 1.0))
         data = mujoco.MjData(model)
         data.qpos[:], data.qvel[:] = RELATIVE @ q[row], RELATIVE @ qdot[row]
         data.qfrc_applied[3:] = joint_torque[row]

@@ -34,7 +34,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     others = [FinishedStudy("tiny/random/run-000", TRIALS[:1]), FinishedStudy("tiny/summary", [])]
     write_studies(storage, [STUDY, *others])
     meta = {"artifact_id": PICTURE, "filename": "a.png", "mimetype": "image/png", "encoding": None}
-    attach(storage, [(STUDY.name, 0, f"artifacts:{PICTURE}", json.dumps(meta))])
+    attach(storage, STUDY.name, 0, f"artifacts:{PICTURE}", json.dumps(meta))
     storage.engine.dispose()
     (folder / "artifacts").mkdir()
     (folder / "artifacts" / PICTURE).write_bytes(b"a picture")

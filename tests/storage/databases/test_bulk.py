@@ -133,15 +133,14 @@ def test_many_trials_take_several_transactions(storage, monkeypatch: pytest.Monk
 
 def test_a_finished_trial_gets_attributes_once(storage) -> None:
     write_studies(storage, [STUDY, replace(STUDY, name="other")])
-    notes = [(STUDY.name, 2, "artifacts:1", "{}"), ("other", 0, "artifacts:2", {"a": [1]})]
-    assert attach(storage, notes) == {(STUDY.name, 2), ("other", 0)}
-    assert attach(storage, notes) == set()
-    assert attach(storage, [*notes, (STUDY.name, 2, "artifacts:3", "new")]) == {(STUDY.name, 2)}
+    attach(storage, "other", 0, "artifacts:2", {"a": [1]})
+    for key, value in (("artifacts:1", "{}"), ("artifacts:1", "another"), ("artifacts:3", "new")):
+        attach(storage, STUDY.name, 2, key, value)
     attributes = load(storage, STUDY.name).trials[2].system_attrs
     assert attributes == {"claims": [2, "x"], "artifacts:1": "{}", "artifacts:3": "new"}
     assert load(storage, "other").trials[0].system_attrs["artifacts:2"] == {"a": [1]}
     with pytest.raises(KeyError):
-        attach(storage, [(STUDY.name, 99, "artifacts:1", "{}")])
+        attach(storage, STUDY.name, 99, "artifacts:1", "{}")
 
 
 def test_another_schema_is_refused_in_one_line(tmp_path: Path, sqlite) -> None:

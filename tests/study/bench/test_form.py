@@ -16,8 +16,7 @@ import pytest
 from storage import make_store
 from storage.processes import Processes
 from study.bench.bench import Bench
-from study.bench.films import Films, filming_of, of_walker
-from study.bench.form import application
+from study.bench.form import Films, application, filming_of, of_walker
 from study.loopback import HOST, wsgi_server
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, load_gains

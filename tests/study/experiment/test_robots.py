@@ -19,7 +19,7 @@ from study.commands.study import main as study_command
 from study.experiment import robots
 from study.experiment.robots import RobotExperiment, compare_robots, read_robots
 from study.options import parser_of
-from study.report.robots import RobotResults
+from study.report.markdown import RobotResults
 from study.report.runs import read_results
 from study.sampler.draws import Purpose, stream
 from taichi_nmm.errors import InputError

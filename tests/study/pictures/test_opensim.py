@@ -7,8 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import taichi_nmm
-from study.pictures.opensim import EXTERNAL, LOADS, MODEL, MOTION, STATES, write_opensim
-from study.pictures.trajectory_files import kept
+from study.pictures.trajectory_files import (
+    EXTERNAL,
+    LOADS,
+    MODEL,
+    MOTION,
+    STATES,
+    kept,
+    write_opensim,
+)
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from tests.parity.numpy_dynamics import com_positions, contract, jacobians

@@ -11,9 +11,8 @@ from taichi_nmm import Bodies, Settings, terrain
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.contact_planes import PLANES, SOLE_RADIUS_M
 from taichi_nmm.kernel.layout import CONTACTS
-from taichi_nmm.mujoco_engine.engine import start_state
-from taichi_nmm.mujoco_engine.ground import ContactPlanes
-from taichi_nmm.mujoco_engine.mjcf import walk_model, write_mjcf
+from taichi_nmm.mujoco_engine.engine import ContactPlanes, start_state
+from taichi_nmm.mujoco_engine.mjcf import mjcf_text, walk_model
 from taichi_nmm.simulator import LONGEST_WALK_S
 from taichi_nmm.terrain import GRID_END_M, GRID_START_M, GRID_X_M, KINDS, Terrain
 
@@ -243,7 +242,8 @@ def test_rays_meet_the_height_table(kind: str, tmp_path: Path) -> None:
     x_m = np.concatenate([rng.uniform(-5, 300, 150), rng.choice(GRID_X_M[:-1], 50) + 1e-9])
     file = tmp_path / "walker.xml"
     for ground in grounds_of(kind, tmp_path):
-        write_mjcf(file, Bodies.nominal(), 0.9, ground, MUJOCO, start_state(ground))
+        text = mjcf_text(Bodies.nominal(), 0.9, ground, MUJOCO, start_state(ground))
+        file.write_text(text)
         model = mujoco.MjModel.from_xml_path(str(file))
         single = 1e-7 * np.ptp(ground.height_m)  # MuJoCo keeps heights in float32
         assert largest_error_m(model, ground, x_m) <= 1e-6 + single, ground.name

@@ -29,7 +29,7 @@ SETTINGS = Settings(engine="mujoco", physics_step_s=0.5e-3, mujoco=CONTACT)
 def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
     """As MuJoCo's own viewer reads it."""
     path = tmp_path_factory.mktemp("mjcf") / "walker.xml"
-    mjcf.write_mjcf(path, BODY, FRICTION, GROUND, SETTINGS, start_state(GROUND))
+    path.write_text(mjcf.mjcf_text(BODY, FRICTION, GROUND, SETTINGS, start_state(GROUND)))
     return mujoco.MjModel.from_xml_path(str(path))
 
 
