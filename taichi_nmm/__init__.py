@@ -32,8 +32,8 @@ __version__ = "0.3.0"
 __all__ = [
     "END_REASONS", "GAINS", "GAIN_NAMES", "LOW_LEVEL_GAINS", "PUBLISHED_GAINS", "Bodies",
     "Controller", "InputError", "Muscles", "Observation", "Prosthesis", "Result", "Settings",
-    "Terrain",     "Trajectory", "WorldRanges", "Worlds", "forward_dynamics", "load_all_gains", "load_gains",
-    "simulate", "smooth_cost", "walking_cost",
+    "Terrain", "Trajectory", "WorldRanges", "Worlds", "forward_dynamics", "load_all_gains",
+    "load_gains", "simulate", "smooth_cost", "walking_cost",
 ]  # fmt: skip
 
 _PLACES = {

@@ -1,10 +1,9 @@
-"""The OptunaHub packages load from disk, as from the registry, and their examples run."""
+"""The OptunaHub packages load from disk, as from the registry, and the examples of their pages run."""
 
 import importlib
 import os
 import pickle
 import re
-import runpy
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -80,22 +79,6 @@ def trials_of(sampler: optuna.samplers.BaseSampler, column: str) -> list[Any]:
     return [trial.params for trial in found.trials]
 
 
-def test_example_of_feature_kernel_finds_a_good_throw(optunahub, capsys):
-    runpy.run_path(str(folder("feature_kernel") / "example.py"), run_name="__main__")
-    line = capsys.readouterr().out
-    miss = re.match(r"best miss (\d+\.\d\d) m with \{'pull_m': .*, 'angle_deg': .*\}", line)
-    assert miss is not None, line
-    assert float(miss[1]) < 0.5  # 30 throws of a catapult that reaches 60 m
-
-
-def test_example_of_pool_finds_a_loud_crossing(optunahub, capsys):
-    runpy.run_path(str(folder("pool") / "example.py"), run_name="__main__")
-    line = capsys.readouterr().out
-    loud = re.match(r"loudest (\d+\.\d) dB of (\d+\.\d), \{'row': \d+\}", line)
-    assert loud is not None, line
-    assert float(loud[1]) > 0.9 * float(loud[2])  # the other hill has 0.71 of it
-
-
 @pytest.mark.parametrize("package", SAMPLERS)
 def test_the_readmes_example_runs(optunahub, package, monkeypatch, capsys):
     """With the local registry in the place of the one on the net."""
@@ -123,7 +106,7 @@ def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, package, m
 @pytest.mark.parametrize(("package", "name"), SAMPLERS.items())
 def test_files_and_front_matter_are_what_the_registry_asks_for(optunahub, package, name):
     files = {path.name for path in folder(package).iterdir() if path.name != "__pycache__"}
-    assert files == {"README.md", "LICENSE", "__init__.py", "example.py", "tests"}  # and no data
+    assert files == {"README.md", "LICENSE", "__init__.py"}  # and no data
     assert (folder(package) / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
     readme = (folder(package) / "README.md").read_text()
     front = yaml.load(readme.split("---\n")[1], Loader=yaml.BaseLoader)  # all must be strings
