@@ -1,4 +1,4 @@
-"""The OptunaHub packages load from disk, as from the registry, and the examples of their pages run."""
+"""The OptunaHub packages load from disk, as from the registry, and their pages' examples run."""
 
 import importlib
 import os
