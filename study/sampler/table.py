@@ -40,6 +40,7 @@ T = TypeVar("T")
 NAMES_SHOWN = 3  # features, at a prompt
 NEAR_ROWS = 8  # whose mean a point off the table has
 NEAR_POWER = 4  # of the distance, by which their weights fall
+BLOCK = 2**13  # rows at a time, to stay in the cache
 NEAR_POOL = 128  # rows near each centre, among which these are looked for
 # Does not depend on the distributions: rows with others share it.
 SHARED = ("standard", "scores", "offered", "numbers", "_known", "_index", "_first")
@@ -92,7 +93,9 @@ class Rows:
     @cached_property
     def unit(self) -> Floats:
         """Rows that may be proposed in the unit cube, [m, e]."""
-        return self.space.unit(self._chosen(self.parameters))
+        chosen = self._chosen(self.parameters)
+        blocks = (chosen[first : first + BLOCK] for first in range(0, max(len(chosen), 1), BLOCK))
+        return np.vstack([self.space.unit(block) for block in blocks])
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:

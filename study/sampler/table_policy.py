@@ -301,10 +301,7 @@ class TablePolicy(Policy):
     def _first_row(self, offered: Mask, own_turn: int, ensemble: Relation | None) -> Proposal:
         """A row before there is a model, of equal ones any."""
         rows, points = self.rows, self._points(ensemble)
-        if ensemble is not None:
-            merit = -points.features[:, -1]
-        else:
-            merit = self.merit(points.features, own_turn)
+        merit = -points.features[:, -1] if ensemble else self.merit(points.features, own_turn)
         merit = np.where(offered[rows.numbers], merit, -np.inf)
         best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
         return self._of_row(int(rows.numbers[best]))
