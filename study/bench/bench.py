@@ -2,7 +2,8 @@
 
 The sampler sees the trials of the present context alone, in a study in memory, in their order and
 without gaps: so what was entered wrongly and corrected, broken off and tried again, or undone,
-leaves no trace in later proposals. What was learned in other contexts is one more family of worlds.
+leaves no trace in later proposals. What was learned in other contexts is one more family of
+worlds.
 """
 
 import getpass
