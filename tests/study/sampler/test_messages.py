@@ -34,6 +34,10 @@ def new_table(features: Any = FEATURES, **options: Any) -> FeatureTable:
     return FeatureTable.from_arrays(PARAMETERS, features, **options)
 
 
+def two_goals(sampler: FeatureKernelSampler) -> optuna.Trial:
+    return optuna.create_study(sampler=sampler, directions=["minimize"] * 2).ask(SPACE)
+
+
 def sampler(features: Any = None, **options: Any) -> FeatureKernelSampler:
     return FeatureKernelSampler(new_table() if features is None else features, seed=1, **options)
 
@@ -96,6 +100,10 @@ CASES: dict[str, Callable[[], object]] = {
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
     "space: … allowed: none: a table knows its own": lambda: sampler(space=SPACE),
     "features: … allowed: a FeatureTable, a function, or None": lambda: sampler(FEATURES),
+    "success: … allowed: none in a study of … goals": lambda: two_goals(sampler(success=1.0)),
+    "table.outcomes: … allowed: those of … goals, …": lambda: two_goals(
+        FeatureKernelSampler(FeatureTable.from_arrays({"a": LINE}, outcomes=LINE))
+    ),
     "If the study is being used for multi-objective optimization, … cannot be used.": lambda: (
         sampler().worth(optuna.create_study(directions=["minimize", "maximize"]))
     ),
