@@ -6,6 +6,7 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ PAGES = [README, CONTRIBUTING, ROOT / "CHANGELOG.md", *sorted(DOCS.rglob("*.md")
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 NUMBER = r"(?:[-<>\d.%+*() ]|of|to)*\d(?:[-<>\d.%+*() ]|of|to)*"
 SEVERAL_NUMBERS = re.compile(rf" *{NUMBER}(?:(?:[;,]| :) {NUMBER})+")
+PROGRAM = re.compile(r"python -m (tests\.[\w.]++)(?!` of version)")
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
 
@@ -79,6 +81,13 @@ def test_the_page_of_commands_is_made_from_their_help() -> None:
 @pytest.mark.parametrize("tool", sorted(path.name for path in (ROOT / "tools").glob("*.py")))
 def test_every_tool_is_in_a_document(tool: str) -> None:
     assert any(tool in page.read_text() for page in PAGES)
+
+
+@pytest.mark.parametrize(
+    "module", sorted(set(PROGRAM.findall("".join(map(Path.read_text, PAGES)))))
+)
+def test_a_program_of_the_tests_that_a_document_names_can_be_run(module: str) -> None:
+    assert f"python -m {module}" in (import_module(module).__doc__ or "")
 
 
 @pages

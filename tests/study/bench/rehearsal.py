@@ -28,7 +28,7 @@ from study.bench.bench import Bench
 from study.bench.journal import Trial
 from study.experiment.experiment import Experiment, read_experiment, store_path
 from study.experiment.robots import RobotExperiment, Runs, is_of_robots, read_robots
-from study.experiment.trials import costs, finite, simulate_trials
+from study.experiment.trials import finite, simulate_trials
 from study.options import config_path
 from study.report.numbers import wilcoxon
 
@@ -59,16 +59,15 @@ class Machine:
         path = config_path(config)
         if is_of_robots(path):
             robots = read_robots(path, seed, "worlds")
-            fell, most_s = robots.fell_cost, robots.duration_s
+            fell, most_s = robots.objective.fell_cost, robots.duration_s
             ends = f"failed_at_once = {2 * fell}\nfailed_at_end = {fell}\nduration_s = {most_s}"
             toml = TOML.format(
-                store=robots.store.absolute(), cost=robots.cost, success=fell, failed=ends
+                store=robots.store.absolute(), cost=robots.objective.cost, success=fell, failed=ends
             )
             return cls(toml, partial(cost_of_robot, robots, cache(partial(Runs, robots))))
         walkers = read_experiment(path, None, seed).on_one_thread()
-        store = store_path(walkers, "worlds").absolute()
-        success = walkers.success
-        toml = TOML.format(store=store, cost=walkers.cost, success=success, failed="")
+        known = {"cost": walkers.objective.cost, "success": walkers.success, "failed": ""}
+        toml = TOML.format(store=store_path(walkers, "worlds").absolute(), **known)
         return cls(toml, partial(cost_of_walker, walkers))
 
 
@@ -76,7 +75,7 @@ def cost_of_walker(experiment: Experiment, robot: int, trial: Trial) -> float:
     """What a trial of our walker costs."""
     gains = np.array([[trial.params[name] for name in experiment.names]])
     rows = finite(simulate_trials(experiment, [robot], gains).rows)
-    return float(costs(rows, experiment.cost)[0])
+    return float(experiment.objective.costs(rows)[0])
 
 
 def cost_of_robot(
@@ -84,7 +83,7 @@ def cost_of_robot(
 ) -> float:
     """What a trial of another robot costs."""
     point = np.array([[trial.params[name] for name in experiment.names]])
-    return float(experiment.costs(runs_of(robot).rows(point))[0])
+    return float(experiment.objective.costs(runs_of(robot).rows(point))[0])
 
 
 def run(bench: Bench, machine: Machine, robot: int, trials: int) -> list[float]:
