@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+from functools import partial
 from pathlib import Path
 from subprocess import Popen
 
@@ -10,13 +11,12 @@ import pytest
 
 from tests.cases import ASSETS
 from tests.processes import until
-from tests.tools.running import INTERRUPTED, ROOT, WAIT_S, finish, start
+from tests.tools.running import INTERRUPTED, ROOT, WAIT_S, finish, run_tool, start
 
 pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
 pytestmark = pytest.mark.slow
 
 CONFIGURATIONS = ASSETS / "cluster"
-HERE = ("--workers", "1")
 THERE = ("--cluster", "local:2")
 
 
@@ -34,6 +34,13 @@ def run(folder: Path, *words: object, code: int = 0) -> str:
     return done.error
 
 
+def run_here(folder: Path, *words: object) -> None:
+    """A command in this process, which compiles the walker once for all of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert run_tool(patch, *words, "--workers", 1) == 0
+
+
 def tables(folder: Path) -> dict[str, bytes]:
     files = [file for file in sorted(folder.rglob("*.parquet")) if file.parent.name != "arms"]
     kept = [file for file in files if file.name != "proposal_times.parquet"]
@@ -45,17 +52,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """With a store, made here."""
     path = tmp_path_factory.mktemp("cluster")
     shutil.copy(CONFIGURATIONS / "store.toml", path)
-    run(path, "precompute", "--config", "store.toml", "--out", "store", *HERE)
+    run_here(path, "precompute", "--config", "store.toml", "--out", "store")
     return path
 
 
 def test_a_store_is_the_same_and_goes_on_on_either_side(folder: Path) -> None:
     """All of it is made there by the test of --fresh below."""
+    words = ("precompute", "--config", "store.toml", "--out", "both")
     shutil.copytree(folder / "store", folder / "both")
-    for side in (THERE, HERE):
+    for go_on in (partial(run, folder, *words, *THERE), partial(run_here, folder, *words)):
         for number in (0, 3, 7):
             (folder / "both" / f"part-{number:05d}.parquet").unlink()
-        run(folder, "precompute", "--config", "store.toml", "--out", "both", *side)
+        go_on()
         assert tables(folder / "both") == tables(folder / "store")
 
 
@@ -65,10 +73,10 @@ def test_a_comparison_that_was_begun_here_goes_on_there(folder: Path, engine: st
     config, known = folder / f"{engine}.toml", (CONFIGURATIONS / "taichi.toml").read_text()
     config.write_text(known.replace('engine = "taichi"', f'engine = "{engine}"'))
     words = ("compare", "--config", config, "--out")
-    run(folder, *words, f"{engine}-here", *HERE)
+    run_here(folder, *words, f"{engine}-here")
     expected = tables(folder / f"{engine}-here")
     assert list(expected) == ["trials.parquet"]
-    run(folder, *words, f"{engine}-both", "--trials", "2", *HERE)
+    run_here(folder, *words, f"{engine}-both", "--trials", "2")
     run(folder, *words, f"{engine}-both", "--cluster", "local:1")
     assert tables(folder / f"{engine}-both") == expected
 

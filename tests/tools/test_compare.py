@@ -127,7 +127,7 @@ ENDS: dict[str, tuple[signal.Signals, int, str]] = {
     "victim", ["all", "a worker", pytest.param("it", marks=pytest.mark.campaign)]
 )
 def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Comparison) -> None:
-    arms = {"arms": "random,dog,ranking,cmaes-cold,cmaes-warm", "trials": 30}
+    arms = {"arms": "random,dog,ranking,cmaes-cold,cmaes-warm", "trials": 20}
     process = command.start(**arms, workers=2)
     command.wait_for_more(process)
     number, code, line = ENDS[victim]
@@ -140,7 +140,7 @@ def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Compa
     # Workers end with the main process; Python's own tracker does a moment after the last of us.
     until(lambda: left_over(process.pid) == [], 10.0)
     assert done.code == code and done.last.startswith(line)
-    assert "Traceback" not in done.error and 0 < command.rows() < 30 * 15
+    assert "Traceback" not in done.error and 0 < command.rows() < 20 * 15
     whole = command.folder / "whole"
     assert command.run(**arms) == command.run(**arms, out=whole) == 0
     found = (command.out / "trials.parquet").read_bytes()
