@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import taichi_nmm
 from storage import merge, open_store
 from storage.points import sobol_points
 from storage.precompute import precompute, progress_parts, score_rows
@@ -232,31 +231,3 @@ def test_points_of_plain_stores_are_what_they_were() -> None:
     one = fake.specification(searched=["theta_ref", "k_oe"])
     assert one.hash == fake.specification(searched=["k_oe", "theta_ref"]).hash
     assert [parameter.name for parameter in one.simulator.searched] == ["k_oe", "theta_ref"]
-
-
-def test_numbers_of_a_store_are_those_of_the_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the real simulator: 17 parameters, and a family called as a user would call it."""
-    monkeypatch.delitem(vars(taichi_nmm), "simulate")
-    up = RAMPS["up"] | {"min_survival_s": 1.0, "horizon_s": 2.0}
-    specification = fake.specification(
-        samples=32, shard_rows=32, simulation={"duration_s": 2.0, "arch": "cpu"},
-        searched=["theta_ref"], families={"up": up},
-    )  # fmt: skip
-    table, _ = score_rows(specification, range(32), lambda _: None)
-    points = sobol_points(specification.seed, 0, 32, specification.simulator.parameters)
-    low_level = np.tile([gain.default for gain in taichi_nmm.LOW_LEVEL_GAINS], (32, 1))
-    low_level[:, 7] = points[:, 16]
-    worlds = specification.families[0].worlds
-    runs = [taichi_nmm.simulate(
-        points[:, :16], bodies=worlds.bodies.take([setting] * 32), low_level_gains=low_level,
-        terrains=worlds.terrains[setting], settings=specification.simulator.settings,
-        duration_s=2.0,
-    ).rows for setting in range(2)]  # fmt: skip
-    evaluated = table["up_evaluated"].to_numpy()
-    assert 0 < evaluated.sum() < 32
-    for component in ("survived_fraction", "step_count", "phi_printed", "m1_mean"):
-        mean, spread = family_names("up", component)
-        values = np.array([run[component] for run in runs], dtype=float)[:, evaluated]
-        assert values.any()
-        assert np.array_equal(table[mean].to_numpy()[evaluated], values.mean(axis=0))
-        assert np.array_equal(table[spread].to_numpy()[evaluated], values.std(axis=0))

@@ -60,18 +60,6 @@ def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> No
     assert content(store) == before
 
 
-def test_summary_counts(tmp_path: Path) -> None:
-    first = fill(tmp_path / "store", robust=True)
-    rows = open_store(tmp_path / "store").table(["end_reason", "robust_evaluated"])
-    assert first.points == first.points_computed == len(rows) == 50
-    assert first.alive_at_horizon == rows["end_reason"].to_pylist().count("completed")
-    assert first.alive_fraction == first.alive_at_horizon / 50
-    assert first.evaluated == {"robust": sum(rows["robust_evaluated"].to_pylist())}
-    again = fill(tmp_path / "store", robust=True)
-    assert (again.points_computed, again.walkers_per_s) == (0, 0.0)
-    assert again.alive_at_horizon == first.alive_at_horizon
-
-
 def test_shards_in_any_order(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     threads, seen = [], []
 

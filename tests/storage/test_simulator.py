@@ -21,7 +21,6 @@ from taichi_nmm.errors import InputError
 from tests.cases import asset
 from tests.processes import printed, python
 from tests.storage import toy
-from tests.storage.fake import content
 
 TOY = "tests.storage.toy"
 CART = f"{TOY}:Cart"
@@ -84,19 +83,6 @@ def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     assert speed[generation == 2].max() > speed[generation == 0].max() > 0.0
     objective = np.array(tried["objective"])
     assert objective[np.array(tried["row"]) >= 0].min() > np.median(objective)
-    before, run = len(toy.runs), toy.Cart.run
-
-    def stopping(self: toy.Cart, *args: Any) -> Any:
-        if len(toy.runs) - before == 4:
-            raise KeyboardInterrupt
-        return run(self, *args)
-
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(toy.Cart, "run", stopping)
-        precompute(asked, tmp_path / "store")
-    assert len(list((tmp_path / "store").glob("search-gale-*"))) == 2
-    precompute(asked, tmp_path / "store")
-    assert content(tmp_path / "store") == content(tmp_path / "whole")
 
 
 @pytest.mark.parametrize(("field", "changes"), asset("toy-refusals.toml").items())

@@ -15,8 +15,6 @@ from storage.simulator import Report, Simulator, Uniform
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
-runs: list[int] = []  # sizes of batches
-
 
 @dataclass(frozen=True)
 class Winds:
@@ -57,7 +55,6 @@ class Cart(Simulator):
     def run(
         self, points: NDArray[Any], worlds: NDArray[Any], horizon_s: float, report: Report
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
-        runs.append(len(points))
         thrust, drag, steer = points.T[:, :, None]
         rows = np.zeros((len(points), len(worlds)), self.columns)
         rows["speed"] = thrust / drag / self.mass_kg

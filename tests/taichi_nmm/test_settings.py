@@ -11,7 +11,7 @@ import pytest
 
 import taichi_nmm
 from taichi_nmm import PUBLISHED_GAINS, InputError, mujoco_engine
-from taichi_nmm.body import Build, read_body
+from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions, read_conditions, read_settings
 from taichi_nmm.config import Table, read_toml
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -86,13 +86,6 @@ def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_fil
 ])  # fmt: skip
 def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
     refused(f"{table}.{key}", {table: {key: value}})
-
-
-def test_the_body_table_may_be_read_alone() -> None:
-    assert read_body(Table({"disturbance": 0.15}, "body")).disturbance == 0.15
-    assert read_body(Table({}, "body")) == Build()
-    with pytest.raises(InputError, match=r"^body\.disturbance: 0\.95 .* a number from 0 to 0\.9$"):
-        read_body(Table({"disturbance": 0.95}, "body"))
 
 
 @pytest.mark.parametrize("value", [0.0, -0.02, NAN, INF, -INF, "soft"])

@@ -46,8 +46,11 @@ def test_json_is_one_object(command: Command) -> None:
     assert summary["walkers_per_s"] > 0
     ends = open_store(command.out, verify=True).numpy(["end_reason"])["end_reason"]
     assert summary["alive_at_horizon"] == (ends == "completed").sum()
+    assert summary["alive_fraction"] == summary["alive_at_horizon"] / 20
     command.refuses("samples: 96 cannot be used; allowed: 20, as ")
     assert command.tool.json(*command.words(), "--fresh")["points_computed"] == 96
+    again = command.json()
+    assert (again["points_computed"], again["walkers_per_s"]) == (0, 0.0)
 
 
 def test_text_says_what_was_done_where(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,6 +18,7 @@ from tests.tools.running import ROOT
 
 FLAT = ROOT / "configs" / "flat.toml"
 ROUGH8 = ROOT / "configs" / "rough8.toml"
+HARD = ROOT / "configs" / "mujoco-rough8-hard.toml"
 
 PICTURES = {"strip.png", "gait_cycle.png", "movie.mp4"}
 Walk = Callable[..., dict[str, Any]]
@@ -56,25 +57,24 @@ def test_a_faller_is_shown_too(tmp_path: Path, tool: Tool, monkeypatch: pytest.M
 
 @pytest.mark.slow
 def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) -> None:
-    model = tmp_path / "walker.xml"
-    words = ("walk", "--gains", "published", "--config", ROUGH8, "--run", 3, "--duration", 3,
-             "--out", tmp_path / "out", "--movie-seconds", 0)  # fmt: skip
-    folder = tmp_path / "opensim"
-    report = tool.json(*words, "--engine", "mujoco", "--mjcf", model, "--opensim", folder)
+    """An existing file is replaced; another engine makes another walk, and the same file."""
+    model, folder = tmp_path / "walker.xml", tmp_path / "opensim"
+    model.write_text("old")
+    words = ("walk", "--gains", "published", "--config", HARD, "--run", 3, "--duration", 3,
+             "--out", tmp_path / "out", "--movie-seconds", 0, "--mjcf", model)  # fmt: skip
+    report = tool.json(*words, "--opensim", folder)
     assert report["duration_s"] == 3.0 and 2.0 < report["distance_m"] < 6.0
     assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf", "opensim"}
-    assert sorted(path.suffix for path in folder.iterdir()) == [".mot"] * 2 + [
-        ".osim",
-        ".sto",
-        ".xml",
-    ]
+    files = [".mot", ".mot", ".osim", ".sto", ".xml"]
+    assert sorted(path.suffix for path in folder.iterdir()) == files
     assert report["pictures"]["mjcf"] == str(model)
-    opened = mujoco.MjModel.from_xml_path(str(model))
-    body = read_experiment(ROUGH8).body(3)
+    text, opened = model.read_text(), mujoco.MjModel.from_xml_path(str(model))
+    body = read_experiment(HARD).body(3)
     assert opened.body_mass[1:].tolist() == body.mass_kg[0].tolist()
     assert opened.nkey == 1 and opened.nu == 6
-    # The other engine is another walk.
-    assert tool.json(*words)["distance_m"] != report["distance_m"]
+    assert opened.opt.timestep == 0.5e-3 and (opened.geom_solref[:, 0] == 0.005).all()
+    assert tool.json(*words, "--engine", "taichi")["distance_m"] != report["distance_m"]
+    assert model.read_text() == text
 
 
 @pytest.fixture
@@ -105,19 +105,3 @@ def test_a_run_and_a_seed_have_their_own_body_and_ground(walk: Walk) -> None:
         experiment, call = read_experiment(ROUGH8, seed=seed), fake_walker.calls[-1]
         assert call["terrains"].height(50.0) == experiment.terrain(run).height(50.0)
         assert call["bodies"].mass_kg.tolist() == experiment.body(run).mass_kg.tolist()
-
-
-def test_the_engine_and_its_model_file_are_those_asked_for(walk: Walk, tmp_path: Path) -> None:
-    """The file is written whatever moves the body in this walk; an existing one is replaced."""
-    configured = ROOT / "configs" / "mujoco-rough8-hard.toml"
-    model = tmp_path / "walker.xml"
-    model.write_text("old")
-    report = walk("--config", configured, "--mjcf", model)
-    settings = fake_walker.calls[-1]["settings"]
-    assert (settings.engine, settings.mujoco.time_constant_s) == ("mujoco", 0.005)
-    opened = mujoco.MjModel.from_xml_path(report["pictures"]["mjcf"])
-    assert opened.opt.timestep == 0.5e-3 and (opened.geom_solref[:, 0] == 0.005).all()
-    walk("--config", configured, "--engine", "taichi", "--mjcf", model)
-    assert fake_walker.calls[-1]["settings"].engine == "taichi"
-    walk("--config", ROUGH8, "--engine", "mujoco")
-    assert fake_walker.calls[-1]["settings"].engine == "mujoco"

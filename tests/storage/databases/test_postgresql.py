@@ -1,21 +1,16 @@
 """Study databases on a real PostgreSQL server, which the tests start themselves."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import optuna
 import pytest
 import sqlalchemy as sql
 
-import taichi_nmm
 from storage.databases.bulk import trial_counts, write_studies
 from storage.databases.studies import open_studies, storage_errors
 from taichi_nmm.errors import InputError
 from tests.storage.databases.conftest import Server
 from tests.storage.databases.test_bulk import STUDY
-from tests.study import fake_walker
-from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
 
@@ -27,21 +22,6 @@ def test_what_the_server_refuses_is_told_in_one_line(url: str) -> None:
         write_studies(storage, [STUDY, too_long])
     assert "secret" not in str(caught.value)
     assert trial_counts(storage) == {}
-
-
-def test_the_command_of_one_study_runs_and_resumes(
-    url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    words = ["--config", ROOT / "configs" / "rough8.toml", "--arm", "random", "--json"]
-    for trials in (2, 3):
-        more = ["--storage", url, "--trials", trials, "--out", tmp_path]
-        assert run_tool(monkeypatch, "study", *words, *more) == 0
-        said = capsys.readouterr()
-        assert json.loads(said.out)["trials"] == trials
-        assert "secret" not in said.out + said.err and "***" in said.out
-    study = optuna.load_study(study_name="rough8/random/run-000", storage=open_studies(url))
-    assert [trial.number for trial in study.trials] == [0, 1, 2]
 
 
 def refusal(url: str) -> str:

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, cast
@@ -277,38 +278,60 @@ def forked(work: Callable[[], object]) -> int:
     return process.exitcode
 
 
+# An operator's day: each of these makes one entry.
+DAY: tuple[Callable[[Bench], object], ...] = (
+    lambda bench: bench.next(),
+    lambda bench: bench.record(0, 0.9, columns={"torque": 81.0}),
+    lambda bench: bench.next(batch=2),
+    lambda bench: bench.record(1, failed_s=2.1),
+    lambda bench: bench.abort(2),
+    lambda bench: bench.record(2, 3.1),
+    lambda bench: bench.correct(2, 0.31),
+    lambda bench: bench.undo(),
+    lambda bench: bench.correct(2, 0.41),
+    lambda bench: bench.add([({"stiffness": 150.0, "damping": 1.0}, 0.6, {}, "")]),
+    lambda bench: bench.context("gravel"),
+)
+
+
+def go_on(path: Path, entries: int) -> list[Any]:
+    """Make those of the first entries of the day that are not there; what was entered."""
+    bench = Bench.new(path, "me")
+    for act in DAY[len(bench.entries) - 1 : entries]:
+        act(bench)
+    shown(bench)
+    return [(one.number, one.kind, one.operator, one.data) for one in bench.entries]
+
+
+def go_on_until(path: Path, entries: int, last: int) -> None:
+    """The same, but this process dies at the last of so many commits."""
+    commits = count(1)
+
+    def die(*_: object) -> None:
+        if next(commits) == last:
+            os._exit(9)
+
+    sql.event.listen(sql.Engine, "commit", die)
+    go_on(path, entries)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("step", [4, pytest.param(1, marks=pytest.mark.campaign)])
-def test_a_command_that_is_killed_at_any_commit_has_done_it_or_not(
-    step: int, tmp_path: Path
+@pytest.mark.parametrize(("entries", "step"), [
+    (2, 4), pytest.param(len(DAY), 3, marks=pytest.mark.campaign),
+])  # fmt: skip
+def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
+    entries: int, step: int, tmp_path: Path
 ) -> None:
-    """Of all commits until the first result is entered, some or every one."""
-    expected = robot.run(Bench.new(robot.write(tmp_path)), 2)
-    for commit in count(1, step):
-        folder = tmp_path / str(commit)
-        folder.mkdir()
-        place = robot.write(folder)
-
-        def die_at(commit: int = commit, place: Path = place) -> None:
-            commits = count(1)
-
-            def committed(*_: object) -> None:
-                if next(commits) == commit:
-                    os._exit(9)
-
-            sql.event.listen(sql.Engine, "commit", committed)
-            robot.run(Bench.new(place), 1)
-
-        died = forked(die_at) == 9
-        bench = Bench.new(place)
-        told = [trial for trial in bench.state.trials.values() if trial.value is not None]
-        assert len(bench.state.trials) - len(told) <= 1
-        robot.run(bench, 2 - len(told))
-        assert [trial.params for trial in bench.state.trials.values()] == expected
-        shown(bench)
+    """The operator looks at the entries, and repeats what is not there."""
+    expected = go_on(robot.write(tmp_path), entries)
+    for last in count(1, step):
+        (folder := tmp_path / str(last)).mkdir()
+        path = robot.write(folder)
+        died = forked(partial(go_on_until, path, entries, last)) == 9
+        assert go_on(path, entries) == expected
         if not died:
             break
-    assert commit > 40
+    assert last > 20 * entries
 
 
 @pytest.mark.slow

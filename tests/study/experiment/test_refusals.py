@@ -36,18 +36,6 @@ def arm_file(comparisons: Comparisons, arm: str = "random", out: str = "out") ->
     return comparisons.folder / out / "arms" / f"{arm}.parquet"
 
 
-@pytest.mark.parametrize(("request_", "message"), [
-    ({"arms": ("dog", "cat")}, "arm: 'cat' .* one of random, "), ({"runs": 0}, "runs: 0"),
-    ({"trials": 0}, "trials: 0"), ({"trials": 151}, "trials: 151 .* at most 150"),
-    ({"workers": 0}, "workers: 0"),
-])  # fmt: skip
-def test_requests(request_: dict[str, Any], message: str, comparisons: Comparisons) -> None:
-    fake_walker.calls.clear()
-    with refused(message):
-        comparisons.run("out", **request_)
-    assert not fake_walker.calls and not (comparisons.folder / "out").exists()
-
-
 def test_another_experiment_or_version_in_the_folder(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("random",), trials=1)
     before = comparisons.content("out")
