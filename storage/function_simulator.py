@@ -1,20 +1,9 @@
 """A function of one's own as the simulator of a store: candidates walked in worlds that differ.
 
-    def walk(point, world, seconds):  # my_robot.py
-        ...
-        return {"survived_fraction": walked_s / seconds, "speed_mps": distance_m / walked_s}
-
-    robot = FunctionSimulator(
-        walk,
-        parameters={"kp": FloatDistribution(1.0, 100.0, log=True), "steps": IntDistribution(1, 8)},
-        worlds={"mass": 1.0, "friction": 0.8},
-        columns=("survived_fraction", "speed_mps"),
-    )
-
-`make_store(robot, "out/robot", samples=4096, families={"icy": {...}})` fills a store, as does
-`taichi-nmm precompute` for a configuration with `simulator = "my_robot.py:robot"`, to the same
-bytes. A table [world] says where the world of the base setting differs from `worlds`, and
-[families.NAME.world] gives each number of a family's worlds, or a range that it is drawn from.
+docs/own-simulator.md has an example. `make_store` fills a store of it, as does `taichi-nmm
+precompute` for a configuration with `simulator = "my_robot.py:robot"`, to the same bytes. A table
+[world] says where the world of the base setting differs from `worlds`, and [families.NAME.world]
+gives each number of a family's worlds, or a range that it is drawn from.
 """
 
 import hashlib
@@ -250,15 +239,12 @@ class FunctionSimulator(Simulator):
             rows[name][~whole] = 0.0
         rows[ENDED] = ~whole
 
-    def canary(self) -> NDArray[np.void]:
+    def canary(self, count: int = CANARY_POINTS) -> NDArray[np.void]:
         """A few points in the base setting's world, by whose bits machines are told apart."""
-        return self._canary(slice(None))
-
-    def _canary(self, some: slice) -> NDArray[np.void]:
         unit = (np.arange(CANARY_POINTS)[:, None] + 0.5) / CANARY_POINTS
         points = within_bounds(np.tile(unit, (1, len(self.parameters))), self.parameters)
         worlds = self.read_worlds(Table({})).draw([np.random.SeedSequence(0)])
-        return self.run(points[some], worlds, CANARY_S, lambda part: None)[0]
+        return self.run(points[:count], worlds, CANARY_S, lambda part: None)[0]
 
     def require_machine(self) -> None:
         """Refuse a function that raises at all points of the canary, or does not repeat itself."""
@@ -268,7 +254,7 @@ class FunctionSimulator(Simulator):
         if rows.tobytes() != self.canary().tobytes():
             allowed = f"a function whose runs repeat; draw random numbers from world[{SEED!r}]"
             raise self._fault(allowed)
-        if self.batch and rows[:1].tobytes() != self._canary(slice(1)).tobytes():
+        if self.batch and rows[:1].tobytes() != self.canary(1).tobytes():
             raise self._fault("a function whose runs do not depend on others of the same call")
 
     def _fault(self, allowed: str) -> InputError:

@@ -1,15 +1,8 @@
 """A MuJoCo model under a controller of one's own as the simulator of a store.
 
-    def controller(point, sensed, memory):  # my_robot.py; arrays over the n robots of a batch
-        return point["kp"][:, None] * (TARGET - sensed.qpos[:, 3:]) - sensed.qvel[:, 3:]
-
-    robot = MujocoSimulator(
-        "robot.xml", controller, parameters={"kp": FloatDistribution(1.0, 100.0, log=True)}
-    )
-
-Any MJCF does; the worlds of `WORLDS` change it before a run, and the columns are `COLUMNS`. All
-robots of a call stand in one batch of MuJoCo's, which gives each the bits of a loop over `mj_step`.
-A control holds for some physics steps, in which no Python runs.
+docs/robots.md has an example. Any MJCF does; the worlds of `WORLDS` change it before a run, and the
+columns are `COLUMNS`. All robots of a call stand in one batch of MuJoCo's, which gives each the
+bits of a loop over `mj_step`. A control holds for some physics steps, in which no Python runs.
 """
 
 import hashlib

@@ -139,17 +139,16 @@ def local_pool(workers: int) -> Iterator[Pool]:
 
 @dataclass(frozen=True)
 class Cluster:
-    """A cluster that a user names."""
+    """A cluster that a user names.
+
+    Raises:
+        InputError: neither form of an address, or the package distributed is not there.
+    """
 
     address: str  # of a scheduler; or "local:N", N processes of this machine
     mixed: bool = False  # whether workers may differ in the bits that they compute
 
     def __post_init__(self) -> None:
-        """Refuse other addresses.
-
-        Raises:
-            InputError: neither form, or the package distributed is not there.
-        """
         scheduler = _SCHEDULER.fullmatch(self.address)
         if not scheduler and not 0 < self.local_processes <= MOST_LOCAL:
             # An "@" may end a password.

@@ -80,7 +80,7 @@ def evolved_points(
     The grid of the folder is complete. The specification is as units of work are to be run.
 
     Raises:
-        InputError: the grid has no point to start from.
+        InputError: no point of the grid was run on a family, to start from.
     """
     kept = folder.read_repertoire()
     if kept is None:
@@ -172,9 +172,6 @@ def _grid_starts(
     """For each family, the points of the grid that survive it longest, and generations after them.
 
     The less the grid survives a family, the longer is the search for it.
-
-    Raises:
-        InputError: no point was run on a family.
     """
     names = [parameter.name for parameter in specification.simulator.parameters]
     share = specification.simulator.survived

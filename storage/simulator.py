@@ -2,20 +2,9 @@
 
 A simulator has parameters, a rule that draws worlds from seeds, and `run`, which gives a row of
 columns for every point in every world. Nothing else in this package depends on what is simulated.
-To add a simulator, write a class in a file `my_robot.py`,
-
-    class MyRobot(Simulator):
-        code_version = "1"
-        parameters = (Uniform("stiffness_npm", 10.0, 500.0), Uniform("damping", 0.0, 2.0))
-        columns = np.dtype([("survived_fraction", "f8"), ("speed_mps", "f8")])
-
-with the methods `read_worlds` and `run`, and name it in a configuration:
-
-    [simulator]
-    name = "my_robot:MyRobot"
-
-All other members have defaults. A class that has every member, such as the walker, need not be a
-child of `Simulator`. A plain function is enough, too: `storage.function_simulator`.
+CONTRIBUTING.md has a class of one's own, with all that has no default. A class that has every
+member, such as the walker, need not be a child of `Simulator`. A plain function is enough, too:
+`storage.function_simulator`.
 """
 
 import sys

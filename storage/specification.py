@@ -286,7 +286,8 @@ def read_specification(
     `simulator` stands for the one that the configuration would name.
 
     Raises:
-        InputError: an unknown key, a wrong type or a value out of range.
+        InputError: an unknown key, a wrong type or a value out of range; a family or a search that
+            the others, or the simulator, do not allow.
     """
     configured = table.integer("samples", low=1, high=LARGEST_SEQUENCE)
     if samples is not None:
@@ -333,10 +334,6 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
     """The tables [robust] and [families.<name>] of a store: robust first, the others by name.
 
     Families that come after another one are last.
-
-    Raises:
-        InputError: a name that cannot begin columns, a setting out of range, or a family after one
-            that does not exist.
     """
     others, families = table.table("families"), []
     named = {name: others.table(name) for name in sorted(others.unread)}
@@ -379,12 +376,7 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
 def _read_repertoire(
     table: Table, simulator: Simulator, families: tuple[Family, ...]
 ) -> Repertoire | None:
-    """The table [repertoire] of a store, or None where there is none. Reads every key.
-
-    Raises:
-        InputError: a value out of range, no family to breed for or one that does not exist, fewer
-            evaluations than the candidates take, or a simulator that measures nothing.
-    """
+    """The table [repertoire] of a store, or None where there is none. Reads every key."""
     own = table.table("repertoire")
     if not own.unread:
         return None

@@ -157,11 +157,7 @@ def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy
 
 
 def _trial_row(study_id: int, number: int, trial: FrozenTrial) -> Row:
-    """The trial itself.
-
-    Raises:
-        ValueError: it is not finished, or has intermediate values.
-    """
+    """The trial itself."""
     if not trial.state.is_finished() or trial.intermediate_values:
         raise ValueError(f"trial {number}: not finished, or with intermediate values")
     return {

@@ -359,11 +359,7 @@ class Bench:
         return f"The largest improvement to be expected on {best:.4g}."
 
     def _allowed(self, study: optuna.Study, sampler: FeatureKernelSampler) -> NDArray[np.bool_]:
-        """Rows within the limits of [safety].
-
-        Raises:
-            InputError: there is none.
-        """
+        """Rows within the limits of [safety]; one at least."""
         safety, rows = self.plan.safety, self.candidates.table.rows
         found = sampler.predict(study)
         keeps = (found.kept >= safety.least_kept) & ~(found.success < safety.least_success)

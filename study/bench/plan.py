@@ -1,14 +1,4 @@
-"""The file of a bench: its candidates, what a trial is, and what is good.
-
-name = "walk"
-[candidates]
-file = "candidates.csv"            # or a Parquet file; or store = "out/store-worlds"
-parameters = ["stiffness", "damping"]
-outcomes = ["cost in world *"]     # or features = [...], or both
-[goal]
-value = "J/m"
-success = 0.3
-"""
+"""The file of a bench, as docs/bench.md has it: its candidates, what a trial is, what is good."""
 
 import math
 import warnings

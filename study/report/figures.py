@@ -89,7 +89,6 @@ class Look:
 
     label: str
     colour: str  # of the line
-    text: str  # colour of the label
     dash: Any  # in Matplotlib's form, and so is the marker
     marker: str
     front: bool  # whether it is one of the three in front, with a band
@@ -113,7 +112,7 @@ def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
         colour = COLOURS.get(arm, style.OTHERS[place % len(style.OTHERS)])
         dash = DASHES[0 if arm in COLOURS else 1 + place // len(style.OTHERS) % 2]
         marker = MARKERS[list(COLOURS).index(arm) if arm in COLOURS else place % len(MARKERS)]
-        found[arm] = Look(label_of(arm), colour, style.INK, dash, marker, front=arm in front)
+        found[arm] = Look(label_of(arm), colour, dash, marker, front=arm in front)
     return found
 
 
@@ -174,7 +173,7 @@ def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
     for end, own, place in zip(ends, pixels, places, strict=True):
         axes.annotate(
             end.text, xy=(x, end.y), xytext=(LABEL_OFFSET_PT, (place - own) / point), va="center",
-            textcoords="offset points", fontsize=style.SMALL_PT, color=end.look.text,
+            textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK,
             fontweight="bold" if end.look.front else "normal", annotation_clip=False,
         )  # fmt: skip
         height = [(place - low) / (high - low)] * 2  # the arm's line beside its name, as a key
@@ -322,7 +321,7 @@ def _draw_row(axes: Axes, trials: int, row: int, arm: ArmRuns, look: Look) -> No
         (RUNS_AT, f"{len(found)}/{len(arm.runs)}", "center"),
     ):
         axes.text(place, row, words, ha=side, va="center", fontsize=style.TEXT_PT,
-                  color=look.text, fontweight=weight)  # fmt: skip
+                  color=style.INK, fontweight=weight)  # fmt: skip
 
 
 def _draw_median(axes: Axes, trials: int, row: int, interval: Interval) -> None:

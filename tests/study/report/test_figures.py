@@ -44,7 +44,7 @@ def test_labels_of_lines_with_one_end_do_not_overlap() -> None:
     figure = style.new_figure(6.0, 4.0)
     axes = figure.add_axes((0.1, 0.1, 0.6, 0.8))
     figures.trial_axis(axes, 100)
-    look = Look("x", "#000000", "#000000", "solid", "o", False)
+    look = Look("x", "#000000", "solid", "o", False)
     figures.label_ends(axes, [End(1.0, look, f"arm {rank}", rank) for rank in range(14)], 100.0)
     figure.canvas.draw()
     labels = [text for text in axes.texts if isinstance(text, Annotation)]
