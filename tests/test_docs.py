@@ -3,8 +3,6 @@
 import os
 import re
 import runpy
-import subprocess
-import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +14,7 @@ from PIL import Image
 
 from storage import open_store
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
+from tests.processes import printed
 from tests.study import fake_walker
 from tests.tools.running import ROOT
 
@@ -45,21 +44,23 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", title).lower().replace(" ", "-") for title in titles}
 
 
-Printed = Callable[..., str]
+def run_in(folder: Path, *words: str) -> str:
+    """What Python prints on these words in a folder, where it finds our packages."""
+    return printed(*words, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)})
+
+
+Example = Callable[..., str]
 
 
 @pytest.fixture
-def printed(tmp_path: Path) -> Printed:
+def example(tmp_path: Path) -> Example:
     """The output of a page's code as a file of its own, in a process of its own."""
 
     def run(page: Path, block: int = 0, change: tuple[str, str] = ("", "")) -> str:
         code = code_blocks(page)[block]
         assert change[0] in code
         (tmp_path / "example.py").write_text(code.replace(*change))
-        ours, command = os.environ | {"PYTHONPATH": str(ROOT)}, [sys.executable, "example.py"]
-        done = subprocess.run(command, cwd=tmp_path, env=ours, capture_output=True, text=True)
-        assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
-        return done.stdout
+        return run_in(tmp_path, "example.py")
 
     return run
 
@@ -116,24 +117,24 @@ def test_the_readme_is_short_and_moves() -> None:
 
 
 @pytest.mark.slow
-def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(printed: Printed) -> None:
-    said, page = printed(README), DOCS / "index.md"
+def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(example: Example) -> None:
+    said, page = example(README), DOCS / "index.md"
     assert "completed" in said and "(10000, 6)" in said
-    assert printed(page) == code_blocks(page, "text")[0]
+    assert example(page) == code_blocks(page, "text")[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("page", "block"), [(README, 1), (DOCS / "store.md", 0)])
-def test_examples_run_on_a_store(page: Path, block: int, tmp_path: Path, printed: Printed) -> None:
+def test_examples_run_on_a_store(page: Path, block: int, tmp_path: Path, example: Example) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
     fake_walker.write_store(tmp_path / "out" / "store-worlds")
-    printed(page, block)
+    example(page, block)
 
 
 @pytest.mark.slow
-def test_the_samplers_complete_example_runs_in_an_empty_folder(printed: Printed) -> None:
-    texts = printed(DOCS / "sampler.md"), code_blocks(DOCS / "sampler.md", "text")[0]
+def test_the_samplers_complete_example_runs_in_an_empty_folder(example: Example) -> None:
+    texts = example(DOCS / "sampler.md"), code_blocks(DOCS / "sampler.md", "text")[0]
     best, promised = (float(re.findall(r"best of 20: (\S+)", text)[0]) for text in texts)
     assert best == pytest.approx(promised, abs=0.01)
 
@@ -167,12 +168,9 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
     (tmp_path / "pole.toml").write_text(code_blocks(page, "toml")[0])
     command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--samples", "16",
                "--out", "out/few")  # fmt: skip
-    ours = os.environ | {"PYTHONPATH": str(ROOT)}
     for words in (("my_cart.py",), command, ("my_robot.py",), ("trials.py",)):
-        line = [sys.executable, *words]
-        done = subprocess.run(line, cwd=tmp_path, env=ours, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-    assert done.stdout == code_blocks(page, "text")[0]
+        said = run_in(tmp_path, *words)
+    assert said == code_blocks(page, "text")[0]
 
 
 @pytest.mark.slow
@@ -180,17 +178,16 @@ def test_the_leg_of_the_page_of_robots_fills_a_store(tmp_path: Path) -> None:
     page = DOCS / "robots.md"
     (tmp_path / "my_leg.py").write_text(code_blocks(page)[0])
     (tmp_path / "leg.xml").write_text(code_blocks(page, "xml")[0])
-    subprocess.run([sys.executable, "my_leg.py"], cwd=tmp_path, check=True,
-                   env=os.environ | {"PYTHONPATH": str(ROOT)})  # fmt: skip
+    run_in(tmp_path, "my_leg.py")
     lasted = open_store(tmp_path / "out" / "leg").outcomes("bodies", "survived_fraction")
     assert lasted.shape == (64, 8) and np.nanmin(lasted) < 1.0 == np.nanmax(lasted)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("duration_s", [20, pytest.param(100, marks=pytest.mark.campaign)])
-def test_the_body_of_the_controllers_page_walks(printed: Printed, duration_s: int) -> None:
+def test_the_body_of_the_controllers_page_walks(example: Example, duration_s: int) -> None:
     page = DOCS / "controller.md"
-    said = printed(page, change=("data.time < 100.0", f"data.time < {duration_s}.0"))
+    said = example(page, change=("data.time < 100.0", f"data.time < {duration_s}.0"))
     walked, distance, speed = map(float, re.findall(r"[\d.]+", said))
     assert walked == duration_s and 1.1 < speed < 1.5
     assert abs(distance - duration_s * speed) < 0.02 * distance

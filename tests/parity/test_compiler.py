@@ -220,11 +220,3 @@ def test_bodies_that_another_engine_moves(step_s: float) -> None:
         both.assert_same()
         both.work[:] = 0.0
     assert 0 < both.state[State.active].sum() < WALKERS
-
-
-def test_modules_are_put_back() -> None:
-    interpreted_walker()
-    from taichi_nmm.kernel import backend, walker
-
-    assert hasattr(backend.ti, "kernel")
-    assert walker.step is not interpreted_walker().step

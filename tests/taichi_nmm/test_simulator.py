@@ -9,7 +9,7 @@ import taichi_nmm
 from taichi_nmm import Bodies, InputError, Settings, terrain
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
-from tests.processes import python
+from tests.processes import printed
 
 pytestmark = pytest.mark.slow
 
@@ -219,24 +219,19 @@ child.kill()
 """
 
 
-def printed(code: str) -> list[str]:
-    done = python("-c", code)
-    assert done.stdout, done.stderr
-    return done.stdout.splitlines()
-
-
 def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() -> None:
-    first, *others = printed(ATTEMPT + THREAD)
+    first, *others = printed("-c", ATTEMPT + THREAD).splitlines()
     assert first.startswith("thread: 'worker' cannot be used; allowed: the main thread")
     assert others == ["done"]
 
 
 def test_simulation_in_a_fork_of_a_process_that_simulated_is_refused() -> None:
     """Taichi's threads do not survive a fork: the child would wait for them without end."""
-    (line,) = printed(ATTEMPT + FORK)
+    (line,) = printed("-c", ATTEMPT + FORK).splitlines()
     assert line.startswith("process: ") and "multiprocessing.get_context('spawn')" in line
 
 
 def test_import_is_cheap() -> None:
     imports = "import sys, taichi_nmm, taichi_nmm.conditions, taichi_nmm.kernel.layout"
-    assert printed(f"{imports}; print({{'taichi', 'quadrants'}} & set(sys.modules))") == ["set()"]
+    code = f"{imports}; print({{'taichi', 'quadrants'}} & set(sys.modules))"
+    assert printed("-c", code) == "set()\n"

@@ -98,18 +98,6 @@ def test_later_exports_add_what_is_new(url: str) -> None:
     assert [trial.value for trial in load(url, SIX[0]).trials] == [300.0, 90.0, 280.0]
 
 
-def test_the_summary_compares_the_arms(url: str) -> None:
-    put(url, results(TINY, trials=1), final=False)
-    assert "4 trials (so far" in get_note(load(url, "tiny/summary"))
-    put(url, results(TINY))
-    note = get_note(load(url, "tiny/summary"))
-    assert "12 trials (all trials)" in note
-    for name in SIX:
-        assert f"(/dashboard/studies/{load(url, name)._study_id})" in note
-    assert "| dog | 2 | 1 | 50 | > 3 | 185 |" in note
-    assert "| random | 2 | 0 | 0 | > 3 | 280 |" in note
-
-
 def test_studies_that_ended_with_a_walker(url: str) -> None:
     """The database has the trials that were; the summary compares the arms as if all went on."""
     table = results(TINY)
