@@ -6,35 +6,26 @@ cores, threads of linear algebra only wait for one another.
 
 Taichi writes compiled kernels when a process ends. So on a fresh machine each worker of a parallel
 run, and each command that a test starts, would compile the same kernel, half a minute at a time.
-
-Optuna reads the version of its schema from ten files whenever a database is opened. Here it does so
-once, which halves the time of an opening, and there are hundreds.
 """
 
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
-from alembic.script import ScriptDirectory
 
 from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER
 from tests.browser import opened_page
+from tests.processes import ROOT, python, read_schema_once
 
-ROOT = Path(__file__).resolve().parent.parent
 os.environ.setdefault(CACHE_VARIABLE, str(ROOT / ".pytest_cache" / COMPILER))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-read_head = ScriptDirectory.get_current_head
-head_in = cache(lambda folder: read_head(ScriptDirectory(folder)))
-ScriptDirectory.get_current_head = lambda script: head_in(script.dir)
+read_schema_once()
 
 SIMULATE = (
     "from taichi_nmm import PUBLISHED_GAINS, Settings, simulate; "
@@ -45,8 +36,7 @@ MOST_TESTS = "", "threads=1", "precision='float64'", "engine='mujoco'", "engine=
 
 def compile_kernel(settings: str) -> None:
     """In a process of its own, which writes to the cache; errors show in the tests."""
-    words = [sys.executable, "-c", SIMULATE.format(settings)]
-    subprocess.run(words, cwd=ROOT, capture_output=True, check=False)
+    python("-c", SIMULATE.format(settings))
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

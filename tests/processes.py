@@ -1,9 +1,10 @@
-"""Python in a process of its own, the children of a process, and waiting for what they do."""
+"""Processes of Python, their children, waiting for what they do; and Optuna in haste."""
 
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -40,3 +41,13 @@ def children(pid: int) -> list[int]:
             if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
                 found += [child, *children(child)]
     return found
+
+
+def read_schema_once() -> None:
+    """Have Optuna read the version of its schema from ten files once, not whenever a database is
+    opened: that takes half the time, and there are hundreds."""
+    from alembic.script import ScriptDirectory  # slow to load
+
+    read = ScriptDirectory.get_current_head
+    known = cache(lambda folder: read(ScriptDirectory(folder)))
+    ScriptDirectory.get_current_head = lambda script: known(script.dir)

@@ -41,6 +41,7 @@ from taichi_nmm.kernel_cache import CACHE_VARIABLE
 from taichi_nmm.reading import is_folder
 from tests.fuzz.cases import Case, make_case
 from tests.fuzz.world import Words, make_world
+from tests.processes import read_schema_once
 
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
 LINE = re.compile(r"error: \S.*: .*\S", re.DOTALL)
@@ -122,7 +123,6 @@ def content(folder: Path) -> Content:
 @contextmanager
 def doors() -> Iterator[None]:
     """Where the work would begin, `Reached` is raised; and what no input decides takes no time."""
-    from alembic.script import ScriptDirectory
     from bokeh.document import Document
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -142,9 +142,6 @@ def doors() -> Iterator[None]:
     def savefig(_: object, path: Path, **__: object) -> None:
         Path(path).write_bytes(PICTURE)
 
-    ask = ScriptDirectory.get_current_head
-    head = cache(lambda place: ask(ScriptDirectory(place)))
-
     with ExitStack() as stack:
         for owner, name, instead in (
             (taichi_nmm.simulator, "_start", reached),
@@ -156,8 +153,6 @@ def doors() -> Iterator[None]:
             (Figure, "tight_layout", lambda _: None),
             (FigureCanvasAgg, "draw", lambda _: None),
             (os, "fsync", lambda _: None),
-            # Optuna reads its own schema's version from ten files at every opening.
-            (ScriptDirectory, "get_current_head", lambda script: head(script.dir)),
         ):
             stack.enter_context(mock.patch.object(owner, name, instead))
         yield
@@ -246,6 +241,7 @@ def begin(scratch: Path) -> Path:
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, most))
     DOORS.enter_context(doors())
+    read_schema_once()
     return place
 
 

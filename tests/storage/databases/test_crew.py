@@ -68,17 +68,10 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
     words += ["--store", tmp_path / "store"]
     processes = [start(STUDY, *words, "--out", tmp_path / str(n)) for n in range(4)]
 
-    def finished() -> int:
-        storage = open_studies(url)
-        try:
-            if "rough8/dog/run-000" not in optuna.get_all_study_names(storage):
-                return 0
-            study = optuna.load_study(study_name="rough8/dog/run-000", storage=storage)
-            return len(study.get_trials(states=(TrialState.COMPLETE,)))
-        finally:
-            storage.engine.dispose()
-
-    until(lambda: finished() >= 10, WAIT_S)
+    finished = "SELECT count(*) FROM trials WHERE state = 'COMPLETE'"
+    with open_studies(url).engine.connect() as connection:
+        connection.execution_options(isolation_level="AUTOCOMMIT")
+        until(lambda: connection.execute(sql.text(finished)).scalar_one() >= 10, WAIT_S)
     processes[0].send_signal(signal.SIGKILL)
     said = [process.communicate(timeout=WAIT_S)[0] for process in processes]
     assert [process.returncode for process in processes] == [-9, 0, 0, 0], said
