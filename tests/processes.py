@@ -1,12 +1,14 @@
 """Processes of Python, their children, waiting for what they do; and Optuna in haste."""
 
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 ROOT = Path(__file__).resolve().parents[1]
 WAIT_S = 120.0
@@ -23,6 +25,19 @@ def printed(*words: object, **options: Any) -> str:
     done = python(*words, **options)
     assert done.returncode == 0, done.stderr
     return str(done.stdout)
+
+
+@contextmanager
+def serving(*words: object, **options: Any) -> Iterator[IO[str]]:
+    """Python on these words as a server: what it prints; Ctrl-C ends it, and must end it well."""
+    command = [sys.executable, *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout
+        finally:
+            process.send_signal(signal.SIGINT)
+    assert process.returncode == 0
 
 
 def until(true: Callable[[], object], wait_s: float = WAIT_S) -> None:

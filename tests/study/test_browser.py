@@ -1,8 +1,6 @@
 """The dashboard as a person sees it: a headless Chromium on a small experiment."""
 
 import json
-import subprocess
-import sys
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,12 +16,12 @@ from study.experiment.database import export
 from study.report.markdown import dashboard_summary
 from taichi_nmm.result import Result
 from tests.browser import save
+from tests.processes import serving
 from tests.study import synthetic_gait
 from tests.study.experiment.fake_results import experiment, results
 
 pytestmark = pytest.mark.slow
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 SCRIPT = "<img src=x onerror=window.ran=1>"  # whoever writes to a database names its studies
 
 
@@ -45,12 +43,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def address(folder: Path) -> Iterator[str]:
     """Of the command's server."""
-    command = [sys.executable, REPOSITORY / "tools" / "dashboard.py", folder, "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(3))
+    with serving("-m", "taichi_nmm", "dashboard", folder, "--port", 0) as said:
+        lines = dict(said.readline().split(maxsplit=1) for _ in range(3))
         yield lines["dashboard"].split()[0].removesuffix("/dashboard")
-        process.terminate()
 
 
 @pytest.fixture(scope="module")

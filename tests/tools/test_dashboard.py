@@ -3,10 +3,7 @@
 import json
 import os
 import shutil
-import signal
 import socket
-import subprocess
-import sys
 import urllib.request
 from pathlib import Path
 
@@ -15,6 +12,7 @@ import pytest
 from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
 from tests.cases import asset
+from tests.processes import serving
 from tests.tools.conftest import Tool
 from tests.tools.running import ROOT, load_command
 
@@ -57,29 +55,23 @@ def get(address: str) -> bytes:
 
 
 def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> None:
-    line = [sys.executable, DASHBOARD, "--port", "0"]
-    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        lines = dict(process.stdout.readline().split(maxsplit=1) for _ in range(4))
+    with serving(DASHBOARD, "--port", 0) as said:
+        lines = dict(said.readline().split(maxsplit=1) for _ in range(4))
         address = lines["dashboard"].split()[0]
-        try:
-            assert address.startswith("http://127.0.0.1:") and address.endswith("/dashboard")
-            assert lines["studies"].strip().endswith("out/compare/tiny/studies.db")
-            assert lines["artifacts"].strip().endswith("out/compare/tiny/artifacts")
-            server = address.removesuffix("/dashboard")
-            listed = json.loads(get(f"{server}/api/studies"))["study_summaries"]
-            ids = {study["study_name"]: study["study_id"] for study in listed}
-            assert ids.keys() == {"e/dog/run-000", "tiny/random/run-000", "tiny/summary"}
-            note = f"{address}/studies/{ids['tiny/summary']}/note"
-            assert lines["summary"].split() == [note, "(tiny/summary)"]
-            study = ids["e/dog/run-000"]
-            trial = json.loads(get(f"{server}/api/studies/{study}"))["trials"][0]
-            assert trial["artifacts"][0]["filename"] == "a.png"
-            picture = f"{server}/artifacts/{study}/{trial['trial_id']}/{PICTURE}"
-            assert get(picture) == b"a picture"
-        finally:
-            process.send_signal(signal.SIGINT)
-    assert process.returncode == 0
+        assert address.startswith("http://127.0.0.1:") and address.endswith("/dashboard")
+        assert lines["studies"].strip().endswith("out/compare/tiny/studies.db")
+        assert lines["artifacts"].strip().endswith("out/compare/tiny/artifacts")
+        server = address.removesuffix("/dashboard")
+        listed = json.loads(get(f"{server}/api/studies"))["study_summaries"]
+        ids = {study["study_name"]: study["study_id"] for study in listed}
+        assert ids.keys() == {"e/dog/run-000", "tiny/random/run-000", "tiny/summary"}
+        note = f"{address}/studies/{ids['tiny/summary']}/note"
+        assert lines["summary"].split() == [note, "(tiny/summary)"]
+        study = ids["e/dog/run-000"]
+        trial = json.loads(get(f"{server}/api/studies/{study}"))["trials"][0]
+        assert trial["artifacts"][0]["filename"] == "a.png"
+        picture = f"{server}/artifacts/{study}/{trial['trial_id']}/{PICTURE}"
+        assert get(picture) == b"a picture"
 
 
 def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder: Path) -> None:

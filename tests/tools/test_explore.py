@@ -3,15 +3,14 @@
 import json
 import os
 import shutil
-import signal
 import socket
-import subprocess
 import sys
 import urllib.request
 from pathlib import Path
 
 import pytest
 
+from tests.processes import serving
 from tests.study import fake_walker
 from tests.tools.conftest import Tool
 from tests.tools.running import load_command
@@ -70,12 +69,8 @@ def test_a_browser_of_a_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_without_a_browser_the_address_is_enough(store: Path) -> None:
-    command = [sys.executable, "-m", "taichi_nmm", "explore", store, "--port", "0"]
-    environment = os.environ | {"BROWSER": "no-such-program"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().split()[1]
+    words = ("-m", "taichi_nmm", "explore", store, "--port", 0)
+    with serving(*words, env=os.environ | {"BROWSER": "no-such-program"}) as said:
+        address = said.readline().split()[1]
         with urllib.request.urlopen(address, timeout=30) as answer:
             assert answer.status == 200
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
