@@ -21,7 +21,8 @@ A kernel is a sum of terms, each a variance times a shape:
 | likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | these, rbf_ard; rbf: l shared |
 | nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | euclidean; additive, worlds: L shared |
 | worlds | a^2 d . d', d being what each world adds to the mean over the worlds | worlds |
-| shift | c^2 for all rows; v m m' where outcomes are in units of their own | worlds |
+| mean | v m m', m being the mean over the worlds | worlds |
+| shift | c^2 for all rows, where outcomes are in the unit of the costs | worlds |
 | similarity | s^2 K, of a pool (`study.sampler.similarity`) | similarity |
 
 With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen, Williams 2006,
@@ -255,8 +256,9 @@ def new_covariance(
         return Covariance((Term(own, own + w, SIGNAL, ()),), FEATURE_NOISE)
     terms = []
     if kernel.worlds:
-        common = Term(k - 1, k, SLOPE, ()) if standardised else Term(k - 2, k - 1, SHIFT, ())
-        terms = [Term(own, own + w, WORLD, ()), common]
+        terms = [Term(own, own + w, WORLD, ()), Term(k - 1, k, SLOPE, ())]
+        if not standardised:
+            terms.append(Term(k - 2, k - 1, SHIFT, ()))
     if kernel.slopes and own:
         terms.append(Term(0, own, SLOPE, ()))
     if kernel.feature_scales is not None and own:

@@ -7,12 +7,13 @@ and p_w the weights of the worlds:
 
     m(r)     sum_w p_w y_w(r), the mean over the worlds
     d_w(r)   sqrt(p_w) (y_w(r) - m(r)), what world w adds to it
-    y(r)     m(r) + b . d(r) + shift + what features tell + a function of the parameters + noise
+    y(r)     (1 + s) m(r) + b . d(r) + shift + what features tell + a function of the parameters
+             + noise
 
-with b ~ N(0, a^2 I). The shift is common to all rows: a robot may be worse than all worlds. A point
-off the table has the m and d of its nearest rows, by distance. Outcomes in other units than the
-study's values (shares survived, scores) tell which rows are better, not what they cost: m then has
-a slope, learned from the trials, in place of the shift.
+with s ~ N(0, v) and b ~ N(0, a^2 I). Where no world is like the robot, the trials make 1 + s small.
+The shift is common to all rows: a robot may be worse than all worlds. A point off the table has the
+m and d of its nearest rows, by distance. Outcomes in other units than the study's values (shares
+survived, scores) tell which rows are better, not what they cost: there is no shift then.
 """
 
 from collections.abc import Mapping

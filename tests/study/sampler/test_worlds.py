@@ -86,10 +86,11 @@ def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features: int)
     costs, posterior = model.costs, model.posterior
     *constants, noise = np.exp(posterior.theta)
     assert posterior.cost_sd == 1.0 and posterior.cost_mean == 0.0
-    worlds, shift, *own, nearness, length = constants
+    worlds, mean_slope, shift, *own, nearness, length = constants
     m, d = ensemble.mean, ensemble.parts
     apart = ((ROWS[:, None] - ROWS[None]) ** 2).sum(axis=2)
-    k = worlds * d @ d.T + shift + nearness * np.exp(-0.5 * apart / length**2)
+    k = worlds * d @ d.T + mean_slope * np.outer(m, m) + shift
+    k += nearness * np.exp(-0.5 * apart / length**2)
     if features:
         slope, size, *scales = own
         far = (((phi[:, None] - phi[None]) / scales) ** 2).sum(axis=2)
