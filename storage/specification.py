@@ -32,7 +32,7 @@ from storage.simulator import (
 from storage.store import ORIGIN, arrow_schema, columns_of
 from storage.tables import FORMAT, document_hash
 from taichi_nmm import checks
-from taichi_nmm.config import REQUIRED, Table
+from taichi_nmm.config import REQUIRED, Table, with_all_mistakes
 from taichi_nmm.errors import InputError
 
 HORIZON_S = 5.0  # of the base setting, where the configuration names none
@@ -275,6 +275,7 @@ def _ends(parameter: Parameter) -> dict[str, Any]:
     return ends | ({"distribution": json.loads(own)} if own else {})
 
 
+@with_all_mistakes
 def read_specification(
     table: Table,
     samples: int | None = None,
@@ -314,6 +315,8 @@ def read_simulator(table: Table, arch: str | None) -> Simulator:
     if isinstance(table.unread.get(SIMULATOR_KEY), str):
         return find_simulator(table.text(SIMULATOR_KEY), table.folder).read(table, arch)
     own = table.table(SIMULATOR_KEY)
+    if own.mistaken("name"):  # again: which other keys there are is its matter
+        raise InputError(own.path("name"), "missing", "the name of a simulator")
     simulator = find_simulator(own.text("name", WALKER), table.folder).read(table, arch)
     own.done()
     return simulator

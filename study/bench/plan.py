@@ -35,7 +35,7 @@ from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
 from taichi_nmm import checks
-from taichi_nmm.config import Table
+from taichi_nmm.config import Table, with_all_mistakes
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import reading, toml_document
 
@@ -173,8 +173,12 @@ def read_plan(path: Path) -> Plan:
     Raises:
         InputError: naming the key.
     """
-    data = toml_document("bench", path, READABLE)
-    table = Table(data, folder=path.parent)
+    return _plan_of(Table(toml_document("bench", path, READABLE), folder=path.parent), path)
+
+
+@with_all_mistakes
+def _plan_of(table: Table, path: Path) -> Plan:
+    data = table.unread
     name = table.text("name", path.stem)
     if not name.strip() or "/" in name:
         raise InputError("name", name, "a name without /")

@@ -23,7 +23,7 @@ from study.sampler.draws import Purpose, stream
 from study.sampler.table import FeatureTable
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
-from taichi_nmm.config import Table, read_toml
+from taichi_nmm.config import Table, read_toml, with_all_mistakes
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     DEVICE,
@@ -161,6 +161,7 @@ def read_experiment(
     return experiment_of(read_toml(path), Path(path).stem, arch, seed)
 
 
+@with_all_mistakes
 def experiment_of(
     table: Table, name: str, arch: str | None = None, seed: int | None = None
 ) -> Experiment:

@@ -147,7 +147,7 @@ def read_objective(table: Table, columns: Sequence[str], survived: str | None = 
         if name not in columns:
             raise InputError(given.path(name), "no number of a run", f"one of {', '.join(columns)}")
     terms = tuple(_read_term(given, name) for name in list(given.unread))
-    if not any(term.weight for term in terms):
+    if not any(term.weight for term in terms) and not given.mistaken():
         raise InputError("objective.terms", "nothing to pay for", "a column with a weight but zero")
     return Objective(cost, terms, fell_cost, survived)
 

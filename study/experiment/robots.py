@@ -42,7 +42,7 @@ from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
-from taichi_nmm.config import read_toml
+from taichi_nmm.config import Table, read_toml, with_all_mistakes
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -154,7 +154,14 @@ def read_robots(
     Raises:
         InputError: an unknown key, a wrong type, a value out of range, or no store.
     """
-    table = read_toml(path)
+    return _robots_of(read_toml(path), path.stem, seed, arms, runs, trials)
+
+
+@with_all_mistakes
+def _robots_of(
+    table: Table, name: str, seed: int | None, arms: str | None, runs: int | None,
+    trials: int | None,
+) -> RobotExperiment:  # fmt: skip
     simulator = read_simulator(table, None)
     simulation, objective = table.table("simulation"), table.table("objective")
     paid = [name for name in simulator.scores if name != simulator.survived]
@@ -164,7 +171,7 @@ def read_robots(
         return own if given is None else given
 
     experiment = RobotExperiment(
-        name=read_name(table, path.stem),
+        name=read_name(table, name),
         seed=number(seed, "seed"),
         simulator=simulator,
         rule=simulator.read_worlds(table),

@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from storage.specification import read_specification
+from study.bench.plan import read_plan
 from study.experiment import experiment as experiments
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, as_written, read_experiment, store_path
 from study.experiment.robots import is_of_robots
 from study.options import config_path, shipped_configs
-from taichi_nmm.config import Table
+from taichi_nmm.config import Table, read_toml
+from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.cases import cases
 from tests.study.conftest import refused
@@ -74,6 +77,38 @@ def test_an_experiment_pickles_and_hashes_and_is_read_back_from_what_it_writes()
 def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
     with refused(message):
         read_experiment(edited(tmp_path, old, new))
+
+
+@pytest.mark.parametrize(("text", "fields"), [  # what follows from a mistake is none
+    ('a = 1\nb = 2', "seed a b"), ("seed = 1\nruns = 0", "runs"),
+    ('seed = 1\nworld.muscles = {SOLE = 1, TA = -1}\nworld.prosthesis.stiffness_nmprad = -1',
+     "world.muscles.TA world.muscles.SOLE world.prosthesis.side world.prosthesis.stiffness_nmprad "
+     "world.prosthesis.damping_nmsprad"),
+    ('seed = 1\nb = 2\nobjective = {cost = "weighted", fell_cost = 1, terms.speed = 1}',
+     "objective.terms.speed b"),
+    ('seed = -1\nobjective = {cost = "best", fell_cost = 1}\nterrain = {kind = "hill", rise_m = 1}',
+     "seed objective.cost terrain.kind"),
+    ('seed = 1\nterrain = {kind = "file"}\nbody.mass = {arm = 1}', "body.mass.arm terrain.file"),
+    ('samples = 0\nsimulator = {name = "no:Robot"}\nwind_mps = 1', "samples simulator.name"),
+    ('samples = 8\nrobust = {settings = 99, seed = "x"}\nseed = 1.5',
+     "seed robust.settings robust.seed"),
+    ('goal = {success = "low", failed_at_once = "x", failed_at_end = 1, duration_s = 9}\nnam = 1',
+     "goal.success goal.failed_at_once nam"),
+])  # fmt: skip
+def test_all_mistakes_of_a_file_are_named_at_once(tmp_path: Path, text: str, fields: str) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        if "goal" in text:
+            read_plan(path)
+        elif "samples" in text:
+            read_specification(read_toml(path))
+        else:
+            read_experiment(path)
+    found = pickle.loads(pickle.dumps(caught.value))  # it may come from another process
+    lines = str(found).splitlines()
+    assert [line.partition(": ")[0] for line in lines] == fields.split()
+    assert all("cannot be used; allowed: " in line for line in lines)
 
 
 @pytest.mark.parametrize("file", EXPERIMENTS, ids=lambda file: file.stem)
