@@ -131,7 +131,7 @@ class FunctionSimulator(Simulator):
         Raises:
             InputError: a function that other processes cannot import, a name that is none.
         """
-        self._source = _source_of(function)
+        self._source = source_of(function)
         self._failed = ""  # the last run that raised
         self.function, self.batch, self.space = function, batch, dict(parameters)
         self.worlds = {name: float(value) for name, value in (worlds or {}).items()}
@@ -307,7 +307,7 @@ def _coordinate(name: str, distribution: BaseDistribution) -> Uniform:
     return Uniform(name, low, high, log, step, own)
 
 
-def _source_of(function: Callable[..., Any]) -> Path:
+def source_of(function: Callable[..., Any]) -> Path:
     """The file of a function that other processes can import."""
     allowed = "a function of a module or of a file, which other processes can import"
     try:

@@ -273,9 +273,21 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
     Raises:
         InputError: there is none, or a class that is no simulator.
     """
-    field = f"{SIMULATOR_KEY}.name"
-    module, _, attribute = SIMULATORS.get(name, name).partition(":")
     allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
+    field, path = f"{SIMULATOR_KEY}.name", SIMULATORS.get(name, name)
+    found: type[Simulator] = import_object(field, path, folder, allowed)
+    if missing := _missing(found):
+        raise InputError(field, name, f"a class that has {', '.join(missing)}, too")
+    return found
+
+
+def import_object(field: str, name: str, folder: Path, allowed: str) -> Any:
+    """What is called name in "module:name", or "file.py:name" of a folder, as of `find_simulator`.
+
+    Raises:
+        InputError: it cannot be imported.
+    """
+    module, _, attribute = name.partition(":")
     if not attribute:
         raise InputError(field, name, allowed)
     where, file = Path.cwd(), None
@@ -287,7 +299,7 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
         sys.path.append(str(where))
     try:
         imported = import_module(module)
-        found: type[Simulator] = getattr(imported, attribute)
+        found = getattr(imported, attribute)
     except InputError:
         raise
     except Exception as error:  # the file is a user's: it may raise anything
@@ -296,8 +308,6 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
     taken = Path(str(imported.__file__)).resolve()
     if file not in (None, taken):
         raise InputError(field, name, f"a file whose name is not that of another module ({taken})")
-    if missing := _missing(found):
-        raise InputError(field, name, f"a class that has {', '.join(missing)}, too")
     return found
 
 

@@ -30,7 +30,7 @@ from storage.databases.urls import file_url
 from storage.simulator import SURVIVED
 from storage.tables import read_any
 from study.experiment.features import Cost, world_table
-from study.experiment.objective import PRINTED, Objective
+from study.experiment.objective import PRINTED, Objective, Term, named_function
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
@@ -69,17 +69,19 @@ class Goal:
         first, last = self.failed
         return first + (last - first) * seconds / self.duration_s
 
-    def in_worlds(self, column: str) -> Cost:
-        """Values by a column of a store; runs that fell are failures, by how far they came.
+    def in_worlds(self, term: Term) -> Cost:
+        """Values by a column of a store, or a function of them; runs that fell are failures.
 
-        None that lasted is worse than a failure at the end. Without `failed` the column is taken.
+        They count by how far they came. None that lasted is worse than a failure at the end.
+        Without `failed` the numbers are taken as they are.
         """
 
         def values(given: Mapping[str, Floats], horizon_s: float) -> Floats:
+            found = term.values(given)
             if self.failed is None:
-                return given[column]
+                return found
             (first, last), lasted = self.failed, given[SURVIVED]
-            paid = (np.maximum if self.maximise else np.minimum)(given[column], last)
+            paid = (np.maximum if self.maximise else np.minimum)(found, last)
             return np.asarray(np.where(lasted >= 1.0, paid, first + (last - first) * lasted))
 
         return values
@@ -257,7 +259,8 @@ def _of_store(table: Table, goal: Goal) -> FeatureTable:
     if features:
         return FeatureTable.from_parquet(path, features=features)
     in_values = goal if better is None else replace(goal, failed=None)
-    costs = Objective(cost).in_worlds if cost in PRINTED else in_values.in_worlds(cost)
+    term = Term(cost, 1.0, function=named_function(table, cost))
+    costs = Objective(cost).in_worlds if cost in PRINTED else in_values.in_worlds(term)
     rows = world_table(path, costs).rows
     assert rows.worlds is not None
     worlds = replace(rows.worlds, better=better)

@@ -1,5 +1,7 @@
 """What a trial costs: weighted terms beside the paper's two costs, of rows and of worlds."""
 
+import pickle
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from study.bench.plan import Goal
 from study.experiment.arms import ARMS
 from study.experiment.experiment import PAID, as_written, candidates, check_store, experiment_of
 from study.experiment.objective import Objective, Term, read_objective
@@ -56,6 +59,43 @@ def test_it_is_read_back_from_what_it_writes(tmp_path: Path, fake_simulator: Non
     column = read_objective(Table({"cost": "effort", "fell_cost": 9.0}), ("effort",), "lasted")
     assert column == Objective("effort", (Term("effort", 1.0),), 9.0, "lasted")
     assert column.document() == {"cost": "effort", "fell_cost": 9.0}
+
+
+OWN = """def slow(columns): return 2.0 - columns["mean_speed_mps"]
+def no(columns): return columns["effort"]
+def none(columns): return columns["mean_speed_mps"] * float("nan")
+def one(columns): return columns["mean_speed_mps"][:2]
+number = 3
+"""
+
+
+@pytest.mark.parametrize(("function", "found"), [
+    ("slow", [0.5, 1.5, 13.5]), ("no", "objective: .* not ValueError: no field of name effort$"),
+    ("none", "objective: .* not ValueError: NaN or"), ("two", "objective.*attribute 'two'"),
+    ("one", "objective: .* not ValueError: operands"), ("number", "function: 'int' .* a function "),
+])  # fmt: skip
+def test_a_function_stands_for_a_column_or_is_the_cost(
+    function: str, found: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.path", [*sys.path])
+    file, name = tmp_path / f"own_{function}.py", f"own_{function}.py:{function}"
+    file.write_text(OWN)
+    rows, cost = np.zeros(3, RESULT_DTYPE), {"cost": name, "fell_cost": 9.0}
+    rows["survived_fraction"], rows["mean_speed_mps"] = (1.0, 1.0, 0.5), (1.5, 0.5, 0.0)
+    if isinstance(found, str):
+        with refused(f"^{found}"):
+            read_objective(Table(cost, "objective", tmp_path), PAID).costs(rows)
+        return
+    for table in (cost, TABLE | {"fell_cost": 9.0, "terms": {name: 1.0}}):
+        objective = pickle.loads(pickle.dumps(read_objective(Table(table, "o", tmp_path), PAID)))
+        assert_allclose(objective.costs(rows), found)
+    assert_allclose(Goal("", False, None, None, 1.0).in_worlds(objective.terms[0])(rows, 1.0),  # type: ignore[arg-type]
+                    [0.5, 1.5, 2.0])  # fmt: skip
+    document = objective.document()
+    assert read_objective(Table(document, "objective", tmp_path), PAID) == objective
+    file.write_text(f"{OWN}# another version")
+    with refused(r"^objective\.code: "):
+        read_objective(Table(document, "objective", tmp_path), PAID)
 
 
 @pytest.mark.parametrize(("changed", "message"), [
