@@ -282,11 +282,7 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
 
 
 def import_object(field: str, name: str, folder: Path, allowed: str) -> Any:
-    """What is called name in "module:name", or "file.py:name" of a folder, as of `find_simulator`.
-
-    Raises:
-        InputError: it cannot be imported.
-    """
+    """The object "module:name", or "file.py:name" of a folder; else an error of the field."""
     module, _, attribute = name.partition(":")
     if not attribute:
         raise InputError(field, name, allowed)

@@ -32,7 +32,7 @@ from storage.simulator import (
 from storage.store import ORIGIN, arrow_schema, columns_of
 from storage.tables import FORMAT, document_hash
 from taichi_nmm import checks
-from taichi_nmm.config import REQUIRED, Table, with_all_mistakes
+from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
 
 HORIZON_S = 5.0  # of the base setting, where the configuration names none
@@ -275,13 +275,10 @@ def _ends(parameter: Parameter) -> dict[str, Any]:
     return ends | ({"distribution": json.loads(own)} if own else {})
 
 
-@with_all_mistakes
 def read_specification(
-    table: Table,
-    samples: int | None = None,
-    arch: str | None = None,
+    table: Table, samples: int | None = None, arch: str | None = None,
     simulator: Simulator | None = None,
-) -> Specification:
+) -> Specification:  # fmt: skip
     """The specification in a configuration; `samples` and `arch` override the file's.
 
     `simulator` stands for the one that the configuration would name.

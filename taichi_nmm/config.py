@@ -2,12 +2,11 @@
 
 import math
 from collections.abc import Callable, Collection
-from functools import wraps
 from pathlib import Path
-from typing import Any, Concatenate
+from typing import Any
 
 from taichi_nmm import checks
-from taichi_nmm.checks import P, R
+from taichi_nmm.checks import R
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, toml_document
 
@@ -24,7 +23,7 @@ class Table:
         mistakes: Collection[str] = (),
     ) -> None:  # fmt: skip
         self.folder = folder  # that names of files start from
-        self._mistakes = mistakes  # fields whose values were taken out: see `with_all_mistakes`
+        self._mistakes = mistakes  # fields whose values were taken out: see `read_whole`
         self._data = dict(data)
         self._name = name
         self._known: list[str] = []
@@ -120,35 +119,31 @@ class Table:
         return default
 
 
-def with_all_mistakes(
-    reader: Callable[Concatenate[Table, P], R],
-) -> Callable[Concatenate[Table, P], R]:
-    """Let a reader of a whole configuration name all mistakes at once, in one `InputError`.
+def read_whole(table: Table, reader: Callable[[Table], R]) -> R:
+    """What a reader makes of a whole configuration.
 
     After an error it reads again, without the value that the error names. This ends when nothing is
     left to refuse, or when an error comes again.
+
+    Raises:
+        InputError: the mistakes, a line each.
     """
-
-    @wraps(reader)
-    def read(table: Table, /, *args: P.args, **kwargs: P.kwargs) -> R:
-        errors, data = dict[str, InputError](), table.unread
-        while len(errors) < MOST_MISTAKES:
-            try:
-                found = reader(Table(data, folder=table.folder, mistakes=errors), *args, **kwargs)
-            except InputError as error:
-                if errors.setdefault(error.field, error) is not error:
-                    break
-                data = _without(data, error.field.split("."))
-            else:
-                if not errors:
-                    return found
+    errors, data = dict[str, InputError](), table.unread
+    while len(errors) < MOST_MISTAKES:
+        try:
+            found = reader(Table(data, folder=table.folder, mistakes=errors))
+        except InputError as error:
+            if errors.setdefault(error.field, error) is not error:
                 break
-        # An error of a table of which a value was taken out follows from that.
-        shown = [e for e in errors.values() if not any(f.startswith(f"{e.field}.") for f in errors)]
-        shown[0].args = ("\n".join(map(str, shown)),)
-        raise shown[0]
-
-    return read
+            data = _without(data, error.field.split("."))
+        else:
+            if not errors:
+                return found
+            break
+    # An error of a table of which a value was taken out follows from that.
+    shown = [e for e in errors.values() if not any(f.startswith(f"{e.field}.") for f in errors)]
+    shown[0].args = ("\n".join(map(str, shown)),)
+    raise shown[0]
 
 
 def _without(data: dict[str, Any], path: list[str]) -> dict[str, Any]:

@@ -35,7 +35,7 @@ from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
 from taichi_nmm import checks
-from taichi_nmm.config import Table, with_all_mistakes
+from taichi_nmm.config import Table, read_whole
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import reading, toml_document
 
@@ -175,10 +175,10 @@ def read_plan(path: Path) -> Plan:
     Raises:
         InputError: naming the key.
     """
-    return _plan_of(Table(toml_document("bench", path, READABLE), folder=path.parent), path)
+    table = Table(toml_document("bench", path, READABLE), folder=path.parent)
+    return read_whole(table, lambda table: _plan_of(table, path))
 
 
-@with_all_mistakes
 def _plan_of(table: Table, path: Path) -> Plan:
     data = table.unread
     name = table.text("name", path.stem)

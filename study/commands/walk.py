@@ -119,13 +119,9 @@ def write_engines(
 
 
 def write_pictures(
-    result: taichi_nmm.Result,
-    experiment: Experiment,
-    run: int,
-    folder: Path,
-    title: str,
+    result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path, title: str,
     movie_s: float,
-) -> dict[str, str]:
+) -> dict[str, str]:  # fmt: skip
     """Draw, and return the paths of the pictures by their names."""
     trajectory, terrain = result.trajectories[0], experiment.terrain(run)
     weight_n = experiment.weight_n(run)

@@ -60,7 +60,7 @@ class Term:
             return np.asarray(given[self.column], np.float64)
         lasted = np.asarray(given[survived], np.float64)
         try:
-            found = np.broadcast_to(np.asarray(self.function(given), np.float64), lasted.shape)
+            found = np.array(np.broadcast_to(self.function(given), lasted.shape), np.float64)
             if not np.isfinite(found[lasted >= 1.0]).all():
                 raise ValueError("NaN or infinity")
         except InputError:
@@ -68,7 +68,7 @@ class Term:
         except Exception as error:  # the function is a user's: it may raise anything
             allowed = f"a function that gives each run a finite number, not {in_a_line(error)}"
             raise InputError("objective", self.column, allowed) from error
-        return np.array(found)
+        return found
 
     def paid(self, values: Floats) -> Floats:
         """For numbers [...]."""

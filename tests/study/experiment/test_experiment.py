@@ -14,7 +14,7 @@ from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, as_written, read_experiment, store_path
 from study.experiment.robots import is_of_robots
 from study.options import config_path, shipped_configs
-from taichi_nmm.config import Table, read_toml
+from taichi_nmm.config import Table, read_toml, read_whole
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.cases import cases
@@ -102,7 +102,7 @@ def test_all_mistakes_of_a_file_are_named_at_once(tmp_path: Path, text: str, fie
         if "goal" in text:
             read_plan(path)
         elif "samples" in text:
-            read_specification(read_toml(path))
+            read_whole(read_toml(path), read_specification)
         else:
             read_experiment(path)
     found = pickle.loads(pickle.dumps(caught.value))  # it may come from another process
