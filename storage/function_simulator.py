@@ -102,16 +102,11 @@ class FunctionSimulator(Simulator):
         longest_run_s=checks.optional(checks.number(1e-3)),
     )
     def __init__(
-        self,
-        function: Callable[..., Any],
-        *,
-        parameters: Mapping[str, BaseDistribution],
-        columns: Sequence[str],
-        worlds: Mapping[str, float] | None = None,
-        measures: Mapping[str, tuple[float, float]] | None = None,
-        batch: bool = False,
+        self, function: Callable[..., Any], *, parameters: Mapping[str, BaseDistribution],
+        columns: Sequence[str], worlds: Mapping[str, float] | None = None,
+        measures: Mapping[str, tuple[float, float]] | None = None, batch: bool = False,
         longest_run_s: float | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Checked at once; nothing runs yet.
 
         Args:

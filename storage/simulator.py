@@ -362,13 +362,9 @@ def check_simulator(simulator: Simulator) -> None:
 
 
 def run_points(
-    simulator: Simulator,
-    points: NDArray[np.float64],
-    worlds: Worlds,
-    count: int,
-    horizon_s: float,
-    report: Report = lambda part: None,
-) -> tuple[NDArray[np.void], dict[str, Any]]:
+    simulator: Simulator, points: NDArray[np.float64], worlds: Worlds, count: int,
+    horizon_s: float, report: Report = lambda part: None,
+) -> tuple[NDArray[np.void], dict[str, Any]]:  # fmt: skip
     """`Simulator.run` of points [n, p] in `count` worlds, and a check of what it returns.
 
     Raises:
