@@ -79,22 +79,7 @@ def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, mess
         read_experiment(edited(tmp_path, old, new))
 
 
-@pytest.mark.parametrize(("text", "fields"), [  # what follows from a mistake is none
-    ('a = 1\nb = 2', "seed a b"), ("seed = 1\nruns = 0", "runs"),
-    ('seed = 1\nworld.muscles = {SOLE = 1, TA = -1}\nworld.prosthesis.stiffness_nmprad = -1',
-     "world.muscles.TA world.muscles.SOLE world.prosthesis.side world.prosthesis.stiffness_nmprad "
-     "world.prosthesis.damping_nmsprad"),
-    ('seed = 1\nb = 2\nobjective = {cost = "weighted", fell_cost = 1, terms.speed = 1}',
-     "objective.terms.speed b"),
-    ('seed = -1\nobjective = {cost = "best", fell_cost = 1}\nterrain = {kind = "hill", rise_m = 1}',
-     "seed objective.cost terrain.kind"),
-    ('seed = 1\nterrain = {kind = "file"}\nbody.mass = {arm = 1}', "body.mass.arm terrain.file"),
-    ('samples = 0\nsimulator = {name = "no:Robot"}\nwind_mps = 1', "samples simulator.name"),
-    ('samples = 8\nrobust = {settings = 99, seed = "x"}\nseed = 1.5',
-     "seed robust.settings robust.seed"),
-    ('goal = {success = "low", failed_at_once = "x", failed_at_end = 1, duration_s = 9}\nnam = 1',
-     "goal.success goal.failed_at_once nam"),
-])  # fmt: skip
+@cases("several-mistakes.toml", "text", "fields")
 def test_all_mistakes_of_a_file_are_named_at_once(tmp_path: Path, text: str, fields: str) -> None:
     path = tmp_path / "own.toml"
     path.write_text(text)

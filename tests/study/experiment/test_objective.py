@@ -16,6 +16,7 @@ from study.experiment.experiment import PAID, as_written, candidates, check_stor
 from study.experiment.objective import Objective, Term, read_objective
 from taichi_nmm.config import Table
 from taichi_nmm.result import RESULT_DTYPE
+from tests.cases import cases
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -98,21 +99,7 @@ def test_a_function_stands_for_a_column_or_is_the_cost(
         read_objective(Table(document, "objective", tmp_path), PAID)
 
 
-@pytest.mark.parametrize(("changed", "message"), [
-    ({"cost": "best"}, r"^objective\.cost: 'best' .* smooth or walking or weighted"),
-    ({"fell_cost": 0.0}, r"^objective\.fell_cost: 0\.0"),
-    ({"terms": {}}, r"^objective\.terms: 'nothing to pay for'"),
-    ({"terms": {"mean_speed_mps": 0.0}}, r"^objective\.terms: 'nothing to pay for'"),
-    ({"terms": {"speed": 1.0}}, r"^objective\.terms\.speed: .* one of duration_s"),
-    ({"terms": {"end_reason": 1.0}}, r"^objective\.terms\.end_reason"),
-    ({"terms": {"mean_speed_mps": "fast"}}, r"^objective\.terms\.mean_speed_mps: 'fast'"),
-    ({"terms": {"mean_speed_mps": {"weight": 1.0}}}, r"mean_speed_mps\.target: 'missing'"),
-    ({"terms": {"mean_speed_mps": TERMS["mean_speed_mps"] | {"aim": 1}}},  # type: ignore[operator]
-     r"^objective\.terms\.mean_speed_mps\.aim: 1"),
-    ({"terms": {"mean_speed_mps": {"weight": 1.0, "target": 1.0, "tolerance": -1.0}}},
-     r"^objective\.terms\.mean_speed_mps\.tolerance: -1\.0"),
-    ({"cost": "smooth"}, r"^objective\.fell_cost: 50\.0 .* only the keys cost"),
-])  # fmt: skip
+@cases("bad-objectives.toml", "changed", "message")
 def test_bad_objectives_are_refused(changed: dict[str, Any], message: str) -> None:
     table = Table(TABLE | changed, "objective")
     with refused(message):
