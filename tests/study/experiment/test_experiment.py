@@ -115,13 +115,13 @@ def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) ->
 def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file: Path) -> None:
     """More where the paper has more, and up stairs; or of what comes before the first walker."""
     experiment = read_experiment(file)
-    elsewhere = file.stem.startswith(("mujoco-", "outside-")) and file.stem != "outside-limp"
+    elsewhere = file.stem.startswith(("mujoco-", "outside-")) and not file.stem.endswith("limp")
     hardly_any = file.stem in ("stairs-up-high", "stairs-up-short")
     assert experiment.until_walker == (elsewhere or hardly_any)
     trials = {"rough8-smooth": 100, "rough6-walking": 60}.get(file.stem, 40)
     trials = 100 if file.stem.startswith("stairs-up") else trials
-    own = {"speed": (20, 50), "exo": (20, 30), "prosthesis": (20, 30)}
-    shape = own.get(file.stem.partition("-")[0], (50, trials))
+    own = {"speed": (20, 50), "exo": (20, 30), "prosthesis": (20, 30), "half": (20, 40)}
+    shape = own.get(file.stem.removeprefix("outside-").partition("-")[0], (50, trials))
     assert (experiment.runs, experiment.trials) == shape
     assert experiment.conditions.build.disturbance > 0
 
