@@ -91,16 +91,11 @@ class FunctionSimulator(Simulator):
         longest_run_s=checks.optional(checks.number(1e-3)),
     )
     def __init__(
-        self,
-        function: Callable[..., Any],
-        *,
-        parameters: Mapping[str, BaseDistribution],
-        columns: Sequence[str],
-        worlds: Mapping[str, float] | None = None,
-        measures: Mapping[str, tuple[float, float]] | None = None,
-        batch: bool = False,
+        self, function: Callable[..., Any], *, parameters: Mapping[str, BaseDistribution],
+        columns: Sequence[str], worlds: Mapping[str, float] | None = None,
+        measures: Mapping[str, tuple[float, float]] | None = None, batch: bool = False,
         longest_run_s: float | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Checked at once; nothing runs yet.
 
         Args:
@@ -120,7 +115,7 @@ class FunctionSimulator(Simulator):
         Raises:
             InputError: a function that other processes cannot import, a name that is none.
         """
-        self._source = _source_of(function)
+        self._source = source_of(function)
         self._failed = ""  # the last run that raised
         self.function, self.batch, self.space = function, batch, dict(parameters)
         self.worlds = {name: float(value) for name, value in (worlds or {}).items()}
@@ -293,7 +288,7 @@ def _coordinate(name: str, distribution: BaseDistribution) -> Uniform:
     return Uniform(name, low, high, log, step, own)
 
 
-def _source_of(function: Callable[..., Any]) -> Path:
+def source_of(function: Callable[..., Any]) -> Path:
     """The file of a function that other processes can import."""
     allowed = "a function of a module or of a file, which other processes can import"
     try:

@@ -126,13 +126,9 @@ class Tally:
 
 
 def _fill(
-    folder: StoreFolder,
-    specification: Specification,
-    missing: list[int],
-    tally: Tally,
-    pool: Pool,
-    evolved: NDArray[np.float64] | None = None,
-) -> None:
+    folder: StoreFolder, specification: Specification, missing: list[int], tally: Tally,
+    pool: Pool, evolved: NDArray[np.float64] | None = None,
+) -> None:  # fmt: skip
     """Commit the missing shards as they come: those of the grid, or those of `evolved` points.
 
     These are the points of all rows after the grid's, [candidates, p]. A single shard of the grid
@@ -299,13 +295,9 @@ def _summary(
     fresh=checks.flag,
 )
 def make_store(
-    simulator: Simulator,
-    out: str | Path,
-    *,
-    workers: int | None = None,
-    fresh: bool = False,
+    simulator: Simulator, out: str | Path, *, workers: int | None = None, fresh: bool = False,
     **configuration: Any,
-) -> Store:
+) -> Store:  # fmt: skip
     """Fill the store of a simulator, or go on, and open it.
 
     A script that calls this with several workers does so below `if __name__ == "__main__":`, since

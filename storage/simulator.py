@@ -262,9 +262,17 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
     Raises:
         InputError: there is none, or a class that is no simulator.
     """
-    field = f"{SIMULATOR_KEY}.name"
-    module, _, attribute = SIMULATORS.get(name, name).partition(":")
     allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
+    field, path = f"{SIMULATOR_KEY}.name", SIMULATORS.get(name, name)
+    found: type[Simulator] = import_object(field, path, folder, allowed)
+    if missing := _missing(found):
+        raise InputError(field, name, f"a class that has {', '.join(missing)}, too")
+    return found
+
+
+def import_object(field: str, name: str, folder: Path, allowed: str) -> Any:
+    """The object "module:name", or "file.py:name" of a folder; else an error of the field."""
+    module, _, attribute = name.partition(":")
     if not attribute:
         raise InputError(field, name, allowed)
     where, file = Path.cwd(), None
@@ -276,7 +284,7 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
         sys.path.append(str(where))
     try:
         imported = import_module(module)
-        found: type[Simulator] = getattr(imported, attribute)
+        found = getattr(imported, attribute)
     except InputError:
         raise
     except Exception as error:  # the file is a user's: it may raise anything
@@ -285,8 +293,6 @@ def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
     taken = Path(str(imported.__file__)).resolve()
     if file not in (None, taken):
         raise InputError(field, name, f"a file whose name is not that of another module ({taken})")
-    if missing := _missing(found):
-        raise InputError(field, name, f"a class that has {', '.join(missing)}, too")
     return found
 
 
@@ -345,13 +351,9 @@ def check_simulator(simulator: Simulator) -> None:
 
 
 def run_points(
-    simulator: Simulator,
-    points: NDArray[np.float64],
-    worlds: Worlds,
-    count: int,
-    horizon_s: float,
-    report: Report = lambda part: None,
-) -> tuple[NDArray[np.void], dict[str, Any]]:
+    simulator: Simulator, points: NDArray[np.float64], worlds: Worlds, count: int,
+    horizon_s: float, report: Report = lambda part: None,
+) -> tuple[NDArray[np.void], dict[str, Any]]:  # fmt: skip
     """`Simulator.run` of points [n, p] in `count` worlds, and a check of what it returns.
 
     Raises:

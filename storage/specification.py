@@ -276,11 +276,9 @@ def _ends(parameter: Parameter) -> dict[str, Any]:
 
 
 def read_specification(
-    table: Table,
-    samples: int | None = None,
-    arch: str | None = None,
+    table: Table, samples: int | None = None, arch: str | None = None,
     simulator: Simulator | None = None,
-) -> Specification:
+) -> Specification:  # fmt: skip
     """The specification in a configuration; `samples` and `arch` override the file's.
 
     `simulator` stands for the one that the configuration would name.
@@ -315,6 +313,8 @@ def read_simulator(table: Table, arch: str | None) -> Simulator:
     if isinstance(table.unread.get(SIMULATOR_KEY), str):
         return find_simulator(table.text(SIMULATOR_KEY), table.folder).read(table, arch)
     own = table.table(SIMULATOR_KEY)
+    if own.mistaken("name"):  # again: which other keys there are is its matter
+        raise InputError(own.path("name"), "missing", "the name of a simulator")
     simulator = find_simulator(own.text("name", WALKER), table.folder).read(table, arch)
     own.done()
     return simulator

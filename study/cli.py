@@ -111,7 +111,8 @@ def _one_line() -> Iterator[None]:
             _silence(STDERR)
         sys.exit(EXIT_NO_READER)
     except (InputError, HiddenPackageError) as error:
-        _leave(f"error: {error}", EXIT_BAD_INPUT)
+        lines = str(error).splitlines()  # one, or the mistakes of a file
+        _leave("\n".join(f"error: {line}" for line in lines), EXIT_BAD_INPUT)
     except ImportError as error:
         missing = what_is_missing(error)
         if missing is None:

@@ -179,14 +179,11 @@ def read_body(table: Table) -> Build:
 
 def _read_factors(table: Table, otherwise: tuple[float, ...]) -> tuple[float, ...]:
     """Factors of all segments; `otherwise` those that are not named."""
-    named = {
-        name: table.number(name, low=FACTORS[0], high=FACTORS[1])
-        for name in ("all", *OF_A_LEG, *FACTOR_NAMES)
-        if name in table.unread
-    }
+    given, names = table.unread, ("all", *OF_A_LEG, *FACTOR_NAMES)
+    named = {name: table.number(name, 1.0, *FACTORS) for name in names}
     table.done()
     factors = []
     for name, factor in zip(FACTOR_NAMES, otherwise, strict=True):
         wider = (name, name.partition("_")[0], "all")  # the narrowest that is named counts
-        factors.append(next((named[each] for each in wider if each in named), factor))
+        factors.append(next((named[each] for each in wider if each in given), factor))
     return tuple(factors)

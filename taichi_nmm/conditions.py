@@ -1,6 +1,6 @@
 """The conditions of a walk, as configured: simulation, body, ground and world."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from taichi_nmm.body import Build, read_body
@@ -23,22 +23,14 @@ class Conditions:
     ground: Ground  # kind of terrain, with its options
     world_ranges: WorldRanges = NOMINAL  # the ranges that a walker's world is drawn from
 
-    def on_one_thread(self) -> "Conditions":
-        """The same on one thread, for one of several processes; no result depends on it."""
-        return replace(self, settings=replace(self.settings, threads=1))
-
-    def simulation_document(self) -> dict[str, Any]:
-        """The part of [simulation] that decides a result, as JSON values by name.
-
-        Stores hash it, so a new setting is one more key at its end.
-        """
-        return {"duration_s": self.duration_s, **self.settings.document()}
-
     def as_written(self) -> dict[str, Any]:
-        """The tables as a configuration has them, less the machine's settings."""
+        """The tables as a configuration has them, less the machine's settings.
+
+        They are hashed, so a new setting is one more key at the end of its table.
+        """
         world = self.world_ranges.document()
         return {
-            "simulation": self.simulation_document(),
+            "simulation": {"duration_s": self.duration_s, **self.settings.document()},
             "body": self.build.document(),
             "terrain": {"kind": self.ground.kind, **self.ground.options},
             **({"world": world} if world else {}),

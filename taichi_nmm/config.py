@@ -1,25 +1,33 @@
 """Configurations: TOML read strictly, so that no misspelt key is ever ignored."""
 
 import math
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 from taichi_nmm import checks
+from taichi_nmm.checks import R
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, toml_document
 
 REQUIRED = object()
 READABLE = "a readable TOML file"
+MOST_MISTAKES = 20  # of a file, that are shown at once
 
 
 class Table:
     """One table of a configuration; every read names the key, and `done` refuses other keys."""
 
-    def __init__(self, data: dict[str, Any], name: str = "", folder: Path = Path()) -> None:
+    def __init__(
+        self, data: dict[str, Any], name: str = "", folder: Path = Path(),
+        mistakes: Collection[str] = (),
+    ) -> None:  # fmt: skip
         self.folder = folder  # that names of files start from
+        self._mistakes = mistakes  # fields whose values were taken out: see `read_whole`
         self._data = dict(data)
         self._name = name
         self._known: list[str] = []
+        self._has_all_keys = True  # else a mistaken word, such as a kind, tells which there are
         self._tables: dict[str, Table] = {}
 
     def path(self, key: str) -> str:
@@ -30,8 +38,8 @@ class Table:
         self, key: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf
     ) -> float:
         """A finite number within [low, high]."""
-        allowed = f"a number from {low:g} to {high:g}"
-        return float(self._read(key, default, checks.number(low, high, allowed)))
+        check = checks.number(low, high, f"a number from {low:g} to {high:g}")
+        return float(self._read(key, default, check, min(max(1.0, low), high)))
 
     def range(
         self, key: str, default: tuple[float, float], low: float, high: float
@@ -49,11 +57,13 @@ class Table:
         self, key: str, default: Any = REQUIRED, low: int = 0, high: int = 2**63 - 1
     ) -> int:
         """A whole number within [low, high]."""
-        return int(self._read(key, default, checks.whole(low, high)))
+        return int(self._read(key, default, checks.whole(low, high), min(max(1, low), high)))
 
     def text(self, key: str, default: Any = REQUIRED, choices: tuple[str, ...] = ()) -> str:
         """A string, one of `choices` where they are given."""
-        return str(self._read(key, default, checks.word(*choices) if choices else checks.text))
+        check = checks.word(*choices) if choices else checks.text
+        self._has_all_keys &= not (choices and self.mistaken(key))
+        return str(self._read(key, default, check, choices[0] if choices else ""))
 
     def boolean(self, key: str, default: Any = REQUIRED) -> bool:
         """true or false."""
@@ -76,7 +86,7 @@ class Table:
         if key not in self._tables:
             is_table = checks.that(lambda value: isinstance(value, dict), "a table")
             value = self._read(key, {}, is_table)
-            self._tables[key] = Table(value, self.path(key), self.folder)
+            self._tables[key] = Table(value, self.path(key), self.folder, self._mistakes)
         return self._tables[key]
 
     @property
@@ -86,10 +96,18 @@ class Table:
 
     def done(self) -> None:
         """Refuse keys that nothing has read."""
-        for key, value in self._data.items():
+        for key, value in self._data.items() if self._has_all_keys else ():
             raise InputError(self.path(key), value, f"only the keys {', '.join(self._known)}")
 
-    def _read(self, key: str, default: Any, check: checks.Check) -> Any:
+    def mistaken(self, key: str = "") -> bool:
+        """Whether a mistake was found at a key or below it; "": anywhere in this table."""
+        here = self.path(key) if key else self._name
+        return any(f"{field}.".startswith(f"{here}.") for field in self._mistakes)
+
+    def _read(self, key: str, default: Any, check: checks.Check, stand_in: Any = False) -> Any:
+        """A value that passes; `stand_in` for a required one that was taken out."""
+        if default is REQUIRED and self.path(key) in self._mistakes:
+            default = stand_in
         return check(self.path(key), self._take(key, default))
 
     def _take(self, key: str, default: Any) -> Any:
@@ -99,6 +117,41 @@ class Table:
         if default is REQUIRED:
             raise InputError(self.path(key), "missing", "a value: the key is required")
         return default
+
+
+def read_whole(table: Table, reader: Callable[[Table], R]) -> R:
+    """What a reader makes of a whole configuration.
+
+    After an error it reads again, without the value that the error names. This ends when nothing is
+    left to refuse, or when an error comes again.
+
+    Raises:
+        InputError: the mistakes, a line each.
+    """
+    errors, data = dict[str, InputError](), table.unread
+    while len(errors) < MOST_MISTAKES:
+        try:
+            found = reader(Table(data, folder=table.folder, mistakes=errors))
+        except InputError as error:
+            if errors.setdefault(error.field, error) is not error:
+                break
+            data = _without(data, error.field.split("."))
+        else:
+            if not errors:
+                return found
+            break
+    # An error of a table of which a value was taken out follows from that.
+    shown = [e for e in errors.values() if not any(f.startswith(f"{e.field}.") for f in errors)]
+    shown[0].args = ("\n".join(map(str, shown)),)
+    raise shown[0]
+
+
+def _without(data: dict[str, Any], path: list[str]) -> dict[str, Any]:
+    """Tables less the value at a path, where it is there."""
+    first, *rest = path
+    if rest and isinstance(data.get(first), dict):
+        return data | {first: _without(data[first], rest)}
+    return data if rest else {key: value for key, value in data.items() if key != first}
 
 
 def read_toml(path: str | Path) -> Table:

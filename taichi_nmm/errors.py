@@ -7,7 +7,8 @@ LONGEST_ALLOWED = 1200  # characters of `allowed`, which may list all names
 class InputError(ValueError):
     """Input that cannot be used: one line with the field, the value and the allowed values.
 
-    Commands print the line and exit with code 2. Whatever the value is, the line is printable.
+    Commands print the line and exit with code 2. Whatever the value is, the line is printable. The
+    first mistake of a file has the lines of the others below its own (`config.read_whole`).
     """
 
     def __init__(self, field: str, value: object, allowed: str) -> None:
@@ -17,9 +18,9 @@ class InputError(ValueError):
         refused = f"{shortened(field)}: {_shown(value)} cannot be used; allowed: "
         super().__init__(one_line(refused + shortened(allowed, LONGEST_ALLOWED)))
 
-    def __reduce__(self) -> tuple[type, tuple[str, object, str]]:
+    def __reduce__(self) -> tuple[type, tuple[str, object, str], dict[str, object]]:
         """The arguments again, so that it can pass from one process to another."""
-        return type(self), (self.field, self.value, self.allowed)
+        return type(self), (self.field, self.value, self.allowed), {"args": self.args}
 
 
 def _shown(value: object) -> str:

@@ -154,6 +154,7 @@ class Recorder:
             ground_force_n=_mean_forces(rows, self._interval),
             joint_torque_nm=_joint_torques(rows, self._settings),
             swing_torque_nm=rows[:, swing],
+            device_torque_nm=rows[:, State.device_torque : State.device_torque + LEGS],
             fibre_length_m=length * OPTIMAL_M,
             fibre_velocity_mps=velocity * OPTIMAL_M * FASTEST_PER_S,
             stance=np.any(touching > 0.5, axis=2),

@@ -6,7 +6,6 @@ fixed gains.
 """
 
 import csv
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -162,19 +161,8 @@ def check_gains(
     for name in values:
         if name not in names:
             raise InputError(field, name, f"only the names {' '.join(names)}")
-    return np.array([_within_bounds(values.get(p.name), p, f"{field}.{p.name}") for p in group])
-
-
-def _within_bounds(value: Any, parameter: Parameter, field: str) -> float:
-    bounds = f"{parameter.low:g} to {parameter.high:g}"
-    if not checks.is_number(value):
-        too_large = isinstance(value, int) and not isinstance(value, bool)  # for any float
-        raise InputError(field, value, bounds if too_large else "a number")
-    if not math.isfinite(value):
-        raise InputError(field, value, "a finite number")
-    if not parameter.low <= value <= parameter.high:
-        raise InputError(field, value, bounds)
-    return float(value)
+    known = ((p.name, checks.number(p.low, p.high, f"{p.low:g} to {p.high:g}")) for p in group)
+    return np.array([check(f"{field}.{name}", values.get(name)) for name, check in known], float)
 
 
 @checks.checked(source=checks.path)

@@ -55,6 +55,7 @@ class Trajectory:
         joint_torque_nm: all that turns a joint in the last physics step, in the order and signs of
             `joint_rad`, [t, 6]: muscles, ideal torques, device, and stops (not those of MuJoCo).
         swing_torque_nm: the ideal part of it, left hip, left knee, right hip, right knee, [t, 4].
+        device_torque_nm: of an exoskeleton, left and right ankle, [t, 2].
         fibre_length_m: of the contractile elements, in the order of `activation`, [t, 14].
         fibre_velocity_mps: their rates, lengthening positive, [t, 14].
         stance: foot on the ground, left and right, bool [t, 2].
@@ -71,6 +72,7 @@ class Trajectory:
     ground_force_n: NDArray[np.float64]
     joint_torque_nm: NDArray[np.float64]
     swing_torque_nm: NDArray[np.float64]
+    device_torque_nm: NDArray[np.float64]
     fibre_length_m: NDArray[np.float64]
     fibre_velocity_mps: NDArray[np.float64]
     stance: NDArray[np.bool_]

@@ -303,6 +303,8 @@ def read_ground(table: Table) -> Ground:
         else:
             table.number(name, default, allowed.low, allowed.high)
     table.done()
+    if table.mistaken():
+        return Ground()
     if kind == "file" and not written.get("heights"):
         file = table.folder / written["file"]
         written["heights"] = read_text("terrain.file", file, TABLE)

@@ -20,6 +20,7 @@ from study.experiment import artifacts
 from study.options import config_path, shipped_configs
 from study.pictures import trajectory_files
 from taichi_nmm.parameters import DEVICE, GAIN_NAMES
+from tests.cases import ASSETS
 from tests.study import fake_walker
 from tests.test_docs import code_blocks
 from tests.tools.conftest import Tool, tool
@@ -154,12 +155,25 @@ ARMS = ("dog", "cmaes-cold", "cmaes-warm")
 TRIALS = 4
 
 
+SEARCHED = ("theta_ref", "exo_torque")
+GOAL = """cost = "weighted"
+fell_cost = 50.0
+terms = {cost_of_transport_jpkgpm = 1.0, mean_speed_mps = {weight = 9.0, target = 1.2}}"""
+OWN_WALKER = (ASSETS / "own-walker.toml").read_text()
+
+
 class Real:
-    """A folder with a small store, a comparison on it, and a database of the same studies live."""
+    """A folder with a small store, a comparison on it, and a database of the same studies live.
+
+    All are of a walker with a body, muscles, a prosthesis, a device and a goal of its own.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.store = folder / "store"
-        text = (ROOT / "configs" / "rough8.toml").read_text()
+        rough8, store = ((ROOT / f"configs/{n}.toml").read_text() for n in ("rough8", "store"))
+        searched = f"searched = {json.dumps(SEARCHED)}\n"
+        (folder / "store.toml").write_text(searched + store + OWN_WALKER)
+        text = searched + rough8.replace('cost = "smooth"', GOAL) + OWN_WALKER
         text = re.sub(r"duration_s = .*", "duration_s = 5.0", text)
         text = re.sub(r'"out/store[\w-]*"', f'"{self.store}"', text)
         (folder / "rough8.toml").write_text(text)
@@ -173,7 +187,7 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Real:
     real = Real(folder := tmp_path_factory.mktemp("real"))
     with pytest.MonkeyPatch.context() as patch:
         store = ("--samples", 300, "--workers", 1, "--out", real.store)
-        assert run_tool(patch, "precompute", "--config", ROOT / "configs/store.toml", *store) == 0
+        assert run_tool(patch, "precompute", "--config", folder / "store.toml", *store) == 0
         given = ("--config", real.config, "--arms", ",".join(ARMS), "--runs", 2, "--trials", TRIALS)
         rest = ("--workers", 1, "--out", real.compared)
         assert run_tool(patch, "compare", *given, *rest) == 0
@@ -202,7 +216,21 @@ def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str, tmp_path: Pat
     (row,) = (row for row in rows if (row["arm"], row["run"], row["trial"]) == (arm, 1, 2))
     for name in ("duration_s", "distance_m", "mean_speed_mps", "phi_printed", "end_reason"):
         assert of_folder[name] == row[name], name
-    assert of_folder["gains"] == {name: row[name] for name in GAIN_NAMES}
+    assert of_folder["gains"] == {name: row[name] for name in (*GAIN_NAMES, *SEARCHED)}
+    for file in (real.compared / "experiment.json", real.store / "specification.json"):
+        known = json.loads(file.read_text())
+        assert known["body"]["mass"]["shank_left"] == 1.1 == known["body"]["mass"]["shank_right"]
+        assert known["world"]["muscles"] == {"SOL_left": 0.9}
+        assert known["world"]["prosthesis"]["stiffness_nmprad"] == 350.0
+    paid = row["cost_of_transport_jpkgpm"] + 9.0 * abs(row["mean_speed_mps"] - 1.2)
+    lasted = row["survived_fraction"]
+    assert row["cost"] == pytest.approx(paid if lasted >= 1.0 else 50.0 * (2.0 - lasted))
+    best = real.store.with_name("live") / f"{arm}-run-001-best.json"
+    assert set(json.loads(best.read_text())) == {*GAIN_NAMES, *SEARCHED}
+    tried = [each for each in rows if (each["arm"], each["run"]) == (arm, 1)]
+    cheapest = min(tried, key=lambda each: float(each["cost"]))
+    again = walk("--config", real.config, "--run", 1, "--gains", best)
+    assert again["distance_m"] == cheapest["distance_m"]
     assert walk(*where, "--storage", f"sqlite:///{real.compared / 'studies.db'}") == of_folder
     assert walk(*where, "--storage", real.url) == of_folder
     (tmp_path / "result.json").write_text(json.dumps(of_folder))
@@ -214,31 +242,8 @@ def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str, tmp_path: Pat
 def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
     table = open_store(real.store).table()
     row = max(range(300), key=lambda row: float(table["phi_printed"][row].as_py()))
-    report = walk("--store", real.store, "--row", row, "--duration", 5)
+    level = real.store.with_name("level.toml")
+    level.write_text(f"seed = 1\n{OWN_WALKER}")
+    report = walk("--store", real.store, "--row", row, "--duration", 5, "--config", level)
     for name in (*GAIN_NAMES, "duration_s", "phi_printed", "phi_corrected"):
         assert (report["gains"] | report)[name] == table[name][row].as_py(), name
-
-
-@pytest.mark.slow
-def test_a_17th_parameter_is_kept(walk: Walk, tmp_path: Path, tool: Tool) -> None:
-    text = (ROOT / "configs" / "ramp-up.toml").read_text()
-    (tmp_path / "ramp-up.toml").write_text(re.sub(r"duration_s = .*", "duration_s = 2.0", text))
-    config = tmp_path / "ramp-up-torso.toml"
-    out, live = tmp_path / "compared", tmp_path / "live"
-    given = ("--config", config, "--arms", "random", "--runs", 1, "--trials", TRIALS)
-    assert tool("compare", *given, "--workers", 1, "--out", out) == 0
-    url = f"sqlite:///{tmp_path / 'live.db'}"
-    given = ("--config", config, "--arm", "random", "--trials", TRIALS, "--out", live)
-    assert tool("study", *given, "--storage", url) == 0
-    best = live / "random-run-000-best.json"
-    assert set(json.loads(best.read_text())) == {*GAIN_NAMES, "theta_ref"}
-    rows = pq.read_table(out / "trials.parquet").to_pylist()
-    trial = ("--config", config, "--trial", "ramp-up-torso/random/run-000/1")
-    report = walk(*trial, "--storage", out)
-    assert set(report["gains"]) - set(GAIN_NAMES) == {"theta_ref"}
-    assert report["gains"] == {name: rows[1][name] for name in (*GAIN_NAMES, "theta_ref")}
-    assert report["distance_m"] == rows[1]["distance_m"]
-    assert walk(*trial, "--storage", url) == report
-    cheapest = min(rows, key=lambda row: float(row["cost"]))
-    again = walk("--config", config, "--gains", best)
-    assert again["distance_m"] == cheapest["distance_m"]

@@ -20,12 +20,12 @@ from storage.databases.urls import file_url
 from storage.simulator import SURVIVED
 from storage.tables import read_any
 from study.experiment.features import Cost, world_table
-from study.experiment.objective import PRINTED, Objective
+from study.experiment.objective import PRINTED, Objective, Term, named_function
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
 from taichi_nmm import checks
-from taichi_nmm.config import Table
+from taichi_nmm.config import Table, read_whole
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import reading, toml_document
 
@@ -59,17 +59,19 @@ class Goal:
         first, last = self.failed
         return first + (last - first) * seconds / self.duration_s
 
-    def in_worlds(self, column: str) -> Cost:
-        """Values by a column of a store; runs that fell are failures, by how far they came.
+    def in_worlds(self, term: Term) -> Cost:
+        """Values by a column of a store, or a function of them; runs that fell are failures.
 
-        None that lasted is worse than a failure at the end. Without `failed` the column is taken.
+        They count by how far they came. None that lasted is worse than a failure at the end.
+        Without `failed` the numbers are taken as they are.
         """
 
         def values(given: Mapping[str, Floats], horizon_s: float) -> Floats:
+            found = term.values(given)
             if self.failed is None:
-                return given[column]
+                return found
             (first, last), lasted = self.failed, given[SURVIVED]
-            paid = (np.maximum if self.maximise else np.minimum)(given[column], last)
+            paid = (np.maximum if self.maximise else np.minimum)(found, last)
             return np.asarray(np.where(lasted >= 1.0, paid, first + (last - first) * lasted))
 
         return values
@@ -163,8 +165,12 @@ def read_plan(path: Path) -> Plan:
     Raises:
         InputError: naming the key.
     """
-    data = toml_document("bench", path, READABLE)
-    table = Table(data, folder=path.parent)
+    table = Table(toml_document("bench", path, READABLE), folder=path.parent)
+    return read_whole(table, lambda table: _plan_of(table, path))
+
+
+def _plan_of(table: Table, path: Path) -> Plan:
+    data = table.unread
     name = table.text("name", path.stem)
     if not name.strip() or "/" in name:
         raise InputError("name", name, "a name without /")
@@ -243,7 +249,8 @@ def _of_store(table: Table, goal: Goal) -> FeatureTable:
     if features:
         return FeatureTable.from_parquet(path, features=features)
     in_values = goal if better is None else replace(goal, failed=None)
-    costs = Objective(cost).in_worlds if cost in PRINTED else in_values.in_worlds(cost)
+    term = Term(cost, 1.0, function=named_function(table, cost))
+    costs = Objective(cost).in_worlds if cost in PRINTED else in_values.in_worlds(term)
     rows = world_table(path, costs).rows
     assert rows.worlds is not None
     worlds = replace(rows.worlds, better=better)

@@ -12,12 +12,14 @@ from storage.pool import Cluster, cores
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar
-from taichi_nmm.config import read_toml
+from taichi_nmm.config import read_toml, read_whole
 
 
 def main(args: Namespace) -> None:
     """Compute, or go on."""
-    specification = read_specification(read_toml(args.config), args.samples, args.arch)
+    specification = read_whole(
+        read_toml(args.config), lambda table: read_specification(table, args.samples, args.arch)
+    )
     simulator = specification.simulator
     simulator.require_machine()
     out = args.out or Path("out") / args.config.stem

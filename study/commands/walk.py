@@ -33,6 +33,7 @@ from study.pictures.trajectory_files import (
     write_trajectory,
 )
 from taichi_nmm import checks
+from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -119,13 +120,9 @@ def write_engines(
 
 
 def write_pictures(
-    result: taichi_nmm.Result,
-    experiment: Experiment,
-    run: int,
-    folder: Path,
-    title: str,
+    result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path, title: str,
     movie_s: float,
-) -> dict[str, str]:
+) -> dict[str, str]:  # fmt: skip
     """Draw, and return the paths of the pictures by their names."""
     trajectory, terrain = result.trajectories[0], experiment.terrain(run)
     weight_n = experiment.weight_n(run)
@@ -138,19 +135,29 @@ def write_pictures(
     return {name: str(path) for name, path in paths.items()}
 
 
-def summary(title: str, row: np.void) -> str:
+def powered_cost(result: taichi_nmm.Result, experiment: Experiment, run: int) -> float:
+    """The cost of transport with the positive work of ideal torques and exoskeleton, J/(kg m)."""
+    row, walk = result.rows[0], result.trajectories[0]
+    torques = np.insert(walk.swing_torque_nm, [2, 4], walk.device_torque_nm, axis=1)  # as joints
+    work_j = np.maximum(torques[1:] * np.diff(walk.joint_rad, axis=0), 0.0).sum()
+    burden = experiment.weight_n(run) / GRAVITY_MPS2 * float(row["distance_m"])
+    return float(row["cost_of_transport_jpkgpm"] + (work_j / burden if burden > 0.0 else 0.0))
+
+
+def summary(title: str, row: np.void, powered: float) -> str:
     """For people, a line each."""
     degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
     values = {name: row[name].item() for name in row.dtype.names or ()} | degrees
     values["double_support_percent"] = 100 * values["double_support_fraction"]
-    return str(WORDS["summary"]).format(title=title, **values)
+    return str(WORDS["summary"]).format(title=title, powered=powered, **values)
 
 
 def report(
-    gains: NamedGains, row: np.void, end_reason: str, paths: dict[str, str]
+    gains: NamedGains, row: np.void, powered: float, end_reason: str, paths: dict[str, str]
 ) -> dict[str, Any]:
     """The same for programs: one object of plain values."""
     numbers = {field: row[field].item() for field in REPORTED}
+    numbers["cost_of_transport_powered_jpkgpm"] = powered
     return {
         # JSON has no NaN: numbers that a diverged walker lacks are null.
         **{field: value if np.isfinite(value) else None for field, value in numbers.items()},
@@ -184,6 +191,7 @@ def main(args: Namespace) -> None:
         tempfile.TemporaryFile(dir=folder).close()
     result = simulate(gains, experiment, args.run)
     row, end_reason = result.rows[0], str(result.end_reason[0])
+    powered = powered_cost(result, experiment, args.run)
     title = f"{gains.name} on {experiment.terrain(args.run).name}: {row_text(row)}"
     paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
     if args.engine == BOTH_ENGINES:
@@ -197,8 +205,8 @@ def main(args: Namespace) -> None:
         write_opensim(args.opensim, result.trajectories[0], experiment.body(args.run), gains.name)
         paths["opensim"] = str(args.opensim)
     if args.json:
-        print(json.dumps(report(gains, row, end_reason, paths)))
+        print(json.dumps(report(gains, row, powered, end_reason, paths)))
         return
-    print(summary(title, row))
+    print(summary(title, row, powered))
     for shows, path in paths.items():
         print(f"{shows.replace('_', ' '):<19} {path}")

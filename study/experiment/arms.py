@@ -3,7 +3,6 @@
 An arm is added here and nowhere else: studies, comparisons and reports take it from this list.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,11 +13,12 @@ from optuna.samplers import BaseSampler, TPESampler
 from storage.store import open_store
 from study.experiment import samplers
 from study.experiment.experiment import Experiment, candidates, check_store
-from study.experiment.features import IN_WORLDS, RANKING, WORLDS, definition_of
+from study.experiment.features import IN_WORLDS, RANKING, WORLDS
 from study.experiment.objective import SUCCESS_SPEED_MPS
 from study.experiment.samplers import Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
+from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.errors import InputError
 
 PAPER_ARM = "dog"  # the paper's
@@ -27,11 +27,6 @@ Kind = Literal["ours", "peer", "control"]  # peers are of others, or plain; cont
 
 PRINTED = "phi_printed"
 NOTHING = "nothing but its own trials"  # what an arm without a store has seen
-
-# Arms of version 0.2.0 that are gone, and the arm to use instead.
-REMOVED: dict[str, str] = json.loads(
-    Path(__file__).with_name("removed_arms.json").read_text(encoding="utf-8")
-)
 
 
 @dataclass(frozen=True)
@@ -52,7 +47,8 @@ class Arm:
     @property
     def definition(self) -> dict[str, Any]:
         """All that decides its proposals, as JSON values; trials of two definitions never mix."""
-        features = [definition_of(self.feature)] if self.feature else []
+        in_worlds = [self.feature, f"cost of a trial of {TRIAL_S:g} s"]
+        features = [in_worlds if self.feature in IN_WORLDS else self.feature] * bool(self.feature)
         return {"store": self.store, "features": features, "options": dict(self.options)}
 
 
@@ -60,11 +56,8 @@ def find_arm(name: str) -> Arm:
     """The arm of that name.
 
     Raises:
-        InputError: there is none, or it was taken away.
+        InputError: there is none.
     """
-    if name in REMOVED:
-        instead = f"{REMOVED[name]}; version 0.2.0 was the last with {name}"
-        raise InputError("arm", name, instead)
     if name not in ARMS:
         raise InputError("arm", name, f"one of {', '.join(ARMS)}")
     return ARMS[name]

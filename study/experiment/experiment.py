@@ -23,7 +23,7 @@ from study.sampler.draws import Purpose, stream
 from study.sampler.table import FeatureTable
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
-from taichi_nmm.config import Table, read_toml
+from taichi_nmm.config import Table, read_toml, read_whole
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     DEVICE,
@@ -111,7 +111,7 @@ class Experiment:
 
     def on_one_thread(self) -> "Experiment":
         """The same for one of several processes of a machine; no result depends on it."""
-        return replace(self, conditions=self.conditions.on_one_thread())
+        return self.with_settings(threads=1)
 
     def with_settings(self, **changed: Any) -> "Experiment":
         """The same with some settings of the simulation changed."""
@@ -158,7 +158,8 @@ def read_experiment(
     Raises:
         InputError: an unknown key, a wrong type, or a value out of range.
     """
-    return experiment_of(read_toml(path), Path(path).stem, arch, seed)
+    name = Path(path).stem
+    return read_whole(read_toml(path), lambda table: experiment_of(table, name, arch, seed))
 
 
 def experiment_of(

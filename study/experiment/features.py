@@ -15,7 +15,6 @@ from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
-from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -24,11 +23,6 @@ Floats = NDArray[np.float64]
 # Features that are no columns: what a trial costs in each world, and minus its mean over them.
 WORLDS, RANKING = "worlds", "mean_over_worlds"
 IN_WORLDS = (WORLDS, RANKING)
-
-
-def definition_of(feature: str) -> Any:
-    """The definition of a feature as JSON values."""
-    return [feature, f"cost of a trial of {TRIAL_S:g} s"] if feature in IN_WORLDS else feature
 
 
 def check_feature(feature: str, store: Store, objective: Objective) -> None:

@@ -7,26 +7,33 @@ fell_cost = 100.0       # of a run that falls at its end; twice that of one that
 [objective.terms]       # by columns of the results, each with its weight
 cost_of_transport_jpkgpm = 1.0
 mean_speed_mps = {weight = 100.0, target = 0.8, tolerance = 0.02}    # the distance from a target
+
+A function "module:function", or "file.py:function", of the columns may stand for a column.
 """
 
+import hashlib
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.simulator import SURVIVED
+from storage.function_simulator import source_of
+from storage.simulator import SURVIVED, import_object
 from taichi_nmm.conditions import TRIAL_S
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
+from taichi_nmm.config import REQUIRED, Table
+from taichi_nmm.errors import InputError, in_a_line
 from taichi_nmm.result import COMPLETED, FELL, NEEDED, RESULT_DTYPE, smooth_cost, walking_cost
 
 Floats = NDArray[np.float64]
 
 PRINTED = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
 WEIGHTED = "weighted"
+FUNCTION = re.compile(r"[\w./-]+:\w+")
+IMPORTED = "a function that can be imported: module:function, or file.py:function"
 SUCCESS_SPEED_MPS = 1.0  # people walk at 1.3; with 1.1, up a ramp, first walkers come later
 WALKING_SUCCESS = 150.0  # walking_cost: who falls pays 300 less the distance, who lasts below 130
 MOST_WEIGHT = 1e9
@@ -37,10 +44,31 @@ TRIAL_DTYPE = np.dtype([(name, RESULT_DTYPE[name]) for name in NEEDED])  # by th
 class Term:
     """What is paid for one column: weight times the number, or its distance from a target."""
 
-    column: str
+    column: str  # or a function's path
     weight: float
     target: float | None = None
     tolerance: float = 0.0  # distance from the target that costs nothing
+    function: Callable[[Any], Any] | None = None  # of all columns, by name
+
+    def values(self, given: Any, survived: str = SURVIVED) -> Floats:
+        """The numbers of runs, [n] or [n, w], from their columns by name.
+
+        Raises:
+            InputError: a function that raises, or has no finite number for each run that lasted.
+        """
+        if self.function is None:
+            return np.asarray(given[self.column], np.float64)
+        lasted = np.asarray(given[survived], np.float64)
+        try:
+            found = np.array(np.broadcast_to(self.function(given), lasted.shape), np.float64)
+            if not np.isfinite(found[lasted >= 1.0]).all():
+                raise ValueError("NaN or infinity")
+        except InputError:
+            raise
+        except Exception as error:  # the function is a user's: it may raise anything
+            allowed = f"a function that gives each run a finite number, not {in_a_line(error)}"
+            raise InputError("objective", self.column, allowed) from error
+        return found
 
     def paid(self, values: Floats) -> Floats:
         """For numbers [...]."""
@@ -67,7 +95,8 @@ class Objective:
     @property
     def metric(self) -> str:
         """Its name in a study: of the paper's costs that of the function in `taichi_nmm`."""
-        return f"{self.cost}_cost" if self.terms else PRINTED[self.cost].__name__
+        name = self.cost.rpartition(":")[2]
+        return f"{name}_cost" if self.terms else PRINTED[name].__name__
 
     def costs(self, rows: NDArray[np.void]) -> Floats:
         """Costs of a simulator's rows, [n]."""
@@ -111,12 +140,18 @@ class Objective:
         document: dict[str, Any] = {"cost": self.cost, "fell_cost": self.fell_cost}
         if self.cost == WEIGHTED:
             document["terms"] = {term.column: term.document() for term in self.terms}
-        return document
+        return document | ({"code": self.code} if self.code else {})
+
+    @property
+    def code(self) -> str:
+        """A digest of the files of its functions; trials of two versions never mix."""
+        files = [source_of(term.function).read_bytes() for term in self.terms if term.function]
+        return hashlib.sha256(b"".join(files)).hexdigest()[:16] if files else ""
 
     def _weighted(self, given: Any) -> Floats:
         """Who falls early pays twice `fell_cost`, who lasts at most that."""
         lasted = np.asarray(given[self.survived], np.float64)
-        paid = sum(term.paid(np.asarray(given[term.column], np.float64)) for term in self.terms)
+        paid = sum(term.paid(term.values(given, self.survived)) for term in self.terms)
         lasting = np.minimum(paid, self.fell_cost)
         return np.asarray(np.where(lasted >= 1.0, lasting, self.fell_cost * (2.0 - lasted)))
 
@@ -133,32 +168,41 @@ def read_objective(table: Table, columns: Sequence[str], survived: str | None = 
     Raises:
         InputError: naming the key.
     """
-    if survived is None:
-        cost = table.text("cost", "smooth", (*PRINTED, WEIGHTED))
-        if cost in PRINTED:
-            return Objective(cost)
-    else:
-        cost = table.text("cost", choices=(*columns, WEIGHTED))
+    known = (*PRINTED, WEIGHTED) if survived is None else (*columns, WEIGHTED)
+    is_own = FUNCTION.fullmatch(str(table.unread.get("cost")))
+    cost = table.text("cost", REQUIRED if survived else "smooth", () if is_own else known)
+    if survived is None and cost in PRINTED:
+        return Objective(cost)
     survived, fell_cost = survived or SURVIVED, table.number("fell_cost", low=1e-9)
-    if cost != WEIGHTED:
-        return Objective(cost, (Term(cost, 1.0),), fell_cost, survived)
-    given = table.table("terms")
+    own = Table({cost: 1.0}, table.path("cost"), table.folder)
+    given = table.table("terms") if cost == WEIGHTED else own
     for name in given.unread:
-        if name not in columns:
+        if name not in columns and not FUNCTION.fullmatch(name):
             raise InputError(given.path(name), "no number of a run", f"one of {', '.join(columns)}")
     terms = tuple(_read_term(given, name) for name in list(given.unread))
-    if not any(term.weight for term in terms):
+    if not any(term.weight for term in terms) and not given.mistaken():
         raise InputError("objective.terms", "nothing to pay for", "a column with a weight but zero")
-    return Objective(cost, terms, fell_cost, survived)
+    found = Objective(cost, terms, fell_cost, survived)
+    if found.code:
+        table.text("code", found.code, (found.code,))
+    return found
 
 
 def _read_term(table: Table, column: str) -> Term:
     """The weight of a column, or a table with `weight`, `target` and `tolerance`."""
-    ends = {"low": -MOST_WEIGHT, "high": MOST_WEIGHT}
+    function, ends = named_function(table, column), {"low": -MOST_WEIGHT, "high": MOST_WEIGHT}
     if not isinstance(table.unread[column], dict):
-        return Term(column, table.number(column, **ends))
+        return Term(column, table.number(column, **ends), function=function)
     term = table.table(column)
     tolerance = term.number("tolerance", 0.0, 0.0, MOST_WEIGHT)
-    found = Term(column, term.number("weight", **ends), term.number("target", **ends), tolerance)
+    weight, target = term.number("weight", **ends), term.number("target", **ends)
     term.done()
+    return Term(column, weight, target, tolerance, function)
+
+
+def named_function(table: Table, column: str) -> Callable[[Any], Any] | None:
+    """The function of that path, whose file may lie beside the configuration; None: a column."""
+    if not FUNCTION.fullmatch(column):
+        return None
+    found: Callable[[Any], Any] = import_object(table.path(column), column, table.folder, IMPORTED)
     return found

@@ -42,7 +42,7 @@ from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
-from taichi_nmm.config import read_toml
+from taichi_nmm.config import Table, read_toml, read_whole
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -154,34 +154,37 @@ def read_robots(
     Raises:
         InputError: an unknown key, a wrong type, a value out of range, or no store.
     """
-    table = read_toml(path)
-    simulator = read_simulator(table, None)
-    simulation, objective = table.table("simulation"), table.table("objective")
-    paid = [name for name in simulator.scores if name != simulator.survived]
 
-    def number(given: int | None, *configured: Any) -> int:
-        own = table.integer(*configured)
-        return own if given is None else given
+    def read(table: Table) -> RobotExperiment:
+        simulator = read_simulator(table, None)
+        simulation, objective = table.table("simulation"), table.table("objective")
+        paid = [name for name in simulator.scores if name != simulator.survived]
 
-    experiment = RobotExperiment(
-        name=read_name(table, path.stem),
-        seed=number(seed, "seed"),
-        simulator=simulator,
-        rule=simulator.read_worlds(table),
-        store=Path(table.text("store")),
-        duration_s=simulation.number("duration_s", low=SHORTEST_TRIAL_S, high=LONGEST_TRIAL_S),
-        objective=read_objective(objective, paid, simulator.survived),
-        noise=objective.number("noise", 0.0, 0.0, 1.0),
-        runs=number(runs, "runs", 50, 1, MOST_RUNS),
-        trials=number(trials, "trials", 30, 1, MOST_TRIALS),
-        arms=_read_arms(table.texts("arms", tuple(ARMS)), arms),
-    )
-    for each in (simulation, objective, table):
-        each.done()
-    opened = open_store(experiment.store)
-    if tuple(opened.specification["gains"]) != experiment.names:
-        allowed = f"a store of {simulator.name}, with the parameters {', '.join(experiment.names)}"
-        raise InputError("store", str(experiment.store), allowed)
+        def number(given: int | None, *configured: Any) -> int:
+            own = table.integer(*configured)
+            return own if given is None else given
+
+        experiment = RobotExperiment(
+            name=read_name(table, path.stem),
+            seed=number(seed, "seed"),
+            simulator=simulator,
+            rule=simulator.read_worlds(table),
+            store=Path(table.text("store")),
+            duration_s=simulation.number("duration_s", low=SHORTEST_TRIAL_S, high=LONGEST_TRIAL_S),
+            objective=read_objective(objective, paid, simulator.survived),
+            noise=objective.number("noise", 0.0, 0.0, 1.0),
+            runs=number(runs, "runs", 50, 1, MOST_RUNS),
+            trials=number(trials, "trials", 30, 1, MOST_TRIALS),
+            arms=_read_arms(table.texts("arms", tuple(ARMS)), arms),
+        )
+        for each in (simulation, objective, table):
+            each.done()
+        return experiment
+
+    experiment = read_whole(read_toml(path), read)
+    if tuple(open_store(experiment.store).specification["gains"]) != experiment.names:
+        words = f"{experiment.simulator.name}, with the parameters {', '.join(experiment.names)}"
+        raise InputError("store", str(experiment.store), f"a store of {words}")
     return experiment
 
 

@@ -30,7 +30,7 @@ from study.experiment.folder import (
     table_files,
     without_gaps,
 )
-from study.experiment.objective import PRINTED, WEIGHTED
+from study.experiment.objective import FUNCTION, PRINTED, WEIGHTED
 from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
@@ -189,14 +189,15 @@ def _proposal_times(folder: Path) -> dict[str, float]:
 
 LARGEST_NUMBER = 1e15  # of seconds or trials
 
-OBJECT = by_name(anything)
+OBJECT, COST = by_name(anything), word(*PRINTED, WEIGHTED)
 NUMBER = number(-LARGEST_NUMBER, LARGEST_NUMBER, f"a number up to {LARGEST_NUMBER:g}")
 FORM: dict[str, dict[str, Check]] = {
     EXPERIMENT_NAME: {
         "simulation": OBJECT, "objective": OBJECT, "versions": OBJECT, "body": OBJECT,
         "terrain": OBJECT, "ground": OBJECT, "until_walker": flag,
         "searched": each(text), "stores": by_name(text),
-        "objective.cost": word(*PRINTED, WEIGHTED), "simulation.duration_s": NUMBER,
+        "objective.cost": lambda name, v: v if FUNCTION.fullmatch(str(v)) else COST(name, v),
+        "simulation.duration_s": NUMBER,
     },
     RUN_NAME: {"sessions": each(OBJECT)},
 }  # fmt: skip

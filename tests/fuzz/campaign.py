@@ -1,4 +1,6 @@
-"""Damaged input for every command: it ends with 0, or with 2, one line, and its folder as it was.
+"""Damaged input for every command: it ends with 0, or with 2 and its folder as it was.
+
+Of each mistake there is one line.
 
     python -m tests.fuzz.campaign --cases 50000 --seed 1
 
@@ -36,6 +38,7 @@ from storage.pool import cores
 from storage.processes import Processes
 from study.cli import EXIT_BAD_INPUT, main, run_command
 from study.options import LARGEST_SEED, Options
+from taichi_nmm.config import MOST_MISTAKES
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import CACHE_VARIABLE
 from taichi_nmm.reading import is_folder
@@ -100,11 +103,12 @@ def wrong(code: int | None, said: str, before: Content, folder: Path) -> str:
         return ""
     if code != REFUSED:
         return f"exit code {code}"
-    line = PROGRESS.sub("", said).removesuffix("\n")
-    if "\n" in line or not line.isprintable():
-        return f"{len(said.splitlines())} lines, or one that is not printable"
-    if not (LINE.fullmatch(line) or OF_ARGPARSE.match(line)) or len(line) > LONGEST_LINE:
-        return f"a line that names nothing, or of {len(line)} characters"
+    lines = PROGRESS.sub("", said).removesuffix("\n").split("\n")
+    if len(lines) > MOST_MISTAKES or not all(map(str.isprintable, lines)):
+        return f"{len(lines)} lines, or one that is not printable"
+    for line in lines:
+        if not (LINE.fullmatch(line) or OF_ARGPARSE.match(line)) or len(line) > LONGEST_LINE:
+            return f"a line that names nothing, or of {len(line)} characters"
     after = content(folder)
     changed = sorted(path for path in before.keys() | after if before.get(path) != after.get(path))
     return f"changed: {', '.join(changed)}" if changed else ""

@@ -110,7 +110,7 @@ LINE = "error: field: 3 cannot be used; allowed: 4\n"
 @pytest.mark.parametrize(("code", "said", "what"), [
     (0, "", ""), (2, LINE, ""), (0, "Traceback (most recent call last)", "a traceback"),
     (2, "", "names nothing"), (2, "error\n", "names nothing"), (2, "error: no\n", "names"),
-    (2, LINE + LINE, "2 lines"), (2, f"warning\n{LINE}", "2 lines"),
+    (2, LINE * 2, ""), (2, LINE * 21, "21 lines"), (2, f"warning\n{LINE}", "names nothing"),
     (2, LINE.replace("3", "\x1b[31m"), "not printable"),
     (2, LINE.replace("3", "x" * 9999), "of 10040 characters"), (1, "", "exit code 1"),
     (130, "interrupted", "exit code 130"), (None, "", "exit code None"),

@@ -147,12 +147,12 @@ def test_configurations_with_three_contacts() -> None:
 
 # Stores hash the keys of documents in this order.
 def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
-    assert list(read(ALL).simulation_document().items()) == [
+    assert list(read(ALL).as_written()["simulation"].items()) == [
         ("duration_s", 20.0), ("physics_step_s", 0.5e-3),
         ("contact_relaxation_speed_mps", 0.03), ("precision", "float64"),
     ]  # fmt: skip
     for simulation in ({}, {"engine": "taichi"}):
-        assert list(read({"simulation": simulation}).simulation_document().items()) == [
+        assert list(read({"simulation": simulation}).as_written()["simulation"].items()) == [
             ("duration_s", 100.0), ("physics_step_s", 1e-3),
             ("contact_relaxation_speed_mps", 0.1), ("precision", "float32"),
         ]  # fmt: skip
@@ -168,13 +168,13 @@ def test_the_document_of_mujoco_comes_back() -> None:
     own = {"time_constant_s": 0.005, "damping_ratio": 0.8, "limits": "mujoco"}
     simulation = ON_MUJOCO | {"physics_step_s": 0.5e-3, "mujoco": own, "arch": "cpu"}
     conditions = read({"simulation": simulation})
-    document = conditions.simulation_document()
+    document = conditions.as_written()["simulation"]
     assert document == {
         "duration_s": 20.0, "physics_step_s": 0.5e-3, "precision": "float32",
         "engine": "mujoco", "mujoco": own,
     }  # fmt: skip
     again = read({"simulation": document})
-    assert again.simulation_document() == document
+    assert again.as_written()["simulation"] == document
     assert again.settings.mujoco == conditions.settings.mujoco
     assert pickle.loads(pickle.dumps(conditions)) == conditions
     assert hash(pickle.loads(pickle.dumps(conditions))) == hash(conditions)

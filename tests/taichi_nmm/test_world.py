@@ -92,7 +92,7 @@ def test_the_table_reads_back_what_was_written() -> None:
 
 @cases("bad-worlds.toml", "key", "value", "allowed")
 def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
-    with pytest.raises(InputError, match=rf"^world\.{key}: .* allowed: .*{allowed}"):
+    with pytest.raises(InputError, match=rf"^world\.{key}[.\w]*: .* allowed: .*{allowed}"):
         read_world(Table({key: value}, "world"))
 
 
@@ -104,12 +104,8 @@ def test_single_muscles_are_weak_or_missing() -> None:
     assert np.array_equal(drawn.strength, healthy.strength * factors)
     assert limp.document()["muscles"] == {"SOL_left": 0.5, "SOL_right": 0.5, "GAS_right": 0.0}
     assert read_world(Table(limp.document())) == limp == pickle.loads(pickle.dumps(limp))
-    for key, value, allowed in (
-        ("SOL_left", -0.1, "0 to 10"), ("SOL_up", 0.5, "only the keys SOL, .* SOL_left"),
-        ("HFL_right", 6.0, "0 to 5$"), ("TA", "weak", "a number"),
-    ):  # fmt: skip
-        with pytest.raises(InputError, match=rf"world\.muscles\.{key}: .*{allowed}"):
-            read_world(Table({"strength": [0.5, 2.0], "muscles": {key: value}}, "world"))
+    with pytest.raises(InputError, match=r"world\.muscles\.HFL_right: .*0 to 5$"):
+        read_world(Table({"strength": [0.5, 2.0], "muscles": {"HFL_right": 6.0}}, "world"))
     with pytest.raises(InputError, match=r"^world\.muscles: .* 14 numbers"):
         WorldRanges(muscles=(1.0, 0.5))
 
@@ -122,12 +118,6 @@ def test_a_prosthesis_takes_the_muscles_of_its_ankle() -> None:
     drawn = ranges.draw([3, 4])
     assert drawn.prosthesis.tolist() == [[[350.0, 1.0, 0.0], [0.0] * 3]] * 2
     assert drawn.strength[0].tolist() == [0, 0, 0, 1, 1, 1, 1, 0.5, 1, 1, 1, 1, 1, 1]
-    for key, value, allowed in (
-        ("side", "both", "left or right"), ("stiffness_nmprad", -1.0, "0 to 2000"),
-        ("damping_nmsprad", 9.0, "0 to 5"), ("rest_rad", 1.0, "0.698132"), ("rest", 1.0, "only"),
-    ):  # fmt: skip
-        with pytest.raises(InputError, match=rf"^world\.prosthesis\.{key}: .*{allowed}"):
-            read_world(Table({"prosthesis": table["prosthesis"] | {key: value}}, "world"))
 
 
 @pytest.mark.slow
@@ -150,8 +140,6 @@ def test_muscles_have_lengths_and_times_of_their_own() -> None:
     drawn = ranges.draw([3])
     assert drawn.slack_length[0].tolist() == ([1.05] + [1.0] * 6) * 2
     assert drawn.activation_time[0].tolist() == [1.0, 2.0, *[1.0] * 12]
-    with pytest.raises(InputError, match=r"^world\.muscles\.optimal_length\.GAS: .* 0\.5 to 2"):
-        read_world(Table({"muscles": {"optimal_length": {"GAS": 0.4}}}, "world"))
 
 
 @pytest.mark.parametrize(("change", "field"), [

@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import numpy as np
 import pytest
 
 from study import pictures
+from study.commands.walk import powered_cost
 from study.experiment.experiment import read_experiment
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
-from tests.study import fake_walker
+from taichi_nmm.result import RESULT_DTYPE, Result
+from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT
 
@@ -39,10 +42,23 @@ def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path: Path, tool: 
     assert report["mean_speed_mps"] == pytest.approx(1.30, abs=0.05)
     assert report["distance_m"] == pytest.approx(100.0 * report["mean_speed_mps"])
     assert set(report["gains"]) == set(GAIN_NAMES)
+    muscles, powered = (report[f"cost_of_transport_{kind}jpkgpm"] for kind in ("", "powered_"))
+    assert 1.1 * muscles < powered < 1.4 * muscles
     drawn = {name: Path(path) for name, path in report["pictures"].items()}
     assert set(drawn) == {"strip", "gait_cycle", "movie"}
     assert all(path.stat().st_size > 10_000 for path in drawn.values())
     assert {path.name for path in tmp_path.iterdir()} == PICTURES
+
+
+def test_motors_pay_for_their_positive_work() -> None:
+    """Ten newton metres at the left knee and the right ankle, of 80 kg over 50 m."""
+    walk, rows = synthetic_gait.walk(4.0), np.zeros(1, RESULT_DTYPE)
+    walk.swing_torque_nm[:, 1], walk.device_torque_nm[:, 1] = 10.0, -10.0
+    rows["cost_of_transport_jpkgpm"], rows["distance_m"] = 3.0, 50.0
+    flexed, bent = np.diff(walk.joint_rad[:, [1, 5]], axis=0).T
+    work_j = 10.0 * (flexed[flexed > 0.0].sum() - bent[bent < 0.0].sum())
+    found = powered_cost(Result(rows, (walk,)), read_experiment(FLAT), 0)
+    assert found == pytest.approx(3.0 + work_j / (80.0 * 50.0)) and work_j > 50.0
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from optuna.trial import TrialState
 from study.bench import journal
 from study.bench.bench import Bench
 from study.bench.plan import Goal
+from study.experiment.objective import Term
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
 from tests.study.bench import robot
@@ -126,9 +127,9 @@ def test_simulated_runs_that_fell_are_worth_what_failures_are(sign: float) -> No
         "effort": sign * np.array([[0.4, 0.1, 0.2, 5.0]]),
         "survived_fraction": np.array([[1.0, 0.0, 0.5, 1.0]]),
     }
-    found = goal.in_worlds("effort")(given, 10.0)
+    found = goal.in_worlds(Term("effort", 1.0))(given, 10.0)
     assert found.tolist() == (sign * np.array([[0.4, 6.0, 4.5, 3.0]])).tolist()
-    plain = replace(goal, failed=None).in_worlds("effort")(given, 10.0)
+    plain = replace(goal, failed=None).in_worlds(Term("effort", 1.0))(given, 10.0)
     assert plain.tolist() == given["effort"].tolist()
 
 

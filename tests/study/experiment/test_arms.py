@@ -7,7 +7,7 @@ import pytest
 
 from study import FeatureTable
 from study.experiment import samplers
-from study.experiment.arms import ARMS, NOTHING, REMOVED, find_arm, saw
+from study.experiment.arms import ARMS, NOTHING, find_arm, saw
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task, score_order
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
@@ -79,10 +79,6 @@ def test_every_arm_is_found_by_its_name_and_says_what_it_is(toy: Experiment) -> 
     assert len({arm.label for arm in ARMS.values()}) == len(ARMS)
     with refused("arm: 'cat' .* one of random, cmaes-cold, .*worlds"):
         find_arm("cat")
-    for name, other in REMOVED.items():
-        assert name not in ARMS and other in ARMS
-        with refused(rf"{other}; version 0\.2\.0 .*{name}"):
-            find_arm(name)
 
 
 def test_arms_say_what_their_stores_saw(toy: Experiment) -> None:

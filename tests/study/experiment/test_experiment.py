@@ -7,10 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from storage.specification import read_specification
+from study.bench.plan import read_plan
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, as_written, read_experiment, store_path
 from study.experiment.robots import is_of_robots
 from study.options import config_path, shipped_configs
+from taichi_nmm.config import read_toml, read_whole
+from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.cases import cases
 from tests.study.conftest import refused
@@ -73,6 +77,23 @@ def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, mess
         read_experiment(edited(tmp_path, old, new))
 
 
+@cases("several-mistakes.toml", "text", "fields")
+def test_all_mistakes_of_a_file_are_named_at_once(tmp_path: Path, text: str, fields: str) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        if "goal" in text:
+            read_plan(path)
+        elif "samples" in text:
+            read_whole(read_toml(path), read_specification)
+        else:
+            read_experiment(path)
+    found = pickle.loads(pickle.dumps(caught.value))  # it may come from another process
+    lines = str(found).splitlines()
+    assert [line.partition(": ")[0] for line in lines] == fields.split()
+    assert all("cannot be used; allowed: " in line for line in lines)
+
+
 @pytest.mark.parametrize("file", EXPERIMENTS, ids=lambda file: file.stem)
 def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) -> None:
     experiment = read_experiment(file)
@@ -92,13 +113,13 @@ def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) ->
 def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file: Path) -> None:
     """More where the paper has more, and up stairs; or of what comes before the first walker."""
     experiment = read_experiment(file)
-    elsewhere = file.stem.startswith(("mujoco-", "outside-")) and file.stem != "outside-limp"
+    elsewhere = file.stem.startswith(("mujoco-", "outside-")) and not file.stem.endswith("limp")
     hardly_any = file.stem in ("stairs-up-high", "stairs-up-short")
     assert experiment.until_walker == (elsewhere or hardly_any)
     trials = {"rough8-smooth": 100, "rough6-walking": 60}.get(file.stem, 40)
     trials = 100 if file.stem.startswith("stairs-up") else trials
-    own = {"speed": (20, 50), "exo": (20, 30), "prosthesis": (20, 30)}
-    shape = own.get(file.stem.partition("-")[0], (50, trials))
+    own = {"speed": (20, 50), "exo": (20, 30), "prosthesis": (20, 30), "half": (20, 40)}
+    shape = own.get(file.stem.removeprefix("outside-").partition("-")[0], (50, trials))
     assert (experiment.runs, experiment.trials) == shape
     assert experiment.conditions.build.disturbance > 0
 

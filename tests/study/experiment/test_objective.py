@@ -1,5 +1,7 @@
 """What a trial costs: weighted terms beside the paper's two costs, of rows and of worlds."""
 
+import pickle
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,11 +10,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from study.bench.plan import Goal
 from study.experiment.arms import ARMS
 from study.experiment.experiment import PAID, as_written, candidates, check_store, experiment_of
 from study.experiment.objective import Objective, Term, read_objective
 from taichi_nmm.config import Table
 from taichi_nmm.result import RESULT_DTYPE
+from tests.cases import cases
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -58,21 +62,44 @@ def test_it_is_read_back_from_what_it_writes(tmp_path: Path, fake_simulator: Non
     assert column.document() == {"cost": "effort", "fell_cost": 9.0}
 
 
-@pytest.mark.parametrize(("changed", "message"), [
-    ({"cost": "best"}, r"^objective\.cost: 'best' .* smooth or walking or weighted"),
-    ({"fell_cost": 0.0}, r"^objective\.fell_cost: 0\.0"),
-    ({"terms": {}}, r"^objective\.terms: 'nothing to pay for'"),
-    ({"terms": {"mean_speed_mps": 0.0}}, r"^objective\.terms: 'nothing to pay for'"),
-    ({"terms": {"speed": 1.0}}, r"^objective\.terms\.speed: .* one of duration_s"),
-    ({"terms": {"end_reason": 1.0}}, r"^objective\.terms\.end_reason"),
-    ({"terms": {"mean_speed_mps": "fast"}}, r"^objective\.terms\.mean_speed_mps: 'fast'"),
-    ({"terms": {"mean_speed_mps": {"weight": 1.0}}}, r"mean_speed_mps\.target: 'missing'"),
-    ({"terms": {"mean_speed_mps": TERMS["mean_speed_mps"] | {"aim": 1}}},  # type: ignore[operator]
-     r"^objective\.terms\.mean_speed_mps\.aim: 1"),
-    ({"terms": {"mean_speed_mps": {"weight": 1.0, "target": 1.0, "tolerance": -1.0}}},
-     r"^objective\.terms\.mean_speed_mps\.tolerance: -1\.0"),
-    ({"cost": "smooth"}, r"^objective\.fell_cost: 50\.0 .* only the keys cost"),
+OWN = """def slow(columns): return 2.0 - columns["mean_speed_mps"]
+def no(columns): return columns["effort"]
+def none(columns): return columns["mean_speed_mps"] * float("nan")
+def one(columns): return columns["mean_speed_mps"][:2]
+number = 3
+"""
+
+
+@pytest.mark.parametrize(("function", "found"), [
+    ("slow", [0.5, 1.5, 13.5]), ("no", "objective: .* not ValueError: no field of name effort$"),
+    ("none", "objective: .* not ValueError: NaN or"), ("two", "objective.*attribute 'two'"),
+    ("one", "objective: .* not ValueError: operands"), ("number", "function: 'int' .* a function "),
 ])  # fmt: skip
+def test_a_function_stands_for_a_column_or_is_the_cost(
+    function: str, found: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.path", [*sys.path])
+    file, name = tmp_path / f"own_{function}.py", f"own_{function}.py:{function}"
+    file.write_text(OWN)
+    rows, cost = np.zeros(3, RESULT_DTYPE), {"cost": name, "fell_cost": 9.0}
+    rows["survived_fraction"], rows["mean_speed_mps"] = (1.0, 1.0, 0.5), (1.5, 0.5, 0.0)
+    if isinstance(found, str):
+        with refused(f"^{found}"):
+            read_objective(Table(cost, "objective", tmp_path), PAID).costs(rows)
+        return
+    for table in (cost, TABLE | {"fell_cost": 9.0, "terms": {name: 1.0}}):
+        objective = pickle.loads(pickle.dumps(read_objective(Table(table, "o", tmp_path), PAID)))
+        assert_allclose(objective.costs(rows), found)
+    assert_allclose(Goal("", False, None, None, 1.0).in_worlds(objective.terms[0])(rows, 1.0),  # type: ignore[arg-type]
+                    [0.5, 1.5, 2.0])  # fmt: skip
+    document = objective.document()
+    assert read_objective(Table(document, "objective", tmp_path), PAID) == objective
+    file.write_text(f"{OWN}# another version")
+    with refused(r"^objective\.code: "):
+        read_objective(Table(document, "objective", tmp_path), PAID)
+
+
+@cases("bad-objectives.toml", "changed", "message")
 def test_bad_objectives_are_refused(changed: dict[str, Any], message: str) -> None:
     table = Table(TABLE | changed, "objective")
     with refused(message):

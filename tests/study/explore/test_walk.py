@@ -37,7 +37,7 @@ def same_robot(one: Experiment, other: Experiment) -> None:
     np.testing.assert_array_equal(one.world(0).strength, other.world(0).strength)
     np.testing.assert_array_equal(one.terrain(0).height_m, other.terrain(0).height_m)
     conditions = one.conditions, other.conditions
-    assert conditions[0].simulation_document() == conditions[1].simulation_document()
+    assert conditions[0].as_written()["simulation"] == conditions[1].as_written()["simulation"]
 
 
 def reread(experiment: Experiment, folder: Path) -> Experiment:
