@@ -17,12 +17,11 @@ from tests.browser import SCREENSHOTS, opened_page, save
 from tests.cases import ASSETS, cases
 from tests.storage.fake import content
 from tests.study import fake_walker
-from tests.study.explore.serving import explorer
+from tests.study.explore.serving import MODEL, explorer
 
 pytestmark = pytest.mark.slow
 
 WALKS = "window.walk_player?.shown"
-MODEL = "Bokeh.documents[0].get_model_by_name"
 
 
 @pytest.fixture(scope="module")
@@ -152,15 +151,6 @@ def point(page: Any, row: int) -> tuple[float, float]:
     return at(page, "cloud", *page.evaluate(f"[{rows}.c0[{place}], {rows}.c1[{place}]]"))
 
 
-def download(page: Any, name: str) -> bytes:
-    """What a button saves."""
-    with page.expect_download() as saved:
-        clicked = "new (Bokeh.require('core/bokeh_events').ButtonClick)()"
-        page.evaluate(f"{MODEL}('save-{name}').trigger_event({clicked})")
-    assert saved.value.suggested_filename == name
-    return Path(saved.value.path()).read_bytes()
-
-
 def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
     rows = len(open_store(store))
     assert page.evaluate("window.store_view.chosen") == rows == fake_walker.STORE_ROWS
@@ -186,14 +176,12 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     drag(page, "histogram-1", (0.0, 0.5), (0.5, 0.5))
     page.wait_for_function(f"{MODEL}('selection').value !== {json.dumps(text)}")
     page.wait_for_function(f"window.store_view.chosen < {chosen}")
-    save(page, "brushed")
     change(page, "selection", "value", "mean_speed_mps 0..0.5")
     page.wait_for_function(f"{MODEL}('count').text.startsWith(window.store_view.chosen + ' of')")
     table = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
     assert page.evaluate("window.store_view.chosen") == int((table <= 0.5).sum())
     listed = page.locator(".slick-row").first.inner_text()
     assert float(listed.split()[1]) == pytest.approx(table[table <= 0.5][0], abs=1e-4)
-    change(page, "selection", "value", "")
     change(page, "selection", "value", "speed of light")
     page.wait_for_function(f"{MODEL}('selection-message').text.includes('column low..high')")
     assert page.evaluate("window.store_view.all")  # and nothing is selected by it
@@ -215,6 +203,7 @@ def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
     shown = [page.evaluate(f"{rows}.c{slot}[{rows}.row.indexOf({row})]") for slot in range(5)]
     assert [model(page, "rings", f"data.{axis}[0]") for axis in "xy"] == shown[:2]
     assert row != 17 and [model(page, f"at-{slot}", "location") for slot in range(5)] == shown
+    assert model(page, "listed", f"data.row[{MODEL}('listed').selected.indices[0]]") == row
 
 
 def test_another_column_is_drawn_and_ranges_last(page: Any, store: Path) -> None:
@@ -242,14 +231,11 @@ def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
     change(page, "find", "value_input", "")
 
 
-EDGES = (ASSETS / "edges.js").read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize("width", [390, 1280, 1920])
 def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 1250})
     page.wait_for_timeout(1000)
-    wide, apart, beside = page.evaluate(EDGES)
+    wide, apart, beside = page.evaluate((ASSETS / "edges.js").read_text(encoding="utf-8"))
     page.set_viewport_size({"width": 1500, "height": 1250})
     assert wide <= width and apart and beside == (width > 1000)
 
@@ -327,15 +313,6 @@ def test_a_newcomer_finds_it_in_four_clicks(
     for step in steps:
         press(page, step)
     page.wait_for_function(sees.replace("NAMED", MODEL))
-
-
-def test_what_is_taken_reads_back(page: Any, store: Path) -> None:
-    walks(page, lambda: change(page, "duration", "value", "5 s"))
-    page.get_by_text("take it with you").click()
-    page.get_by_text("taichi-nmm walk --gains gains.json --config walk.toml").wait_for()
-    gains = json.loads(download(page, "gains.json"))
-    assert list(gains)[:2] == ["K_GAS", "K_GLU"]
-    assert b"[terrain]" in download(page, "walk.toml")
 
 
 def test_the_selection_reads_back(page: Any, store: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import optuna
 import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
@@ -21,23 +22,19 @@ from taichi_nmm import InputError
 from tests.browser import opened_page
 from tests.cases import asset
 from tests.study import fake_walker
-from tests.study.explore.serving import explorer
-
-MODEL = "Bokeh.documents[0].get_model_by_name"
+from tests.study.explore.serving import MODEL, explorer
 
 
 def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> None:
     journal = optuna.storages.JournalStorage(JournalFileBackend(str(tmp_path / "mine.log")))
     mine = optuna.create_study(storage=journal, directions=["maximize", "minimize"])
+    space = {"value": FloatDistribution(0, 1), "leg-kind": CategoricalDistribution(["soft"])}
     for number in range(4):
-        trial = mine.ask()
-        trial.suggest_float("value", 0.0, 1.0)
-        trial.suggest_categorical("leg-kind", ["soft", "hard"])
-        trial.set_user_attr("score", number)
-        trial.set_user_attr("note", "no number")
-        failed = number == 3
-        state = TrialState.FAIL if failed else TrialState.COMPLETE
-        mine.tell(trial, None if failed else (number, 0.5), state)
+        trial = mine.ask(space)
+        for name, value in {"score": number, "note": "no number"}.items():
+            trial.set_user_attr(name, value)
+        state = TrialState.FAIL if number == 3 else TrialState.COMPLETE
+        mine.tell(trial, None if number == 3 else (number, 0.5), state)
     url, name = f"sqlite:///{tmp_path / 'mine.db'}", mine.study_name
     optuna.copy_study(from_study_name=name, from_storage=journal, to_storage=url)
     for file in ("mine.log", "mine.db"):
@@ -65,14 +62,13 @@ def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(tmp_path: Path) -> None:
-    config = config_path("prosthesis").read_text().replace("100.0", "1.5")
-    (tmp_path / "own.toml").write_text(config)
+    (tmp_path / "own.toml").write_text(config_path("prosthesis").read_text().replace("100.", "1."))
     experiment = read_experiment(tmp_path / "own.toml")
     (arm,) = check_arms(experiment, ("random",), 2)
     run_study(experiment, arm, 1, 2, open_studies(f"sqlite:///{tmp_path / 'own.db'}"))
     rows = open_rows(tmp_path / "own.db")
     assert isinstance(rows, Trials)
-    setting = chosen_setting(OWN, OWN, 3601, OWN, "taichi", 1.5, rows.document)
+    setting = chosen_setting(OWN, OWN, 3601, OWN, "taichi", 1.0, rows.document)
     walked = walk(gains_at(rows, 1, 1), setting)
     assert walked.gains.name == "prosthesis-random-run-001-trial-1" and walked.run == 1
     assert setting.world(1).prosthesis.any()
