@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pyarrow as pa
@@ -176,6 +176,8 @@ class Store:
         columns: names of all columns.
         specification: of the store, as in specification.json.
     """
+
+    ROW: ClassVar[str] = "row"  # the column of the rows' numbers
 
     path: Path
     files: tuple[Path, ...]

@@ -23,7 +23,7 @@ from urllib.parse import quote
 import optuna
 import sqlalchemy as sql
 from optuna.exceptions import ExperimentalWarning, StorageInternalError, UpdateFinishedTrialError
-from optuna.storages import RDBStorage
+from optuna.storages import BaseStorage, RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -257,7 +257,7 @@ def read_errors(url: str) -> Iterator[None]:
         raise unusable(shown_url(url), error) from None
 
 
-def load_whole(storage: RDBStorage, name: str) -> optuna.Study:
+def load_whole(storage: BaseStorage, name: str) -> optuna.Study:
     """A study that has been read completely: for an edited value, Optuna raises its error here."""
     study = optuna.load_study(study_name=name, storage=storage)
     _ = study.directions, study.user_attrs, study.metric_names

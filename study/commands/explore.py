@@ -1,4 +1,4 @@
-"""Explore a store in the browser, where a click lets any gait walk."""
+"""Explore a store or a study in the browser, where a click lets any gait walk."""
 
 import os
 import sys
@@ -24,7 +24,7 @@ def has_display() -> bool:
 def main(args: Namespace) -> None:
     """Serve until Ctrl-C."""
     require_kernel_cache()
-    page = page_of(args.folder, args.simulator)
+    page = page_of(args.folder, args.study, args.simulator)
     with Processes(1) as walkers, Processes(1) as makers:  # a walk does not wait for a film
         loop, address = serve(partial(page, walkers, makers), args.port)
         walkers.submit(warm_up)

@@ -103,7 +103,7 @@ def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:
     """The point at a place among a store's rows, called by the number of its row."""
     fixed: dict[str, Any] = store.specification.get("fixed_gains", {})
     values = fixed | store.table(store.gain_names).slice(place, 1).to_pylist()[0]
-    return named_gains(f"{store.path.name}-row-{row}", values)
+    return named_gains(f"{store.path.name}-{store.ROW}-{row}", values)
 
 
 def gains_of_trial(trial: str, where: str) -> NamedGains:

@@ -1,4 +1,4 @@
-"""The page of a store: what was scored on the left, on the right a gait walks.
+"""The page of a store or a study: what was scored on the left, on the right a gait walks.
 
 Of other simulators than the walker, the right half has a row's numbers, and a film of it where the
 command was given the simulator (`--simulator my_robot.py:robot`) and that is one of MuJoCo: a store
@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 from bokeh.document import Document
@@ -18,24 +19,18 @@ from bokeh.layouts import column
 from bokeh.models import Button, Div, Select
 
 from storage.simulator import WALKER
-from storage.store import Store, open_store
-from study.experiment.folder import EXPERIMENT_NAME, RESULTS_NAME
+from storage.store import Store
 from study.experiment.gains import gains_at, gains_of_source
 from study.explore.server import Latest, Message, Saver, flow
 from study.explore.store_view import StoreView, file_of_selection
+from study.explore.trials import Trials, open_rows
 from study.explore.walk_view import WalkView
 from study.pictures.movie import filmable, filmed
-from taichi_nmm.errors import InputError
-from taichi_nmm.reading import is_folder
 
 Page = Callable[[Executor, Executor, Document], None]
 """Takes the processes that simulate, those that make files, and the document of a tab."""
 
 FIRST_GAIT = "reference"
-OF_COMPARISONS = (
-    "a store; for a comparison: taichi-nmm report DIR, taichi-nmm dashboard DIR, "
-    "or taichi-nmm walk --trial STUDY/NUMBER --storage DIR; for a bench: taichi-nmm bench serve"
-)
 BASE = "base setting"
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
 VIDEO_CSS = """video { width: 100% }
@@ -49,13 +44,9 @@ class RobotView:
     """
 
     def __init__(
-        self,
-        document: Document,
-        makers: Executor,
-        message: Message,
-        store: Store,
+        self, document: Document, makers: Executor, message: Message, store: Store,
         simulator: str | None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._message, self._store, self._simulator = message, store, simulator
         self._place: int | None = None  # of the row that is shown
         self._films = Latest(document, makers, self._filmed, message.failed)
@@ -64,9 +55,8 @@ class RobotView:
         self._numbers = Div(text="click a point", name="numbers", disable_math=True)
         self._video = Div(
             text="", name="film", stylesheets=[VIDEO_CSS], sizing_mode="stretch_width",
-            disable_math=True,
+            disable_math=True, tags=[saver.source],
         )  # fmt: skip
-        self._video.tags = [saver.source]
         self._world = Select(title="world", options=[BASE], value=BASE, name="world")
         self._duration = Select(title="at most", options=["5 s", "10 s", "20 s"], value="5 s")
         film = Button(label="film", name="film-it", disabled=simulator is None)
@@ -79,7 +69,7 @@ class RobotView:
     def show(self, place: int) -> None:
         """Show a row, by its place among the store's rows."""
         self._place = place
-        self._world.options = [BASE, *world_names(self._store)]
+        self._world.options = list(worlds_of(self._store))
         self._numbers.text = numbers_text(self._store, place)
         self._film()
 
@@ -90,7 +80,7 @@ class RobotView:
         point = dict(zip(self._store.gain_names, gains, strict=True))
         seconds = float(self._duration.value.removesuffix(" s"))
         self._message.tell("filming ...")
-        world = world_of(self._store, self._world.value)
+        world = worlds_of(self._store)[self._world.value]
         self._films.ask(filmed, self._simulator, point, world, seconds)
 
     def _filmed(self, content: bytes) -> None:
@@ -102,26 +92,14 @@ class RobotView:
         )
 
 
-def world_names(store: Store) -> list[str]:
-    """The worlds of a store's families, in which its rows ran."""
-    return [
-        f"{family} {number}"
-        for family in store.families
-        for number in range(len(_drawn(store, family).get("seed", ())))
-    ]
-
-
-def world_of(store: Store, name: str) -> dict[str, float]:
-    """The numbers of a world, by its name among `world_names`; of the base setting, none."""
-    if name == BASE:
-        return {}
-    family, _, number = name.rpartition(" ")
-    return {key: float(each[int(number)]) for key, each in _drawn(store, family).items()}
-
-
-def _drawn(store: Store, family: str) -> dict[str, list[float]]:
-    drawn: dict[str, list[float]] = store.settings_of(family).get("drawn", {})
-    return drawn
+def worlds_of(store: Store) -> dict[str, dict[str, float]]:
+    """The numbers of the worlds in which a store's rows ran, by name; of the base setting, none."""
+    found: dict[str, dict[str, float]] = {BASE: {}}
+    for family in store.families:
+        drawn: dict[str, list[float]] = store.settings_of(family).get("drawn", {})
+        for number in range(len(drawn.get("seed", ()))):
+            found[f"{family} {number}"] = {key: float(each[number]) for key, each in drawn.items()}
+    return found
 
 
 def numbers_text(store: Store, place: int) -> str:
@@ -133,39 +111,35 @@ def numbers_text(store: Store, place: int) -> str:
             value = table[name][0].as_py()
             text = f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
             shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
-    return (
-        f"<div style='columns:240px'><table style='font-size:11px'>{''.join(shown)}</table></div>"
-    )
+    return f"<div style='columns: 240px; font-size: 11px'><table>{''.join(shown)}</table></div>"
 
 
-def page_of(path: Path, simulator: str | None = None) -> Page:
-    """What fills the document of a tab with a store, finished or not.
+def page_of(path: Path, study: str | None = None, simulator: str | None = None) -> Page:
+    """What fills the document of a tab with a store, finished or not, or a study.
 
-    Each tab reads the store anew: it may be growing. `simulator` films rows of a store of its own.
+    Each tab reads the rows anew: there may be more. The arguments are those of `open_rows`, and a
+    simulator that films the rows of its own.
 
     Raises:
-        InputError: a comparison, a bench, or no store that can be read.
+        InputError: as `open_rows`, or no simulator to film.
     """
     if simulator is not None:
         filmable(simulator)
-    compared = is_folder(path) and any(
-        (path / name).exists() for name in (EXPERIMENT_NAME, RESULTS_NAME)
-    )
-    if compared or path.suffix == ".toml":
-        raise InputError("folder", str(path), OF_COMPARISONS)
-    _store(path)
+    open_rows(path, study)
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
         document.template, message = TEMPLATE, Message("message")
         try:
-            store = _store(path)
-            title = f"{path}: {len(store):,} rows"
+            store = open_rows(path, study)
+            of, own = store.simulator, dict[str, Any]()
+            if isinstance(store, Trials):
+                of, own = store.path.name, store.document
+            title = f"{path}: {len(store):,} {store.ROW}s{'' if of == WALKER else f' of {of}'}"
             view: WalkView | RobotView
             if store.simulator == WALKER:
-                view = WalkView(document, walkers, makers, message)
+                view = WalkView(document, walkers, makers, message, own)
             else:
                 view = RobotView(document, makers, message, store, simulator)
-                title += f" of {store.simulator}"
 
             def pick(place: int, row: int) -> None:
                 if isinstance(view, WalkView):
@@ -173,7 +147,7 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
                 else:
                     view.show(place)
 
-            points = StoreView(store, message, pick, partial(view.save, file_of_selection, path))
+            points = StoreView(store, message, pick, partial(view.save, file_of_selection, store))
         except Exception as error:  # the store cannot be read any more
             message.failed(error)
             document.add_root(message.layout)
@@ -182,13 +156,9 @@ def page_of(path: Path, simulator: str | None = None) -> Page:
         left, right = points.panels, view.panels
         for root in (message.layout, left[0], right[0], left[1], *right[1:]):
             document.add_root(root)
-        if isinstance(view, WalkView):
+        if isinstance(store, Trials):
+            points.row.value = store.best
+        elif isinstance(view, WalkView):
             message.safely(partial(view.show, gains_of_source(FIRST_GAIT)))()
 
     return fill
-
-
-def _store(path: Path) -> Store:
-    store = open_store(path, unfinished=True)
-    store.require_bounds()
-    return store

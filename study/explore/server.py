@@ -80,12 +80,9 @@ class Latest:
     """
 
     def __init__(
-        self,
-        document: Document,
-        executor: Executor,
-        done: Callable[[Any], None],
+        self, document: Document, executor: Executor, done: Callable[[Any], None],
         failed: Callable[[BaseException], None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._document, self._executor, self._done, self._failed = document, executor, done, failed
         self._waits: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
         self._busy = self._closed = False

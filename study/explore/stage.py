@@ -15,59 +15,38 @@ from bokeh.plotting import figure
 
 from study.explore.server import SCRIPTS, flow
 from study.explore.walk import COLOURS, Walk
+from study.pictures import stick_figure as stick
 from study.pictures import style
+from study.pictures.gait_cycle import PEOPLE
 from study.pictures.scene import BELOW_GROUND_M, FORCE_WIDTH_M, VIEW_WIDTH_M
-from study.pictures.stick_figure import (
-    DRAWN,
-    HEAD_RADIUS_M,
-    PATH_POINTS,
-    TRUNK_WIDTH_M,
-    WIDTHS_M,
-)
-from taichi_nmm.result import FELL, MUSCLES
+from taichi_nmm.result import FELL
 
 ASPECT = 1.6  # of a stage, width over height
-BONES = (0, 1, 3)  # at which points of a leg's chain thigh, shank and foot begin
 GHOST = "#5B4B8A"
 GHOST_ALPHA = 0.35
 STAGE_PX, TIMELINE_PX = 340, 110  # the least width of a stage; the height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
 GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 RIM_M = 0.008  # of a muscle, both sides together
+NAMED: dict[str, str] = PEOPLE["muscles"]
 
 
-def line_source(ghost: bool = False) -> models.ColumnDataSource:
-    """The lines of a walker, which the script moves, from the back to the front.
-
-    Each has the name of its frames, its first point there, its width in metres, its colour, and the
-    number of its muscle, -1 of a bone. A ghost has one colour and no forces.
-    """
-    lines: list[tuple[str, int, int, float, str, int]] = []  # the third is the count of points
-    for key, colour, side in (("far", style.FAR_LIMB, 1), ("near", style.NEAR_LIMB, 0)):
-        if side == 0:
-            lines.append(("trunk", 0, 2, TRUNK_WIDTH_M, style.NEAR_LIMB, -1))
-        lines += [
-            (key, at, 2, width, colour, -1) for at, width in zip(BONES, WIDTHS_M, strict=True)
-        ]
-        for number, muscle in enumerate(MUSCLES, len(MUSCLES) * side):
-            path, width = ("muscles", number * PATH_POINTS, PATH_POINTS), DRAWN[muscle]["belly_m"]
-            lines.append((*path, width + RIM_M, style.INK, -1))
-            lines.append((*path, width, COLOURS[0], number))
-    lines += [("forces", at, 2, FORCE_WIDTH_M, style.MODEL, -1) for at in (0, 2)]
-    keys, firsts, counts, metres, colours, muscles = zip(
-        *lines[: -2 if ghost else None], strict=True
-    )
-    return models.ColumnDataSource({
-        **{axis: [np.full(count, np.nan, "f4") for count in counts] for axis in ("xs", "ys")},
-        "key": keys, "first": firsts, "metres": metres, "width": np.ones(len(keys)),
-        "colour": [GHOST] * len(keys) if ghost else colours,
-        "muscle": [-1] * len(keys) if ghost else muscles,
-    })  # fmt: skip
+LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
+    "bones": list(stick.WIDTHS_M), "trunk": stick.TRUNK_WIDTH_M, "rim": RIM_M,
+    "muscles": [(f"{name}, {word}", stick.DRAWN[name]["belly_m"]) for name, word in NAMED.items()],
+    "points": stick.PATH_POINTS, "force": FORCE_WIDTH_M, "ghost": GHOST, "ink": style.INK,
+    "model": style.MODEL, "far": style.FAR_LIMB, "near": style.NEAR_LIMB, "levels": COLOURS,
+}  # fmt: skip
 
 
 def points(count: int) -> models.ColumnDataSource:
     """Points that the script moves."""
     return models.ColumnDataSource({axis: np.full(count, np.nan, "f4") for axis in "xy"})
+
+
+def lines() -> models.ColumnDataSource:
+    """Lines that the script makes and moves."""
+    return models.ColumnDataSource({name: [] for name in ("xs", "ys", "width", "colour")})
 
 
 class Stage:
@@ -78,8 +57,8 @@ class Stage:
         self.words = models.Div(text="", disable_math=True, sizing_mode="stretch_width")
         self._ground = points(2)
         self.parts: dict[str, Any] = {
-            "frames": self.frames, "trail": points(2), "lines": line_source(), "head": points(1),
-            "ghost_lines": line_source(ghost=True), "ghost_head": points(1),
+            "frames": self.frames, "trail": points(2), "lines": lines(), "head": points(1),
+            "ghost_lines": lines(), "ghost_head": points(1),
         }  # fmt: skip
         self.parts["figure"] = self.figure = self._drawn(name)
         self.parts["layout"] = self.layout = column(self.figure, self.words)
@@ -114,9 +93,10 @@ class Stage:
         plot.line("x", "y", source=self._ground, line_color=style.INK, line_width=1.5)
         plot.line("x", "y", source=self.parts["trail"], line_color=style.MODEL, line_dash="dotted")
         for kind, colour, alpha in (("ghost_", GHOST, GHOST_ALPHA), ("", style.NEAR_LIMB, 1.0)):
-            head, lines = self.parts[f"{kind}head"], self.parts[f"{kind}lines"]
-            plot.circle("x", "y", radius=HEAD_RADIUS_M, source=head, color=colour, alpha=alpha)
-            plot.multi_line("xs", "ys", source=lines, line_color="colour", line_width="width",
+            head, drawn = self.parts[f"{kind}head"], self.parts[f"{kind}lines"]
+            plot.circle("x", "y", source=head, radius=stick.HEAD_RADIUS_M, color=colour,
+                        alpha=alpha)  # fmt: skip
+            plot.multi_line("xs", "ys", source=drawn, line_color="colour", line_width="width",
                             line_alpha=alpha, line_cap="round")  # fmt: skip
         return plot
 
@@ -144,12 +124,14 @@ class Player:
         script = models.CustomJS.from_file(
             SCRIPTS / "play.mjs",
             stages=[stage.parts for stage in self.stages], play=self._play, speed=speed,
-            slider=slider, levels=COLOURS, ghost=ghost, cursor=self._cursor,
+            slider=slider, looks=LOOKS, ghost=ghost, cursor=self._cursor,
             curves=self._curves, falls=self._falls, timeline=self._timeline.x_range,
             view_m=VIEW_WIDTH_M, below_m=BELOW_GROUND_M, least=f"{STAGE_PX}px",
         )  # fmt: skip
         for stage in self.stages:
             stage.frames.js_on_change("data", script)
+            for event in ("mousemove", "mouseleave", "tap"):
+                stage.figure.js_on_event(event, script)
         slider.js_on_change("value", script)
         self._play.js_on_change("active", script)
         ghost.js_on_change("active", script)

@@ -9,7 +9,6 @@ import io
 import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -23,14 +22,16 @@ from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from storage.store import EVOLVED_ROW, ORIGIN, Store, open_store
+from storage.store import ORIGIN, SOBOL_ROW, Store
 from study.explore.server import SCRIPTS, Message, flow
+from study.explore.trials import STATE, TRIAL
 from study.explore.words import described, menu
 from study.pictures import style
 from taichi_nmm.errors import InputError
 
 RANGE = re.compile(r"\s*(\w+)\s+(\S+?)\.\.(\S+)\s*")
 
+Floats = NDArray[np.float64]
 Ranges = dict[str, tuple[float, float]]
 MANY = "a column of the menus"  # where a refusal would name more than a line
 
@@ -46,17 +47,18 @@ def read_selection(text: str, columns: Sequence[str]) -> Ranges:
         match = RANGE.fullmatch(part)
         if match is None:
             raise InputError("selection", part.strip(), "column low..high, column low..high, ...")
-        name, *ends = match.groups()
+        name, low, high = match.groups()
         if name not in columns:
             allowed = f"one of {', '.join(columns)}"
             raise InputError("selection", name, allowed if len(columns) < 20 else MANY)
-        found[name] = (_number(ends[0]), _number(ends[1]))
+        try:
+            found[name] = (float(low), float(high))
+        except ValueError:
+            raise InputError("selection", f"{low}..{high}", "a number at each end") from None
     return found
 
 
-def selected(
-    ranges: Ranges, column: Callable[[str], NDArray[np.float64]], rows: int
-) -> NDArray[np.bool_]:
+def selected(ranges: Ranges, column: Callable[[str], Floats], rows: int) -> NDArray[np.bool_]:
     """Which rows lie within all ranges, ends included, [n]; a row with NaN there does not."""
     inside = np.ones(rows, dtype=bool)
     for name, (low, high) in ranges.items():
@@ -65,16 +67,9 @@ def selected(
     return inside
 
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError("selection", text, "a number") from None
-
-
-def file_of_selection(store: Path, ranges: Ranges) -> tuple[str, bytes]:
+def file_of_selection(store: Store, ranges: Ranges) -> tuple[str, bytes]:
     """Name and content of a Parquet file: all columns of the selected rows of a store."""
-    table = open_store(store, unfinished=True).table()
+    table = store.table()
     chosen = selected(ranges, lambda name: table[name].to_numpy(), len(table))
     content = io.BytesIO()
     pyarrow.parquet.write_table(table.filter(pa.array(chosen)), content, compression="zstd")
@@ -127,18 +122,17 @@ def histograms() -> Iterator[tuple[Any, models.ColumnDataSource, models.Span]]:
         for name, colour in (("all", BESIDES), ("chosen", style.MODEL)):
             plot.quad(left="left", right="right", bottom=0, top=name, source=bars,
                       fill_color=colour, line_color=None)  # fmt: skip
-        span = models.Span(
-            dimension="height", line_color=style.VERMILION, line_width=2, name=f"at-{slot}"
-        )
+        span = models.Span(dimension="height", line_color=style.VERMILION, line_width=2)
+        span.name = f"at-{slot}"
         plot.add_layout(span)
         yield plot, bars, span
 
 
-def table(source: models.ColumnDataSource, words: list[str]) -> models.DataTable:
+def table(source: models.ColumnDataSource, row: str, words: list[str]) -> models.DataTable:
     """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
     numbers = models.NumberFormatter(format="0.[0000]")
-    columns = [models.TableColumn(field="row", title="row", width=60),
-               models.TableColumn(field="bred", title="", width=40)]  # fmt: skip
+    columns = [models.TableColumn(field="row", title=row, width=60),
+               models.TableColumn(field="mark", title="", width=55)]  # fmt: skip
     columns += [
         models.TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
         for slot, name in enumerate(words)
@@ -147,13 +141,12 @@ def table(source: models.ColumnDataSource, words: list[str]) -> models.DataTable
                      index_position=None)  # fmt: skip
 
 
-Floats = NDArray[np.float64]
-
 FIRST = ("mean_speed_mps", "phi_printed", "survived_fraction", "cost_of_transport_jpkgpm",
          "step_length_mean_m")  # fmt: skip
 PALETTE = "viridis"
-SHOWN_PERCENT = (0.5, 99.5)  # of the numbers of a column, in all views; zoom out to see the rest
-MARGIN = 0.02  # around all points, of the axes
+MARKED = {  # by what numbers the rows: the column that decides, its usual word, a word for others
+    "row": (ORIGIN, SOBOL_ROW, "bred"), TRIAL: (STATE, "complete", "not complete"),
+}  # fmt: skip
 
 
 def numeric_columns(store: Store) -> list[str]:
@@ -166,7 +159,8 @@ def numeric_columns(store: Store) -> list[str]:
 def first_columns(store: Store) -> list[str]:
     """The first five columns of a page; the colour is the survival of the first family, if any.
 
-    Of other simulators than the walker: the first numbers after the parameters.
+    Of other simulators than the walker: the first numbers after the parameters. Of a study: the
+    trial's number, its value, and its attributes.
     """
     survived = [name for name in store.columns if name.endswith("_survived_fraction_mean")]
     first = [*FIRST[:2], *(survived[:1] or FIRST[2:3]), *FIRST[3:]]
@@ -175,7 +169,8 @@ def first_columns(store: Store) -> list[str]:
         return first
     own = [name for name in known if name != "row" and name not in store.gain_names]
     found = [*own[1:3], *(survived or own)[:1], *own[3:], *store.gain_names, *known]
-    return list(dict.fromkeys(found))[: len(FIRST)]
+    different = list(dict.fromkeys(own + found if store.ROW == TRIAL else found))
+    return (different * len(FIRST))[: len(FIRST)]
 
 
 class StoreView:
@@ -186,14 +181,11 @@ class StoreView:
     """
 
     def __init__(
-        self,
-        store: Store,
-        message: Message,
-        pick: Callable[[int, int], None],
+        self, store: Store, message: Message, pick: Callable[[int, int], None],
         save: Callable[[Ranges], None],
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._store, self._pick = store, pick
-        self._rows: NDArray[np.int64] = self._read("row").astype(np.int64)
+        self._rows: NDArray[np.int64] = self._read(store.ROW).astype(np.int64)
         self._words = described(store, numeric_columns(store))
         options = menu(self._words)
         self._columns = [
@@ -203,26 +195,25 @@ class StoreView:
         find = models.TextInput(title="find in the menus", placeholder="hip mean", name="find")
         search = {"columns": self._columns, "options": options}
         find.js_on_change("value_input", models.CustomJS.from_file(SCRIPTS / "find.mjs", **search))
-        evolved = np.zeros(len(store), np.uint8)
-        if ORIGIN in store.columns:
-            evolved[store.table([ORIGIN])[ORIGIN].to_numpy() == EVOLVED_ROW] = 1
         self._hidden: Ranges = {}  # of columns that are not shown
-        rows = {"row": self._rows, "evolved": evolved, "kept": np.ones(len(store), np.uint8)}
+        deciding, usual, self._mark = MARKED[store.ROW]
+        marked = np.zeros(len(store), np.uint8)
+        if deciding in store.columns:
+            marked[store.table([deciding])[deciding].to_numpy() != usual] = 1
+        rows = {"row": self._rows, "marked": marked, "kept": np.ones(len(store), np.uint8)}
         self._source = models.ColumnDataSource(rows, name="rows")
-        ends = {"low": np.zeros(len(ROLES)), "high": np.ones(len(ROLES))}
-        self._bounds = models.ColumnDataSource(ends | {"words": [""] * len(ROLES)})
         self.selection = models.TextInput(
             title="selection: column low..high, ...", placeholder="drag a box", name="selection"
         )
         self._refusal = Message("selection-message")
         # without `low` and `high`: the browser would silently replace a wrong number
-        self.row = models.Spinner(title="row that walks", step=1, mode="int", name="row")
+        self.row = models.Spinner(title=f"{store.ROW} shown", step=1, mode="int", name="row")
         self._cloud, self._image, self._rings = cloud()
         self._mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
         self._bar = models.ColorBar(color_mapper=self._mapper, height=10, padding=4)
         self._cloud.add_layout(self._bar, "below")
         self._histograms, self._bars, self._spans = map(list, zip(*histograms(), strict=True))
-        fields = ("row", "bred", *(f"c{slot}" for slot in range(len(ROLES))))
+        fields = ("row", "mark", *(f"c{slot}" for slot in range(len(ROLES))))
         self._listed = models.ColumnDataSource({name: [] for name in fields}, name="listed")
         self._count = models.Div(name="count")
         for slot in range(len(ROLES)):
@@ -239,7 +230,7 @@ class StoreView:
             flow(*self._histograms, least_px=160), flow(self._count, self.row, take),
         ]  # fmt: skip
         self.selection.styles = {"flex": "4 1 260px"}
-        panel = column(*points, sizing_mode="stretch_width", name="Points of the store")
+        panel = column(*points, sizing_mode="stretch_width", name="Points")
         self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
         message.watch(self.row, "value", self._picked)
@@ -252,7 +243,8 @@ class StoreView:
         return [select.value for select in self._columns]
 
     def _table(self) -> models.DataTable:
-        return table(self._listed, [self._words[name].words for name in self._names])
+        words = [self._words[name].words for name in self._names]
+        return table(self._listed, self._store.ROW, words)
 
     def _ranges(self) -> Ranges:
         return read_selection(self.selection.value, list(self._words))
@@ -274,7 +266,8 @@ class StoreView:
         """Hand on the row that was clicked or typed."""
         places = np.flatnonzero(self._rows == self.row.value)
         if not len(places):
-            raise InputError("row", self.row.value, f"0 to {self._rows.max()}, rows of the store")
+            allowed = f"0 to {self._rows.max()}, {self._store.ROW}s of the page"
+            raise InputError(self._store.ROW, self.row.value, allowed)
         self._pick(int(places[0]), self.row.value)
 
     def _look_at(self, slot: int) -> None:
@@ -287,43 +280,26 @@ class StoreView:
         return np.asarray(self._store.table([name])[name].to_numpy(), dtype=np.float64)
 
     def _load(self, slot: int) -> None:
+        """Put a column into a slot; the script finds its bounds."""
         name = self._columns[slot].value
-        values = self._read(name)
-        low, high = _ends(values)
-        edges = np.linspace(low, high, BINS + 1)
-        counts, _ = np.histogram(np.clip(values[np.isfinite(values)], low, high), edges)
         words = self._words[name].words
         self._columns[slot].description = f"{name}: {self._words[name].meaning}"
-        bounds = {key: list(each) for key, each in self._bounds.data.items()}
-        bounds["low"][slot], bounds["high"][slot], bounds["words"][slot] = low, high, words
-        self._bounds.data = bounds
-        self._bars[slot].data = {
-            "left": edges[:-1], "right": edges[1:], "all": counts.astype(np.float64),
-            "chosen": np.zeros(BINS),
-        }  # fmt: skip
-        plot = self._histograms[slot]
-        plot.title.text = PlainText(words)  # a name between dollars would be drawn as TeX
-        plot.x_range.start, plot.x_range.end = low, high
+        # A name between dollars would be drawn as TeX.
+        self._histograms[slot].title.text = PlainText(words)
         if slot < 2:
-            axis = (self._cloud.xaxis, self._cloud.yaxis)[slot]
-            axis.axis_label = PlainText(words)
-            span = (self._cloud.x_range, self._cloud.y_range)[slot]
-            margin = MARGIN * (high - low)
-            start, end = low - margin, high + margin
-            span.update(start=start, end=end, reset_start=start, reset_end=end)
+            (self._cloud.xaxis, self._cloud.yaxis)[slot].axis_label = PlainText(words)
         if slot == 2:
-            self._mapper.update(low=low, high=high)
             self._bar.title = PlainText(words)
-        self._source.data[f"c{slot}"] = values  # last: it makes the script paint
+        self._source.data[f"c{slot}"] = self._read(name)  # last: it makes the script paint
 
     def _script(self) -> None:
         rgba = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
         script = models.CustomJS.from_file(
             SCRIPTS / "brush.mjs",
             source=self._source, columns=self._columns, selection=self.selection, image=self._image,
-            plot=self._cloud, histograms=self._histograms, bars=self._bars, bounds=self._bounds,
+            plot=self._cloud, histograms=self._histograms, bars=self._bars, mapper=self._mapper,
             table=self._listed, count=self._count, row=self.row, rings=self._rings,
-            spans=self._spans, listing=self._rows_panel,
+            spans=self._spans, listing=self._rows_panel, mark=self._mark, word=self._store.ROW,
             palette=rgba.view("<u4").ravel().tolist(),
         )  # fmt: skip
         for plot in (self._cloud, *self._histograms):
@@ -338,10 +314,3 @@ class StoreView:
         for span in (self._cloud.x_range, self._cloud.y_range):
             span.js_on_change("start", script)
             span.js_on_change("end", script)
-
-
-def _ends(values: Floats) -> tuple[float, float]:
-    """Bounds of most numbers: a few outliers would press all others together."""
-    finite = values[np.isfinite(values)]
-    low, high = map(float, np.percentile(finite, SHOWN_PERCENT)) if len(finite) else (0.0, 1.0)
-    return (low, high) if high > low else (low - 0.5, low + 0.5)

@@ -89,7 +89,7 @@ class Cycle:
 
 
 def _strides(walk: Walk, side: int) -> Strides:
-    return gait_cycle.strides_of(finite(walk.trajectory), walk.experiment.weight_n(0), side)
+    return gait_cycle.strides_of(finite(walk.trajectory), walk.experiment.weight_n(walk.run), side)
 
 
 def _mean(strides: Strides | None, name: str) -> tuple[Floats, Floats]:

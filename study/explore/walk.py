@@ -2,9 +2,11 @@
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import matplotlib
@@ -17,18 +19,13 @@ from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.trials import row_text
 from study.explore.words import CHOICES
 from study.pictures import style
+from study.pictures.gait_cycle import STRIKE, event_times
 from study.pictures.movie import write_movie
 from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
 from taichi_nmm.config import Table
-from taichi_nmm.result import (
-    COMPLETED,
-    DIVERGED,
-    END_REASONS,
-    FALL_HEIGHT_M,
-    FALL_LEAN_RAD,
-    Trajectory,
-)
+from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD, FELL, Trajectory
+from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 
 GROUNDS: dict[str, dict[str, Any]] = CHOICES["grounds"]
@@ -36,23 +33,32 @@ WORLDS: dict[str, dict[str, list[float]]] = CHOICES["worlds"]
 DISTURBANCES: dict[str, float] = CHOICES["disturbances"]
 LASTS_S: dict[str, float] = CHOICES["lasts_s"]  # by the kind of ground
 DURATIONS = ("5 s", "10 s", "20 s", "40 s", "100 s")
+OWN = "as in the study"
 NAME = "walk"  # of the configuration
 
 
 def chosen_setting(
-    ground: str, disturbance: str, seed: int, world: str, engine: str, duration_s: float
-) -> Experiment:
-    """The experiment of the page's choices, by the names above; run 0 walks.
+    ground: str, disturbance: str, seed: int, world: str, engine: str, duration_s: float,
+    own: Mapping[str, Any] = MappingProxyType({}),
+) -> Experiment:  # fmt: skip
+    """The experiment of the page's choices, by the names above; its last run walks.
+
+    `OWN` takes the ground, the masses or the world of a study, whose document is `own`. Of the same
+    engine, other settings of the simulation are the study's, too.
 
     Raises:
-        InputError: a seed out of its bounds.
+        InputError: a seed out of its bounds, or a document of another version.
     """
+    simulation = own.get("simulation", {})
+    if simulation.get("engine", ENGINES[0]) != engine:
+        simulation = {"engine": engine}
     tables = {
         "seed": seed,
-        "simulation": {"duration_s": duration_s, "engine": engine},
-        "body": {"disturbance": DISTURBANCES[disturbance]},
-        "terrain": GROUNDS[ground],
-        "world": WORLDS[world],
+        "runs": own.get("run", 0) + 1,
+        "simulation": {**simulation, "duration_s": duration_s},
+        "body": own["body"] if disturbance == OWN else {"disturbance": DISTURBANCES[disturbance]},
+        "terrain": own["ground"] if ground == OWN else GROUNDS[ground],
+        "world": own.get("world", {}) if world == OWN else WORLDS[world],
     }
     return experiment_of(Table(tables), NAME)
 
@@ -69,25 +75,13 @@ def to_toml(tables: dict[str, Any], name: str = "") -> str:
 RATE_HZ = 30
 BEFORE_M, BEYOND_M = 4.0, 6.0  # of ground, drawn beyond the hip's first and last place
 COLOURS = [to_hex(each) for each in matplotlib.colormaps[style.ACTIVATION_MAP](np.arange(256))]
-
-
 Frames = dict[str, NDArray[Any]]
 
 
 def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     """All of a walk in f frames, as far as its poses are finite; points are x and z in metres.
 
-    Returns:
-        time_s: [f].
-        camera_m: where the hip is, and the ground there, smoothed, [f, 2].
-        near, far: hip, knee, ankle, heel and ball of the left and the right leg, [f, 5, 2].
-        trunk: hip and shoulder, [f, 2, 2].
-        head: its centre, [f, 1, 2].
-        height_m: of the hip over the ground, [f].
-        muscles: lines along which they run, left leg then right, [f, 14, p, 2].
-        activation: of these, in 255ths, [f, 14].
-        forces: foot and tip of the arrow of the ground's force, left and right, [f, 2, 2, 2].
-        ground: profile, [k, 2].
+    Activation is in 255ths, [f, 14].
 
     Raises:
         InputError: no pose is finite.
@@ -105,15 +99,16 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
     drawn = {
         "time_s": motion.time_s,
-        "camera_m": np.stack([q[:, 0], motion.level_m], axis=1),
-        "height_m": q[:, 1] - terrain.height(q[:, 0]),
-        "near": leg(q, LEFT).chain(),
+        "camera_m": np.stack([q[:, 0], motion.level_m], axis=1),  # hip, and ground, smoothed [f, 2]
+        "height_m": q[:, 1] - terrain.height(q[:, 0]),  # of the hip over the ground, [f]
+        "near": leg(q, LEFT).chain(),  # hip, knee, ankle, heel and ball, [f, 5, 2]
         "far": leg(q, RIGHT).chain(),
-        "trunk": np.stack([q[:, :2], shoulder], axis=1),
+        "trunk": np.stack([q[:, :2], shoulder], axis=1),  # hip and shoulder, [f, 2, 2]
         "head": head[:, None],
-        "muscles": np.stack(paths, axis=1),
-        "forces": np.stack(arrows, axis=1),
-        "ground": np.stack([x, terrain.height(x)], axis=1),
+        "muscles": np.stack(paths, axis=1),  # their lines, left leg, then right, [f, 14, p, 2]
+        "forces": np.stack(arrows, axis=1),  # foot and tip, left and right, [f, 2, 2, 2]
+        "ground": np.stack([x, terrain.height(x)], axis=1),  # [k, 2]
+        "strikes_s": event_times(trajectory, LEFT, STRIKE),
     }
     activation = np.clip(255.0 * motion.activation, 0, 255).astype(np.uint8)
     sent = {name: np.ascontiguousarray(part, dtype=np.float32) for name, part in drawn.items()}
@@ -128,7 +123,8 @@ class Walk:
     """A walk that was simulated."""
 
     gains: NamedGains
-    experiment: Experiment  # its run 0: the robot and its ground
+    experiment: Experiment
+    run: int  # of the experiment: the robot and its ground
     row: np.void  # of the simulator's result
     trajectory: Trajectory  # of the whole walk
     frames: Frames  # for the page to draw
@@ -136,24 +132,22 @@ class Walk:
 
 
 def walk(gains: NamedGains, experiment: Experiment) -> Walk:
-    """Simulate, and prepare what is drawn.
+    """Simulate on the last run of an experiment, and prepare what is drawn.
 
     Raises:
         InputError: what the simulator refuses.
     """
-    alone = experiment.on_one_thread()  # other tabs' walks run beside this one
-    result = recorded_walk(gains, alone.with_settings(arch="cpu"), 0, SEEN_RATE_HZ)
-    row, trajectory, terrain = result.rows[0], result.trajectories[0], experiment.terrain(0)
+    alone, run = experiment.on_one_thread(), experiment.runs - 1  # beside walks of other tabs
+    result = recorded_walk(gains, alone.with_settings(arch="cpu"), run, SEEN_RATE_HZ)
+    row, trajectory, terrain = result.rows[0], result.trajectories[0], experiment.terrain(run)
     ended = f"{row_text(row)}{_why(row, trajectory, terrain)}"
-    return Walk(gains, experiment, row, trajectory, frames_of(trajectory, terrain), ended)
+    return Walk(gains, experiment, run, row, trajectory, frames_of(trajectory, terrain), ended)
 
 
 def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
-    """Why a walk was not completed: the bound of a fall that its last pose exceeds."""
-    if row["end_reason"] == COMPLETED:
+    """Why a walker fell: the bound of a fall that its last pose exceeds."""
+    if row["end_reason"] != FELL:
         return ""
-    if row["end_reason"] == DIVERGED:
-        return f": the simulation {END_REASONS[DIVERGED]}"
     last: NDArray[np.float64] = finite(trajectory).q[-1]
     lean, height_m = float(last[2]), float(last[1] - terrain.height(last[0]))
     if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / max(height_m, 1e-6):
@@ -178,9 +172,9 @@ def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
     """One of `NAMES` or `FILM` and its content, to be taken from the page."""
     if name == FILM:
         with TemporaryDirectory() as folder:
-            path, terrain = Path(folder) / name, walk.experiment.terrain(0)
+            path, terrain = Path(folder) / name, walk.experiment.terrain(walk.run)
             write_movie(path, walk.trajectory, terrain, title=walk.gains.name)
             return name, path.read_bytes()
     if name == CONFIG:
-        return name, to_toml(as_written(walk.experiment)).encode()
+        return name, to_toml({"runs": walk.run + 1, **as_written(walk.experiment)}).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()

@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
-import numpy as np
 from bokeh import models
 from bokeh.document import Document
 from bokeh.layouts import column, row
@@ -30,13 +29,15 @@ STRIDE = "stride beside people"
 class WalkView:
     """Choices of a setting, the stages, the gains, and files to save.
 
-    Of processes, `walkers` simulate and `makers` make files.
+    Of processes, `walkers` simulate and `makers` make files. Of a study's experiment, the document
+    is `own`: its walks are those of the page, until another setting is chosen.
     """
 
     def __init__(
-        self, document: Document, walkers: Executor, makers: Executor, message: Message
-    ) -> None:
-        self._message = message
+        self, document: Document, walkers: Executor, makers: Executor, message: Message,
+        own: dict[str, Any],
+    ) -> None:  # fmt: skip
+        self._message, self._own = message, own
         self._walk: walking.Walk | None = None
         self._start: walking.Walk | None = None  # with which later ones are compared
         self._beside: walking.Walk | None = None  # of the gait that is kept
@@ -47,10 +48,9 @@ class WalkView:
         self._score = models.Div(text="", name="score", disable_math=True)
         self._others = Latest(document, walkers, self._walked_beside, message.failed)
         self._hands = Hands(message, self._again, self.show)
-        self._choices = _choices()
+        self._choices = _choices(own)
         for name, choice in self._choices.items():
-            chosen = self._on_ground if name == "ground" else self._chosen
-            message.watch(choice, "value", chosen)
+            message.watch(choice, "value", self._on_ground if name == "ground" else self._chosen)
         self._parts = {
             "gains": self._hands.layout, "score": self._score, STRIDE: None,
             "take it with you": self._taking(),
@@ -78,8 +78,8 @@ class WalkView:
 
     def _on_ground(self) -> None:
         """Walk until the ground has been met: flat ground lies before all others."""
-        kind = walking.GROUNDS[self._choices["ground"].value]["kind"]
-        duration, lasts = self._choices["duration_s"], f"{walking.LASTS_S[kind]:g} s"
+        duration = self._choices["duration_s"]
+        lasts = _lasts(self._choices["ground"].value, self._own)
         if duration.value == lasts:
             self._chosen()
         duration.value = lasts
@@ -96,7 +96,7 @@ class WalkView:
         self._message.tell("")
         chosen = {name: choice.value for name, choice in self._choices.items()}
         chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
-        setting = walking.chosen_setting(**chosen)
+        setting = walking.chosen_setting(**chosen, own=self._own)
         self._player.stages[0].say(self._hands.gains.name, "simulating ...")
         self._walks.ask(walking.walk, self._hands.gains, setting)
         if self._beside is not None:
@@ -143,7 +143,8 @@ class WalkView:
         for button in buttons:
             button.on_click(self._message.safely(partial(self._take, button.label)))
         words = models.Div(text="With both files, this command draws, films and records the walk:")
-        command = models.Div(text=f"<code>{walking.COMMAND}</code>", name="command")
+        run = f" --run {self._own['run']}" if self._own.get("run") else ""
+        command = models.Div(text=f"<code>{walking.COMMAND}{run}</code>", name="command")
         return column(flow(*buttons), words, command, sizing_mode="stretch_width")
 
     def _take(self, name: str) -> None:
@@ -151,12 +152,16 @@ class WalkView:
             self.save(walking.file_of_walk, self._walk, name)
 
 
-def _choices() -> dict[str, Any]:
-    """By the names of `chosen_setting`'s arguments."""
-    menus: dict[str, tuple[str, Any]] = {
-        "ground": ("ground", walking.GROUNDS), "world": ("world", walking.WORLDS),
-        "disturbance": ("masses of the body", walking.DISTURBANCES),
-        "engine": ("engine", ENGINES), "duration_s": ("at most", walking.DURATIONS),
+def _choices(own: dict[str, Any]) -> dict[str, Any]:
+    """By the names of `chosen_setting`'s arguments; first those of a study, if there is one."""
+    study = (walking.OWN,) if own else ()
+    lasts = _lasts(walking.OWN if own else "flat", own)
+    more = () if lasts in walking.DURATIONS else (lasts,)
+    menus: dict[str, tuple[str, tuple[str, ...]]] = {
+        "ground": ("ground", (*study, *walking.GROUNDS)),
+        "world": ("world", (*study, *walking.WORLDS)),
+        "disturbance": ("masses of the body", (*study, *walking.DISTURBANCES)),
+        "engine": ("engine", ENGINES), "duration_s": ("at most", (*walking.DURATIONS, *more)),
     }  # fmt: skip
     found: dict[str, Any] = {
         name: models.Select(title=title, options=list(options), name=name.removesuffix("_s"))
@@ -164,8 +169,18 @@ def _choices() -> dict[str, Any]:
     }  # fmt: skip
     for choice in found.values():
         choice.value = choice.options[0]
-    found["duration_s"].value = f"{walking.LASTS_S['flat']:g} s"
-    return found | {"seed": models.Spinner(title="seed", step=1, value=1, mode="int", name="seed")}
+    found["duration_s"].value = lasts
+    found["engine"].value = own.get("simulation", {}).get("engine", ENGINES[0])
+    found["seed"] = models.Spinner(title="seed", step=1, mode="int", name="seed")
+    found["seed"].value = own.get("seed", 1)
+    return found
+
+
+def _lasts(ground: str, own: dict[str, Any]) -> str:
+    """How long a walk is asked for at first: as in the study, or until it has met the ground."""
+    if ground == walking.OWN:
+        return f"{own['simulation']['duration_s']:.12g} s"
+    return f"{walking.LASTS_S[walking.GROUNDS[ground]['kind']]:g} s"
 
 
 STARTS = ("published", "reference")
@@ -201,8 +216,9 @@ class Hands:
         message.watch(self._starts, "value", self._from_start)
         pairs = list(zip(self._sliders, self._numbers, strict=True))
         for place, (slider, number) in enumerate(pairs):
-            message.watch(slider, "value", partial(self._set, place, None))
-            message.watch(number, "value", partial(self._typed, place))
+            slider.js_link("value", number, "value")
+            number.js_link("value", slider, "value")
+            message.watch(number, "value", partial(self._set, place))
         self.take(gains_of_source(STARTS[0]))
         rows = flow(*(row(*pair) for pair in pairs), least_px=300)
         self.layout: models.Column = column(self._starts, rows, sizing_mode="stretch_width")
@@ -219,29 +235,22 @@ class Hands:
             self._starts.value = ""
             self._start(gains)
 
-    def _typed(self, place: int) -> None:
-        if self._still:
+    def _set(self, place: int) -> None:
+        value, gain, gains = self._numbers[place].value, GAINS[place], self.gains.gains.copy()
+        if self._still or value == gains[place]:
             return
-        value, gain = self._numbers[place].value, GAINS[place]
         if value is None or not gain.low <= value <= gain.high:
-            self._show(place, float(self.gains.gains[place]))
+            self._show(place, float(gains[place]))
             raise InputError(gain.name, value, f"{gain.low:g} to {gain.high:g}")
-        self._set(place, float(value))
-
-    def _set(self, place: int, typed: float | None) -> None:
-        value = float(self._sliders[place].value) if typed is None else typed
-        if self._still or value == self.gains.gains[place]:
-            return
-        gains = self.gains.gains.copy()
-        gains[place] = np.clip(value, GAINS[place].low, GAINS[place].high)
+        gains[place] = value
         name = self.gains.name.removesuffix(" changed") + " changed"
         self.gains = replace(self.gains, name=name, gains=gains)
-        self._show(place, value)
         self._changed()
 
     def _show(self, place: int, value: float) -> None:
         self._still = True
-        self._sliders[place].value = self._numbers[place].value = value
+        # The number first: a link that answered to the slider would change the number once more.
+        self._numbers[place].value = self._sliders[place].value = value
         self._still = False
 
 

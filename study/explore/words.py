@@ -50,7 +50,8 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
             found[name] = Described(f"family {family}", f"{family}: {words}", line)
         else:
             group = GAIT if walker and name in dict(SUMMARY_FIELDS) else OUTCOME
-            found[name] = Described(group, in_words(name)[0], "in the base setting")
+            line = "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
+            found[name] = Described(group, in_words(name)[0], line)
     return found
 
 

@@ -13,6 +13,7 @@ import math
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -62,7 +63,7 @@ class Strides:
 
 def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -> Strides:
     """All strides of a leg from heel strike to heel strike after the settling ones."""
-    strikes = _times(trajectory, side, STRIKE)[SETTLING_STRIDES:]
+    strikes = event_times(trajectory, side, STRIKE)[SETTLING_STRIDES:]
     starts, ends = strikes[:-1], strikes[1:]
     joints = np.rad2deg(trajectory.joint_rad[:, 3 * side : 3 * side + 3])
     activation = trajectory.activation[:, len(MUSCLES) * side :]
@@ -77,7 +78,7 @@ def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -
         return np.interp(times + lag_s, trajectory.time_s, column)
 
     force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2] / body_weight_n
-    take_offs = _times(trajectory, side, TAKE_OFF)
+    take_offs = event_times(trajectory, side, TAKE_OFF)
     first = np.append(take_offs, np.inf)[np.searchsorted(take_offs, starts, side="right")]
     return Strides(
         hip_flexion_deg=-cut(joints[:, 0]),
@@ -91,7 +92,7 @@ def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -
     )
 
 
-def _times(trajectory: Trajectory, side: int, kind: int) -> Array:
+def event_times(trajectory: Trajectory, side: int, kind: int) -> Array:
     """Times of a foot's events of a kind, in order, [k]."""
     events = trajectory.events
     wanted = (events["side"] == side) & (events["kind"] == kind)
@@ -245,8 +246,7 @@ def subtitle(strides: Strides) -> str:
 ACCURACY = {"deg": 3.0, "bw": 0.05}  # of the published tables: `study.pictures.gait_cycle`
 
 
-@dataclass(frozen=True)
-class Distance:
+class Distance(NamedTuple):
     """The distance of a walker's mean stride from the mean of people."""
 
     rmse: float  # root of the mean squared difference, in the curve's unit

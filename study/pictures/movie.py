@@ -43,7 +43,7 @@ def find_ffmpeg() -> str:
 
 def write_movie(
     path: str | Path, trajectory: Trajectory, terrain: Terrain, seconds: float = 8.0,
-    title: str = "", *, film: Film = LARGE, program: str | None = None,
+    title: str = "", *, film: Film = LARGE,
 ) -> Path:  # fmt: skip
     """Film the last `seconds` of a walk in real time, with the forces of the ground.
 
@@ -54,18 +54,16 @@ def write_movie(
         seconds: how much of the walk's end is shown.
         title: one line in the corner.
         film: its size, rate and quality.
-        program: path of ffmpeg; by default that of `find_ffmpeg`.
 
     Raises:
         InputError: no ffmpeg that works, or the file cannot be written.
     """
-    encoder = program or find_ffmpeg()
-    return _write(path, encoder, frames(trajectory, terrain, seconds, title, film), film)
+    return _write(path, find_ffmpeg(), frames(trajectory, terrain, seconds, title, film), film)
 
 
 def film_run(
     path: str | Path, simulator: "MujocoSimulator", point: Mapping[str, Any],
-    world: Mapping[str, float], seconds: float, *, film: Film = LARGE, program: str | None = None,
+    world: Mapping[str, float], seconds: float, *, film: Film = LARGE,
 ) -> Path:  # fmt: skip
     """Film a run of a robot in MuJoCo, in real time, by the camera that its model names first.
 
@@ -76,12 +74,11 @@ def film_run(
         world: numbers that are not those of the base setting.
         seconds: how long it runs, if it does not fall.
         film: size, rate and quality.
-        program: path of ffmpeg; by default that of `find_ffmpeg`.
 
     Raises:
         InputError: no ffmpeg or no OpenGL that works, or the file cannot be written.
     """
-    encoder = program or find_ffmpeg()
+    encoder = find_ffmpeg()
     model, states = simulator.states(point, world, seconds)
     times_s = np.arange(0.0, len(states) * simulator.control_step_s, 1.0 / film.rate_hz)
     shown = [states[int(time_s / simulator.control_step_s)] for time_s in times_s]

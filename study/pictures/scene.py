@@ -16,20 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy.signal import lfilter
 
+from study.pictures import stick_figure as stick
 from study.pictures import style
-from study.pictures.stick_figure import (
-    HEAD_RADIUS_M,
-    LEFT,
-    RIGHT,
-    TRUNK_WIDTH_M,
-    Bone,
-    at_times,
-    finite,
-    last_seconds,
-    leg,
-    muscle_outlines,
-    trunk,
-)
 from taichi_nmm.result import MUSCLES, Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -71,7 +59,7 @@ class Canvas:
         """A filled circle."""
         self.polygon(centre_m + radius_m * np.stack([np.cos(CIRCLE), np.sin(CIRCLE)], -1), fill)
 
-    def bones(self, parts: Iterable[Bone], fill: Colour) -> None:
+    def bones(self, parts: Iterable[stick.Bone], fill: Colour) -> None:
         """Thick lines with round ends."""
         for start_m, end_m, width_m in parts:
             self.polygon(capsule(start_m, end_m, width_m), fill)
@@ -129,21 +117,13 @@ SMALLEST_TEXT_PX = 9  # of a film a quarter of the full size
 
 @dataclass(frozen=True)
 class Film:
-    """How a film is made.
+    """How a film is made."""
 
-    Attributes:
-        size_px: of a frame; even numbers: yuv420p halves both.
-        rate_hz: frames a second.
-        effort: of the encoder: a preset of x264.
-        quality: of the encoder: its constant rate factor; lower is better.
-        threads: of the encoder; 0 leaves the number to it.
-    """
-
-    size_px: tuple[int, int]
-    rate_hz: int
-    effort: str
-    quality: int
-    threads: int
+    size_px: tuple[int, int]  # of a frame; even numbers: yuv420p halves both
+    rate_hz: int  # frames a second
+    effort: str  # of the encoder: a preset of x264
+    quality: int  # of the encoder: its constant rate factor; lower is better
+    threads: int  # of the encoder; 0 leaves the number to it
 
 
 LARGE = Film((1280, 640), 30, "medium", 20, threads=0)
@@ -168,20 +148,20 @@ def frames(
     trajectory: Trajectory, terrain: Terrain, seconds: float, title: str, film: Film = LARGE
 ) -> Iterator[bytes]:
     """RGB frames of the last `seconds`, as bytes."""
-    motion = motion_of(finite(trajectory), terrain, seconds, film.rate_hz)
+    motion = motion_of(stick.finite(trajectory), terrain, seconds, film.rate_hz)
     yield from map(Scene(motion, terrain, title, film.size_px).picture, range(len(motion.time_s)))
 
 
 def motion_of(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
     """The last `seconds` of a walk whose poses are finite, `rate_hz` frames a second."""
-    start_s, end_s = last_seconds(trajectory, seconds)
+    start_s, end_s = stick.last_seconds(trajectory, seconds)
     times_s = np.arange(start_s, end_s + 1e-9, 1.0 / rate_hz)
-    q = at_times(trajectory, trajectory.q, times_s)
+    q = stick.at_times(trajectory, trajectory.q, times_s)
     return Motion(
         time_s=times_s,
         q=q,
-        activation=at_times(trajectory, trajectory.activation, times_s),
-        force_n=at_times(trajectory, smooth_force(trajectory), times_s),
+        activation=stick.at_times(trajectory, trajectory.activation, times_s),
+        force_n=stick.at_times(trajectory, smooth_force(trajectory), times_s),
         level_m=camera_level(terrain.height(q[:, 0]), rate_hz),
     )
 
@@ -194,7 +174,8 @@ class Scene:
     ) -> None:
         self._motion, self._terrain, self._title, self._size_px = motion, terrain, title, size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
-        self._outlines = [muscle_outlines(motion.q, side) for side in (LEFT, RIGHT)]
+        sides = stick.LEFT, stick.RIGHT
+        self._outlines = [stick.muscle_outlines(motion.q, side) for side in sides]
         colours = matplotlib.colormaps[style.ACTIVATION_MAP](motion.activation, bytes=True)
         self._colours = [[tuple(c) for c in frame] for frame in colours[..., :3].tolist()]
         self._bar = self._activation_bar()
@@ -207,7 +188,7 @@ class Scene:
         bottom_m = motion.level_m[number] - BELOW_GROUND_M
         canvas = Canvas(self._size_px, left_m, bottom_m, VIEW_WIDTH_M)
         self._draw_walker(canvas, number)
-        for side in (LEFT, RIGHT):
+        for side in (stick.LEFT, stick.RIGHT):
             foot = pressure_point(q, side)
             force = FORCE_M_PER_N * motion.force_n[number, 2 * side : 2 * side + 2]
             if np.hypot(*force) > FORCE_WIDTH_M:
@@ -220,14 +201,14 @@ class Scene:
 
     def _draw_walker(self, canvas: Canvas, number: int) -> None:
         q = self._motion.q[number]
-        near, far = leg(q, LEFT), leg(q, RIGHT)
-        shoulder, head = trunk(q)
+        near, far = stick.leg(q, stick.LEFT), stick.leg(q, stick.RIGHT)
+        shoulder, head = stick.trunk(q)
         canvas.bones(far.bones(), style.FAR_LIMB)
-        self._draw_muscles(canvas, number, RIGHT, style.FAINT)
-        canvas.bones([(near.hip, shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB)
-        canvas.disc(head, HEAD_RADIUS_M, style.NEAR_LIMB)
+        self._draw_muscles(canvas, number, stick.RIGHT, style.FAINT)
+        canvas.bones([(near.hip, shoulder, stick.TRUNK_WIDTH_M)], style.NEAR_LIMB)
+        canvas.disc(head, stick.HEAD_RADIUS_M, style.NEAR_LIMB)
         canvas.bones(near.bones(), style.NEAR_LIMB)
-        self._draw_muscles(canvas, number, LEFT, style.INK)
+        self._draw_muscles(canvas, number, stick.LEFT, style.INK)
         for joint in (near.hip, near.knee, near.ankle):
             canvas.disc(joint, JOINT_RADIUS_M, style.INK)
 
@@ -289,7 +270,7 @@ def pressure_point(q: Array, side: int) -> Array:
 
     It is the lower end of a tilted foot, the middle of a flat one.
     """
-    joints = leg(q, side)
+    joints = stick.leg(q, side)
     lower = joints.heel[..., 1:] - joints.ball[..., 1:]
     share = np.clip(0.5 + lower / PRESSURE_SHIFT_M, 0.0, 1.0)
     return np.asarray(joints.heel + share * (joints.ball - joints.heel))

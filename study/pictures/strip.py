@@ -10,16 +10,8 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from study.pictures import stick_figure as stick
 from study.pictures import style
-from study.pictures.stick_figure import (
-    LEFT,
-    activation_bar,
-    at_times,
-    draw_walker,
-    finite,
-    last_metres,
-    leg,
-)
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -56,13 +48,14 @@ class Stretch:
         axes.grid(False)
         low_x, high_x, low_z, high_z = self.frame
         axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))  # the bones are as wide as its scale
-        q = at_times(self.trajectory, self.trajectory.q, self.poses_s)
-        activation = at_times(self.trajectory, self.trajectory.activation, self.poses_s)
+        q = stick.at_times(self.trajectory, self.trajectory.q, self.poses_s)
+        activation = stick.at_times(self.trajectory, self.trajectory.activation, self.poses_s)
         for number in range(len(q)):
-            muscles = draw_walker(axes, q[number], activation[number], layer=3.0 + number)
+            muscles = stick.draw_walker(axes, q[number], activation[number], layer=3.0 + number)
         times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
         if len(times_s):  # the left leg and the hip's path between, as in a chronophotograph
-            near = leg(at_times(self.trajectory, self.trajectory.q, times_s), LEFT)
+            between = stick.at_times(self.trajectory, self.trajectory.q, times_s)
+            near = stick.leg(between, stick.LEFT)
             lines = list(near.chain()[:, [0, 1, 2, 4]])
             thin = LineCollection(lines, colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5)
             axes.add_collection(thin, autolim=False)
@@ -87,12 +80,12 @@ def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None
 
     The frame is by default as wide as the poses.
     """
-    trajectory = finite(trajectory)
-    start_s, end_s = last_metres(trajectory, SHOWN_M)
+    trajectory = stick.finite(trajectory)
+    start_s, end_s = stick.last_metres(trajectory, SHOWN_M)
     x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
     count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
     poses_s = np.linspace(start_s, end_s, count)
-    q = at_times(trajectory, trajectory.q, poses_s)
+    q = stick.at_times(trajectory, trajectory.q, poses_s)
     width = width_m or max(np.ptp(q[:, 0]) + 2.0 * MARGIN_M, NARROWEST_M)
     low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - width)
     high_x = low_x + width
@@ -154,7 +147,7 @@ def strips_figure(
         axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
         bottom -= AXIS_IN
     bar_in, bar_bottom = min(1.6, strip_in[0]), height - 2.0 * TITLE_IN - strip_in[0]
-    activation_bar(style.axes_at(figure, width - 0.85, bar_bottom, 0.13, bar_in), muscles)
+    stick.activation_bar(style.axes_at(figure, width - 0.85, bar_bottom, 0.13, bar_in), muscles)
     if with_profile:
         axes = style.axes_at(figure, LEFT_IN, AXIS_IN, wide_in, PROFILE_IN)
         _draw_profile(axes, walks, parts, colours)

@@ -9,10 +9,13 @@ const PALE = 0xffe0dcd8 // ABGR, as pixels lie in memory
 const DARK = 0xff000000
 const MOST_ROWS = 200
 const NEAR_PX = 14
+const FEW = 1000 // rows, whose points are larger
+const SHOWN_PERCENT = [0.5, 99.5] // of the numbers of a column, in all views; zoom out to see the rest
+const MARGIN = 0.02 // around all points, of the axes
 let state = null
 
 export default (args, event) => {
-  state ??= {inside: null, ms: 0, refreshed: 0}
+  state ??= {inside: null, ms: 0, refreshed: 0, ends: [], values: []}
   window.store_view = state // for tests
   if (event.geometry) {
     if (event.final) brush(args, event)
@@ -27,7 +30,7 @@ export default (args, event) => {
     const [place] = event.indices
     if (place !== undefined) args.row.value = args.table.data.row[place]
   } else if (event === args.plot.x_range || event === args.plot.y_range) {
-    paint(args)
+    if (!state.turning) paint(args)
   } else {
     refresh(args)
   }
@@ -45,11 +48,11 @@ function ranges(args) {
 
 function brush(args, {geometry, origin}) {
   const found = ranges(args)
-  const bounds = args.bounds.data
   const take = (slot, ends) => { // a box up to the edge takes what lies beyond, too
     ends.sort((one, other) => one - other)
-    if (ends[0] <= bounds.low[slot]) ends[0] = -Infinity
-    if (ends[1] >= bounds.high[slot]) ends[1] = Infinity
+    const [low, high] = state.ends[slot]
+    if (ends[0] <= low) ends[0] = -Infinity
+    if (ends[1] >= high) ends[1] = Infinity
     found.set(args.columns[slot].value, ends)
   }
   if (origin === args.plot) {
@@ -76,18 +79,52 @@ function refresh(args) {
   const chosen = []
   for (let i = 0; i < rows; i++) if (inside[i]) chosen.push(i)
   Object.assign(state, {inside, all: chosen.length === rows, chosen: chosen.length})
+  args.columns.forEach((_, slot) => { if (data[`c${slot}`] !== state.values[slot]) turn(args, slot) })
   paint(args)
   count(args, chosen)
   list(args, chosen.slice(0, MOST_ROWS))
   mark(args)
-  args.count.setv({text: `${chosen.length.toLocaleString("en")} of ${rows.toLocaleString("en")} rows`}, HERE)
+  args.count.setv({text: `${chosen.length.toLocaleString("en")} of ${rows.toLocaleString("en")} ${args.word}s`}, HERE)
   state.ms = performance.now() - began
   state.refreshed += 1
 }
 
-// Rows outside the selection first, pale; then those inside, coloured; bred ones last, with a rim.
-function paint({source, image, plot, bounds, palette}) {
-  const {c0, c1, c2, evolved} = source.data
+// All views to another column: bounds of most of its numbers, for a few outliers would press all others together.
+function turn({source, plot, histograms, bars, mapper}, slot) {
+  const values = state.values[slot] = source.data[`c${slot}`]
+  const finite = new Float64Array(values).filter(Number.isFinite).sort()
+  const at = (percent) => finite[Math.round(percent / 100 * (finite.length - 1))]
+  let [low, high] = finite.length ? SHOWN_PERCENT.map(at) : [0, 1]
+  if (!(high > low)) [low, high] = [low - 0.5, low + 0.5]
+  state.ends[slot] = [low, high]
+  const {left, right, all} = bars[slot].data
+  left.forEach((_, i) => {
+    left[i] = low + (high - low) * i / left.length
+    right[i] = low + (high - low) * (i + 1) / left.length
+  })
+  tally(all, finite, state.ends[slot])
+  histograms[slot].x_range.setv({start: low, end: high}, HERE)
+  if (slot === 2) mapper.setv({low, high}, HERE)
+  if (slot > 1) return
+  const [start, end] = [low - MARGIN * (high - low), high + MARGIN * (high - low)]
+  state.turning = true // painted once, in the end
+  ;[plot.x_range, plot.y_range][slot].setv({start, end, reset_start: start, reset_end: end}, HERE)
+  state.turning = false
+}
+
+// How many of some numbers are in each bar; those beyond the ends are in the first and the last.
+function tally(counts, values, [low, high]) {
+  counts.fill(0)
+  const scale = counts.length / (high - low)
+  for (const value of values) {
+    const place = Math.floor((value - low) * scale)
+    if (!isNaN(place)) counts[Math.max(0, Math.min(place, counts.length - 1))] += 1
+  }
+}
+
+// Rows outside the selection first, pale; then those inside, coloured; marked ones last, with a rim.
+function paint({source, image, plot, palette}) {
+  const {c0, c1, c2, marked} = source.data
   let pixels = image.data.image[0]
   const laid_out = !plot.properties.inner_width.is_unset && plot.inner_width > 0 && plot.inner_height > 0
   const [height, width] = laid_out ? [plot.inner_height, plot.inner_width].map(Math.round) : pixels.shape
@@ -98,8 +135,8 @@ function paint({source, image, plot, bounds, palette}) {
   const {x_range, y_range} = plot
   const [left, bottom] = [x_range.start, y_range.start]
   const [across, up] = [width / (x_range.end - left), height / (y_range.end - bottom)]
-  const low = bounds.data.low[2]
-  const scale = palette.length / (bounds.data.high[2] - low || 1)
+  const [low, high] = state.ends[2]
+  const scale = palette.length / (high - low)
   const colour = (i) => palette[Math.min(palette.length - 1, Math.max(0, Math.floor((c2[i] - low) * scale)))] ?? DARK
   const square = (i, reach, ink) => {
     const [x, y] = [Math.round((c0[i] - left) * across), Math.round((c1[i] - bottom) * up)]
@@ -108,35 +145,30 @@ function paint({source, image, plot, bounds, palette}) {
       for (let at = v * width + x - reach, end = at + 2 * reach; at <= end; at++) pixels[at] = ink
     }
   }
+  const reach = c0.length < FEW ? 3 : 1
   pixels.fill(0)
-  if (!state.all) for (let i = 0; i < c0.length; i++) if (!state.inside[i]) square(i, 1, PALE)
-  for (let i = 0; i < c0.length; i++) if (state.inside[i] && !evolved[i]) square(i, 1, colour(i))
+  if (!state.all) for (let i = 0; i < c0.length; i++) if (!state.inside[i]) square(i, reach, PALE)
+  for (let i = 0; i < c0.length; i++) if (state.inside[i] && !marked[i]) square(i, reach, colour(i))
   for (let i = 0; i < c0.length; i++) {
-    if (!state.inside[i] || !evolved[i]) continue
-    square(i, 3, DARK)
-    square(i, 2, colour(i))
+    if (!state.inside[i] || !marked[i]) continue
+    square(i, reach + 2, DARK)
+    square(i, reach + 1, colour(i))
   }
   const {x, y, dw, dh} = image.data
   x[0] = left; y[0] = bottom; dw[0] = x_range.end - left; dh[0] = y_range.end - bottom
   image.change.emit()
 }
 
-function count({source, bars, bounds}, chosen) {
+function count({source, bars}, chosen) {
   bars.forEach((bar, slot) => {
     const values = source.data[`c${slot}`]
-    const counts = bar.data.chosen.fill(0)
-    const low = bounds.data.low[slot]
-    const scale = counts.length / (bounds.data.high[slot] - low || 1)
-    for (const i of chosen) {
-      const place = Math.floor((values[i] - low) * scale)
-      if (!isNaN(place)) counts[Math.max(0, Math.min(place, counts.length - 1))] += 1
-    }
+    tally(bar.data.chosen, chosen.map((i) => values[i]), state.ends[slot])
     bar.change.emit()
   })
 }
 
-function list({source, table, columns, listing}, some) {
-  const data = {row: some.map((i) => source.data.row[i]), bred: some.map((i) => source.data.evolved[i] ? "bred" : "")}
+function list({source, table, columns, listing, mark}, some) {
+  const data = {row: some.map((i) => source.data.row[i]), mark: some.map((i) => source.data.marked[i] ? mark : "")}
   columns.forEach((_, slot) => { data[`c${slot}`] = some.map((i) => source.data[`c${slot}`][i]) })
   table.setv({data}, HERE)
   listing.children[0].view.change.emit() // a table does not see other rows if they are as many
@@ -155,11 +187,11 @@ function nearest({source, plot}, {x, y}) {
   return found
 }
 
-function point_at({source, plot, rings, bounds}, place) {
+function point_at({source, plot, rings, histograms, word}, place) {
   if (place === state.pointed) return
   state.pointed = place
-  const number = (slot) => `${bounds.data.words[slot]} ${Number(source.data[`c${slot}`][place].toPrecision(4))}`
-  const text = place < 0 ? " " : [`row ${source.data.row[place]}`, number(0), number(1), number(2)].join(", ")
+  const number = (slot) => `${histograms[slot].title.text.text} ${Number(source.data[`c${slot}`][place].toPrecision(4))}`
+  const text = place < 0 ? " " : [`${word} ${source.data.row[place]}`, number(0), number(1), number(2)].join(", ")
   plot.title.setv({text}, HERE)
   ring(rings, 1, source.data, place)
 }

@@ -5,13 +5,21 @@ const HERE = {sync: false}
 const SLIDER_MS = 200 // between moves of the slider
 const HIGH_M = 2.2 // shown at least, with the ground below
 const AHEAD = 0.45 // where the walker is in the picture, from the left
+const STRIDES = "cycle-" // begins the names of figures of the stride
+const BONES = [0, 1, 3] // at which points of a leg's chain thigh, shank and foot begin
+const NEAR_M = 0.05 // of a muscle, from the pointer
 const OWN_KEYS = /^(INPUT|SELECT|TEXTAREA|BUTTON|SUMMARY)$/ // to which the space bar means something
 let state = null
 
 export default (args, changed) => {
   state ??= begin(args)
+  const pointed = args.stages.find(({figure}) => figure === changed.origin)
   if (changed === args.slider) {
     if (!state.own) state.time = args.slider.value
+  } else if (pointed) {
+    const {x_range, y_range} = pointed.figure // from their corner: they go with the walker
+    const place = changed.event_name === "mouseleave" ? [] : [changed.x - x_range.start, changed.y - y_range.start]
+    pointed.figure.setv({tags: place}, HERE)
   } else if (changed.event_name === "tap") {
     move_to(args, Math.max(0, Math.min(changed.x, args.slider.end)))
   } else if (changed !== args.play && changed !== args.ghost) { // the page is ready, or frames have come
@@ -28,6 +36,10 @@ export default (args, changed) => {
 function begin(args) {
   const own = {time: 0, before: performance.now(), moved: 0, own: false, shown: 0}
   window.walk_player = own // for tests
+  for (const {lines, ghost_lines} of args.stages) {
+    lines.data = lines_of(args.looks, false)
+    ghost_lines.data = lines_of(args.looks, true)
+  }
   const tick = (now) => {
     const passed = (now - own.before) / 1000
     own.before = now
@@ -78,6 +90,29 @@ function draw_all(args) {
   }
   state.haunted = haunted
   args.cursor.setv({location: state.time}, HERE)
+  draw_strides(args)
+}
+
+// A line in each figure of the stride, where the left leg is between two strikes of its heel: an
+// element of the page, for a cursor of Bokeh's would have each figure painted anew.
+function draw_strides({stages: [{frames}], cursor}) {
+  const now = performance.now()
+  if (!(now - state.looked < SLIDER_MS)) {
+    state.looked = now
+    const strides = (view) => view.model.type === "Figure" && view.model.name?.startsWith(STRIDES)
+    state.lines = [...Bokeh.index.query(strides)].map((view) => {
+      view.walker ??= view.canvas_view.overlays_el.appendChild(document.createElement("div"))
+      const {left, top, width, height} = view.frame.bbox
+      const place = `left: ${left - 1}px; top: ${top}px; height: ${height}px; background: ${cursor.line_color}`
+      return [view.walker, width / 100, `position: absolute; width: 2px; pointer-events: none; ${place}; transform: `]
+    })
+  }
+  const strikes = frames.data.strikes_s?.[0] ?? []
+  const next = strikes.findIndex((strike) => strike > state.time)
+  state.stride = next > 0 ? 100 * (state.time - strikes[next - 1]) / (strikes[next] - strikes[next - 1]) : null
+  for (const [line, px, style] of state.lines) {
+    line.style = style + (state.stride === null ? "scale(0)" : `translateX(${(state.stride * px).toFixed(1)}px)`)
+  }
 }
 
 // A walk on the time line: the height of its hip, and its fall.
@@ -113,7 +148,7 @@ function draw(args, {frames, lines, head, trail, figure}) {
   const all = frames.data
   const n = frame(all)
   const px = scale(args, {figure})
-  pose(lines, head, all, n, px, [0, 0], args.levels)
+  pose(lines, head, all, n, px, [0, 0], args.looks.levels)
   const hips = all.trunk[0]
   trail.data.x = Float32Array.from({length: n + 1}, (_, at) => hips[4 * at])
   trail.data.y = Float32Array.from({length: n + 1}, (_, at) => hips[4 * at + 1])
@@ -123,7 +158,43 @@ function draw(args, {frames, lines, head, trail, figure}) {
   figure.x_range.setv({start: x - AHEAD * width, end: x + (1 - AHEAD) * width}, HERE)
   figure.y_range.setv({start: z - args.below_m, end: z - args.below_m + height}, HERE)
   const last = n === all.time_s[0].length - 1 ? "   end" : ""
-  figure.title.setv({text: `${all.time_s[0][n].toFixed(2)} s   ${x.toFixed(2)} m${last}`}, HERE)
+  const [right, up] = figure.tags
+  const muscle = muscle_at(args.looks, lines.data, all, n, figure.x_range.start + right, figure.y_range.start + up)
+  figure.title.setv({text: `${all.time_s[0][n].toFixed(2)} s   ${x.toFixed(2)} m${last}${muscle}`}, HERE)
+}
+
+// In words, the muscle under the pointer and its activation.
+function muscle_at({muscles}, {xs, ys, muscle}, {activation: [levels]}, n, x, z) {
+  let [found, least] = [-1, NEAR_M]
+  muscle.forEach((number, i) => xs[i].forEach((at, k) => {
+    const away = Math.hypot(at - x, ys[i][k] - z)
+    if (number >= 0 && away < least) [found, least] = [number, away]
+  }))
+  if (found < 0) return ""
+  const side = found < muscles.length ? "left" : "right"
+  const level = levels[2 * muscles.length * n + found] / 255
+  return `   ${side} ${muscles[found % muscles.length][0]}: ${level.toFixed(2)}`
+}
+
+// The lines of a walker, from the back to the front: the name of their frames, their first point
+// there, their width in metres, and the number of their muscle, -1 of a bone. A ghost has one colour
+// and no forces.
+function lines_of(looks, ghost) {
+  const lines = []
+  for (const [side, key] of [[1, "far"], [0, "near"]]) {
+    if (side === 0) lines.push(["trunk", 0, 2, looks.trunk, looks.near, -1])
+    looks.bones.forEach((width, i) => lines.push([key, BONES[i], 2, width, looks[key], -1]))
+    looks.muscles.forEach(([, belly], i) => {
+      const number = looks.muscles.length * side + i
+      const path = ["muscles", number * looks.points, looks.points]
+      lines.push([...path, belly + looks.rim, looks.ink, -1], [...path, belly, looks.levels[0], number])
+    })
+  }
+  if (!ghost) for (const at of [0, 2]) lines.push(["forces", at, 2, looks.force, looks.model, -1])
+  const [key, first, counts, metres, colour, muscle] = lines[0].map((_, i) => lines.map((line) => line[i]))
+  const [xs, ys] = [0, 1].map(() => counts.map((count) => new Float32Array(count).fill(NaN)))
+  const whole = {xs, ys, key, first, metres, width: metres.map(() => 1), colour, muscle}
+  return ghost ? {...whole, colour: colour.fill(looks.ghost), muscle: muscle.fill(-1)} : whole
 }
 
 // Lines are given by the name of their frames and their first point there.

@@ -9,6 +9,8 @@ from typing import IO
 
 from tests.tools.running import ROOT
 
+MODEL = "Bokeh.documents[0].get_model_by_name"
+
 
 @contextmanager
 def explorer(

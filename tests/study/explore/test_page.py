@@ -14,15 +14,14 @@ from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
 from study.explore.walk import RATE_HZ
 from tests.browser import SCREENSHOTS, opened_page, save
-from tests.cases import cases
+from tests.cases import ASSETS, cases
 from tests.storage.fake import content
 from tests.study import fake_walker
-from tests.study.explore.serving import explorer
+from tests.study.explore.serving import MODEL, explorer
 
 pytestmark = pytest.mark.slow
 
 WALKS = "window.walk_player?.shown"
-MODEL = "Bokeh.documents[0].get_model_by_name"
 
 
 @pytest.fixture(scope="module")
@@ -137,21 +136,19 @@ def drag(page: Any, name: str, start: tuple[float, float], end: tuple[float, flo
     page.mouse.up()
 
 
-def click(page: Any, name: str, x: float, y: float) -> None:
-    """Click where a figure has these coordinates."""
+def at(page: Any, name: str, x: float, y: float) -> tuple[float, float]:
+    """Where on the screen a figure has these coordinates."""
     left, top, width, height = frame(page, name)
     ends = [model(page, name, f"{axis}_range.{end}") for axis in "xy" for end in ("start", "end")]
     across, up = (x - ends[0]) / (ends[1] - ends[0]), (y - ends[2]) / (ends[3] - ends[2])
-    page.mouse.click(left + across * width, top + (1.0 - up) * height)
+    return left + across * width, top + (1.0 - up) * height
 
 
-def download(page: Any, name: str) -> bytes:
-    """What a button saves."""
-    with page.expect_download() as saved:
-        clicked = "new (Bokeh.require('core/bokeh_events').ButtonClick)()"
-        page.evaluate(f"{MODEL}('save-{name}').trigger_event({clicked})")
-    assert saved.value.suggested_filename == name
-    return Path(saved.value.path()).read_bytes()
+def point(page: Any, row: int) -> tuple[float, float]:
+    """Where on the screen a row is in the cloud."""
+    rows = f"{MODEL}('rows').data"
+    place = page.evaluate(f"{rows}.row.indexOf({row})")
+    return at(page, "cloud", *page.evaluate(f"[{rows}.c0[{place}], {rows}.c1[{place}]]"))
 
 
 def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
@@ -179,14 +176,12 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     drag(page, "histogram-1", (0.0, 0.5), (0.5, 0.5))
     page.wait_for_function(f"{MODEL}('selection').value !== {json.dumps(text)}")
     page.wait_for_function(f"window.store_view.chosen < {chosen}")
-    save(page, "brushed")
     change(page, "selection", "value", "mean_speed_mps 0..0.5")
     page.wait_for_function(f"{MODEL}('count').text.startsWith(window.store_view.chosen + ' of')")
     table = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
     assert page.evaluate("window.store_view.chosen") == int((table <= 0.5).sum())
     listed = page.locator(".slick-row").first.inner_text()
     assert float(listed.split()[1]) == pytest.approx(table[table <= 0.5][0], abs=1e-4)
-    change(page, "selection", "value", "")
     change(page, "selection", "value", "speed of light")
     page.wait_for_function(f"{MODEL}('selection-message').text.includes('column low..high')")
     assert page.evaluate("window.store_view.all")  # and nothing is selected by it
@@ -194,20 +189,7 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     page.wait_for_function(f"{MODEL}('selection-message').text === ''")
 
 
-def test_another_column_is_drawn(page: Any, store: Path) -> None:
-    change(page, "column-0", "value", "distance_m")
-    page.wait_for_function(f"{MODEL}('cloud').below[0].axis_label.text === 'distance (m)'")
-    values = open_store(store).table(["distance_m"])["distance_m"].to_numpy()
-    page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {float(values[0])!r}")
-    page.get_by_text(f"{values[0]:.4f}".rstrip("0")).first.wait_for()  # in the table
-    change(page, "column-0", "value", "mean_speed_mps")
-    speeds = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
-    page.get_by_text(f"{speeds[0]:.4f}".rstrip("0")).first.wait_for()
-    assert model(page, "cloud", "below[0].axis_label.text") == "mean speed (m/s)"
-    assert page.evaluate(f"{MODEL}('rows').data.c0[0]") == speeds[0]
-
-
-def test_a_click_walks(page: Any, store: Path) -> None:
+def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
     walks(page, lambda: change(page, "row", "value", 17))
     page.get_by_text("store-row-17").first.wait_for()
     stage = {"x": 720, "y": 180, "width": 740, "height": 400}
@@ -216,33 +198,28 @@ def test_a_click_walks(page: Any, store: Path) -> None:
     # The walk repeats: one later picture may be as the first, all of them cannot.
     later = (page.wait_for_timeout(170) or page.screenshot(clip=stage) for _ in range(8))
     assert any(picture != first for picture in later)
-    seen = page.evaluate(WALKS)
-    rows = f"{MODEL}('rows').data"
-    place = page.evaluate(f"{rows}.row.findIndex((one) => one === 40)")
-    click(page, "cloud", *page.evaluate(f"[{rows}.c0[{place}], {rows}.c1[{place}]]"))
-    page.wait_for_function(f"{WALKS} > {seen}")
-    assert model(page, "row", "value") != 17
+    walks(page, lambda: page.mouse.click(*point(page, 40)))
+    rows, row = f"{MODEL}('rows').data", model(page, "row", "value")
+    shown = [page.evaluate(f"{rows}.c{slot}[{rows}.row.indexOf({row})]") for slot in range(5)]
+    assert [model(page, "rings", f"data.{axis}[0]") for axis in "xy"] == shown[:2]
+    assert row != 17 and [model(page, f"at-{slot}", "location") for slot in range(5)] == shown
+    assert model(page, "listed", f"data.row[{MODEL}('listed').selected.indices[0]]") == row
 
 
-def test_the_chosen_row_is_marked(page: Any, store: Path) -> None:
-    walks(page, lambda: change(page, "row", "value", 23))
-    rows = f"{MODEL}('rows').data"
-    at = [page.evaluate(f"{rows}.c{slot}[{rows}.row.indexOf(23)]") for slot in range(5)]
-    assert [model(page, "rings", f"data.{axis}[0]") for axis in "xy"] == at[:2]
-    assert [model(page, f"at-{slot}", "location") for slot in range(5)] == at
-    assert page.evaluate(f"{MODEL}('listed').data.row[{MODEL}('listed').selected.indices[0]]") == 23
-
-
-def test_ranges_last_when_a_column_changes(page: Any, store: Path) -> None:
+def test_another_column_is_drawn_and_ranges_last(page: Any, store: Path) -> None:
     change(page, "selection", "value", "mean_speed_mps 0..0.5")
     page.wait_for_function("!window.store_view.all")
     chosen, text = page.evaluate("window.store_view.chosen"), model(page, "selection", "value")
-    for column in ("distance_m", "mean_speed_mps"):
+    labels = {"distance_m": "distance (m)", "mean_speed_mps": "mean speed (m/s)"}
+    values = open_store(store).table([*labels]).to_pydict()
+    for column, label in labels.items():
         change(page, "column-0", "value", column)
-        values = open_store(store).table([column])[column].to_numpy()
-        page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {float(values[0])!r}")
-        page.wait_for_timeout(300)
-        assert page.evaluate("window.store_view.chosen") == chosen < len(values)
+        page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {values[column][0]!r}")
+        first = next(n for n, speed in enumerate(values["mean_speed_mps"]) if speed <= 0.5)
+        listed = f"{values[column][first]:.4f}".rstrip("0")
+        page.get_by_text(listed).first.wait_for()  # in the table
+        assert model(page, "cloud", "below[0].axis_label.text") == label
+        assert page.evaluate("window.store_view.chosen") == chosen < len(values[column])
         assert model(page, "selection", "value") == text
     change(page, "selection", "value", "")
 
@@ -254,24 +231,11 @@ def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
     change(page, "find", "value_input", "")
 
 
-EDGES = """() => {
-    const [boxes, views] = [
-        [...document.querySelectorAll("details")],
-        [...Bokeh.index.query((view) => view.model.sizing_mode !== undefined)].map(({el}) => el),
-    ].map((all) => all.map((one) => one.getBoundingClientRect()))
-    const [low, high] = [(a, b) => a.right <= b.left, (a, b) => a.bottom <= b.top]
-    const apart = (a, b) => low(a, b) || low(b, a) || high(a, b) || high(b, a)
-    const wide = Math.max(document.documentElement.scrollWidth, ...views.map(({right}) => right))
-    const whole = boxes.every((one, i) => boxes.slice(i + 1).every((other) => apart(one, other)))
-    return [wide, whole, boxes[0].top === boxes[2].top]
-}"""
-
-
 @pytest.mark.parametrize("width", [390, 1280, 1920])
 def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 1250})
     page.wait_for_timeout(1000)
-    wide, apart, beside = page.evaluate(EDGES)
+    wide, apart, beside = page.evaluate((ASSETS / "edges.js").read_text(encoding="utf-8"))
     page.set_viewport_size({"width": 1500, "height": 1250})
     assert wide <= width and apart and beside == (width > 1000)
 
@@ -326,55 +290,28 @@ def test_out_of_bounds_is_said(page: Any, store: Path, field: str, text: str, sa
     change(page, field, "value", held)
 
 
-def test_a_fall_is_said_on_the_ground_that_was_chosen(page: Any, store: Path) -> None:
-    walks(page, lambda: change(page, "start", "value", "published"))
-    walks(page, lambda: change(page, "ground", "value", "stairs up, 10 cm a step"))
-    assert model(page, "duration", "value") == "20 s"  # until it has met the stairs
-    page.get_by_text("fell after").first.wait_for()
-    said = page.get_by_text("fell after").first.inner_text()
-    assert "the trunk leaned" in said or "the hip sank" in said
-    page.wait_for_function(f"{MODEL}('fall-0').data.words.length > 0")  # by the page's script
-    [mark], end_s = model(page, "fall-0", "data.words"), model(page, "time", "end")
-    assert mark == f"fell at {end_s:.1f} s"
-    assert model(page, "fall-0", "data.x[0]") == pytest.approx(end_s)
-    save(page, "stairs")
+def press(page: Any, step: str) -> int:
+    """Click on words or a row, choose of a menu, or point at a muscle; these are so many clicks."""
+    what, _, which = step.rpartition(": ")
+    if what == "point":
+        walks(page, lambda: page.mouse.click(*point(page, int(which))))
+    elif what == "over":
+        lines = f"{MODEL}('stage').renderers.at(-1).data_source.data"
+        middle = f"map((lines) => lines[{lines}.muscle.indexOf({which})][7])"
+        page.mouse.move(*at(page, "stage", *page.evaluate(f"[{lines}.xs, {lines}.ys].{middle}")))
+    elif what:
+        walks(page, lambda: page.get_by_label(what).select_option(which))
+    else:
+        page.get_by_text(step, exact=True).click()
+    return {"": 1, "point": 1, "over": 0}.get(what, 2)
 
 
-def test_two_gaits_on_one_ground(page: Any, store: Path) -> None:
-    if model(page, "start", "value") != "published":  # as the tests before left it
-        walks(page, lambda: change(page, "start", "value", "published"))
-    walks(page, lambda: page.get_by_text("keep it beside").click())
-    walks(page, lambda: change(page, "start", "value", "reference"))
-    walks(page, lambda: change(page, "ground", "value", "flat"))
-    ground = f"{MODEL}('beside-frames').data.ground[0]"
-    page.wait_for_function(f"{ground}.every((z, i) => i % 2 == 0 || z === 0)")
-    words = page.locator(".bk-Div b").all_inner_texts()
-    assert "reference" in words and "published" in words
-    save(page, "beside")
-    change(page, "ghost", "active", True)
-    page.wait_for_function("window.walk_player.haunted")
-    page.get_by_role("button", name="remove").click()
-    page.wait_for_function(f"!{MODEL}('beside-frames').data.time_s")
-    page.wait_for_function("!window.walk_player.haunted")
-    assert "published" not in page.locator(".bk-Div b").all_inner_texts()
-
-
-def test_the_stride_beside_people(page: Any, store: Path) -> None:
-    page.get_by_text("stride beside people").click()
-    page.wait_for_function(f"{MODEL}('cycle')?.text?.includes('strides of')")
-    page.wait_for_function(f"!isNaN({MODEL}('cycle-hip_flexion_deg').data.y[0])")
-    page.wait_for_function(f"{MODEL}('cycle-knee').inner_width > 100")
-    assert " deg, " in model(page, "cycle-knee", "title.text")
-    save(page, "cycle")
-
-
-def test_what_is_taken_reads_back(page: Any, store: Path) -> None:
-    walks(page, lambda: change(page, "duration", "value", "5 s"))
-    page.get_by_text("take it with you").click()
-    page.get_by_text("taichi-nmm walk --gains gains.json --config walk.toml").wait_for()
-    gains = json.loads(download(page, "gains.json"))
-    assert list(gains)[:2] == ["K_GAS", "K_GLU"]
-    assert b"[terrain]" in download(page, "walk.toml")
+@cases("newcomer.toml", "steps", "sees")
+def test_a_newcomer_finds_it_in_four_clicks(
+    page: Any, store: Path, steps: list[str], sees: str
+) -> None:
+    assert sum(press(page, step) for step in steps) <= 4
+    page.wait_for_function(sees.replace("NAMED", MODEL))
 
 
 def test_the_selection_reads_back(page: Any, store: Path) -> None:

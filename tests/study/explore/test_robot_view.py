@@ -6,16 +6,15 @@ from typing import Any
 import pytest
 
 from storage import Store, make_store
-from study.explore.page import BASE, numbers_text, page_of, world_names, world_of
+from study.explore.page import BASE, numbers_text, page_of, worlds_of
 from study.explore.store_view import first_columns
 from taichi_nmm.errors import InputError
 from tests.browser import opened_page
 from tests.storage import rail, robot
-from tests.study.explore.serving import explorer
+from tests.study.explore.serving import MODEL, explorer
 
 GALE = {"settings": 2, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0]}}
 HEAVY = {"settings": 2, "min_survival_s": 0.2, "world": {"mass": [1.0, 2.0]}}
-MODEL = "Bokeh.documents[0].get_model_by_name"
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +25,9 @@ def cart(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
     drawn = cart.specification["families"]["gale"]["drawn"]
-    assert world_names(cart) == ["gale 0", "gale 1"] and world_of(cart, BASE) == {}
-    assert world_of(cart, "gale 1") == {name: float(each[1]) for name, each in drawn.items()}
+    worlds = worlds_of(cart)
+    assert list(worlds) == [BASE, "gale 0", "gale 1"] and worlds[BASE] == {}
+    assert worlds["gale 1"] == {name: float(each[1]) for name, each in drawn.items()}
     columns = first_columns(cart)
     assert len(set(columns)) == 5 and columns[2] == "gale_survived_fraction_mean"
     text = numbers_text(cart, 3)
@@ -36,14 +36,13 @@ def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
 
 def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
     store = make_store(robot.Cart, tmp_path / "cart", workers=1, samples=8, robust=GALE)
-    drawn = store.specification["robust"]["drawn"]
-    assert world_names(store) == ["robust 0", "robust 1"]
-    assert world_of(store, "robust 1") == {name: float(each[1]) for name, each in drawn.items()}
+    worlds, drawn = worlds_of(store), store.specification["robust"]["drawn"]
+    assert worlds["robust 1"] == {name: float(each[1]) for name, each in drawn.items()}
 
 
 def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
     with pytest.raises(InputError, match=r"^simulator: .* a MujocoSimulator"):
-        page_of(cart.path, "tests/storage/robot.py:Cart")
+        page_of(cart.path, simulator="tests/storage/robot.py:Cart")
 
 
 @pytest.mark.slow

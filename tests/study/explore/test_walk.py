@@ -134,5 +134,5 @@ def test_a_selection_is_read_back(fake_simulator: None, tmp_path: Path) -> None:
     low = float(np.median(table["mean_speed_mps"].to_numpy()))
     wanted = table.filter(table["mean_speed_mps"].to_numpy() >= low)
     ranges = {"mean_speed_mps": (low, np.inf)}
-    name, content = file_of_selection(tmp_path / "store", ranges)
+    name, content = file_of_selection(open_store(tmp_path / "store"), ranges)
     assert name == "selection.parquet" and pq.read_table(io.BytesIO(content)).equals(wanted)

@@ -1,0 +1,82 @@
+"""A study as rows of a store: anybody's, and the walker's, whose trials walk as they did."""
+
+from pathlib import Path
+
+import numpy as np
+import optuna
+import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+
+from storage.databases.studies import open_studies
+from study.experiment.arms import check_arms
+from study.experiment.experiment import read_experiment
+from study.experiment.gains import gains_at
+from study.experiment.live_study import run_study
+from study.explore.store_view import first_columns
+from study.explore.trials import Trials, open_rows
+from study.explore.walk import OWN, chosen_setting, walk
+from study.options import config_path
+from taichi_nmm import InputError
+from tests.browser import opened_page
+from tests.cases import asset
+from tests.study import fake_walker
+from tests.study.explore.serving import MODEL, explorer
+
+
+def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> None:
+    journal = optuna.storages.JournalStorage(JournalFileBackend(str(tmp_path / "mine.log")))
+    mine = optuna.create_study(storage=journal, directions=["maximize", "minimize"])
+    space = {"value": FloatDistribution(0, 1), "leg-kind": CategoricalDistribution(["soft"])}
+    for number in range(4):
+        trial = mine.ask(space)
+        for name, value in {"score": number, "note": "no number"}.items():
+            trial.set_user_attr(name, value)
+        state = TrialState.FAIL if number == 3 else TrialState.COMPLETE
+        mine.tell(trial, None if number == 3 else (number, 0.5), state)
+    url, name = f"sqlite:///{tmp_path / 'mine.db'}", mine.study_name
+    optuna.copy_study(from_study_name=name, from_storage=journal, to_storage=url)
+    for file in ("mine.log", "mine.db"):
+        rows = open_rows(tmp_path / file)
+        assert isinstance(rows, Trials) and rows.simulator == f"study {name}" and rows.best == 2
+        named = ("trial", "state", "value", "value_1", "value_", "leg_kind", "score")
+        assert rows.columns == named and rows.gain_names == named[4:6]
+        assert first_columns(rows) == ["trial", "value", "value_1", "score", "value_"]
+        table = rows.table()
+        assert table["state"].to_pylist() == ["complete"] * 3 + ["fail"]
+        np.testing.assert_equal(table["value"].to_numpy(), [0.0, 1.0, 2.0, np.nan])
+
+
+def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
+    for name in ("toy/dog/run-000", "toy/tpe/run-000"):
+        study = optuna.create_study(study_name=name, storage=f"sqlite:///{tmp_path / 'two.db'}")
+        study.tell(study.ask(), state=TrialState.FAIL)
+    (tmp_path / "empty.db").touch()
+    (tmp_path / "broken.log").write_text('{"op_code": 77}\n')
+    fake_walker.write_plain_store(tmp_path / "store", samples=8)
+    for said, (file, *asked) in asset("no-studies.toml").items():
+        with pytest.raises(InputError, match=said):
+            open_rows(tmp_path / file, *asked)
+
+
+@pytest.mark.slow
+def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(config_path("prosthesis").read_text().replace("100.", "1."))
+    experiment = read_experiment(tmp_path / "own.toml")
+    (arm,) = check_arms(experiment, ("random",), 2)
+    run_study(experiment, arm, 1, 2, open_studies(f"sqlite:///{tmp_path / 'own.db'}"))
+    rows = open_rows(tmp_path / "own.db")
+    assert isinstance(rows, Trials)
+    setting = chosen_setting(OWN, OWN, 3601, OWN, "taichi", 1.0, rows.document)
+    walked = walk(gains_at(rows, 1, 1), setting)
+    assert walked.gains.name == "prosthesis-random-run-001-trial-1" and walked.run == 1
+    assert setting.world(1).prosthesis.any()
+    for name in ("distance_m", "duration_s", "phi_corrected"):
+        assert walked.row[name] == rows.table()[name][1].as_py()
+    with explorer(tmp_path / "own.db") as address, opened_page(1280, 1100) as page:
+        page.goto(address)
+        for number in (rows.best, 1 - rows.best):
+            page.get_by_text(f"prosthesis-random-run-001-trial-{number}").wait_for()
+            page.evaluate(f"{MODEL}('row').value = {1 - number}")
+        assert page.evaluate(f"{MODEL}('world').value") == OWN
