@@ -108,7 +108,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             (folder / name).write_text(text)
         out = folder / "out"
         fake_walker.write_store(out / "store")
-        for kind in ("worlds", "stairs", "worlds-large", "speed"):
+        for kind in ("worlds", "stairs", "worlds-large", "speed", "prosthesis"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         device = [each.name for each in DEVICE]
