@@ -86,12 +86,15 @@ class Options(argparse.ArgumentParser):
 
     def _others(self, words: list[str]) -> dict[str, str]:
         """Take options of other names, with the words that follow them, out of a command line."""
-        found = {}
-        for flag in [word for word in words if word.startswith("--") and "=" not in word]:
-            place = words.index(flag)
-            if flag not in self._option_string_actions and place + 1 < len(words):
-                found[flag.removeprefix("--")] = words[place + 1]
+        found, place = dict[str, str](), 0
+        while place < len(words) - 1:
+            flag, value = words[place : place + 2]
+            is_name = flag.startswith("--") and flag != "--" and "=" not in flag
+            if is_name and flag not in self._option_string_actions:
+                found[flag.removeprefix("--")] = value
                 del words[place : place + 2]
+            else:
+                place += 1
         return found
 
     def error(self, message: str) -> NoReturn:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -76,3 +77,15 @@ def test_two_dashes_are_no_value_and_a_configuration_may_have_a_name_that_no_fil
     with pytest.raises(InputError, match="run: '--' cannot be used"):
         options.parse_args(["--run=--"])
     assert str(config_path("x" * 5000)) == "x" * 5000
+
+
+@pytest.mark.parametrize("words", ["--nothing -- next", "--foo --bar next", "--a --a next"])
+def test_names_that_no_bench_has_are_one_line(
+    words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Also where a name stands in the place of another one's number."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["bench", *words.split(), "--bench", "walk.toml"])
+    assert end.value.code == 2
+    assert capsys.readouterr().err.count("error: ") == 1
