@@ -27,6 +27,7 @@ from taichi_nmm.kernel.muscle_table import FMAX_N, MUSCLE_DATA, TORQUES_NM
 from taichi_nmm.packs import Packs
 from taichi_nmm.result import COLUMNS, EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
+from taichi_nmm.world import Worlds
 
 Array = NDArray[np.float64]
 
@@ -95,10 +96,10 @@ class Recorder:
     """Cuts chunks of ticks at the sample times, and keeps the rows of chosen walkers there."""
 
     def __init__(
-        self, walkers: Sequence[int], rate_hz: float, count: int, settings: Settings
+        self, walkers: Sequence[int], rate_hz: float, worlds: Worlds, settings: Settings
     ) -> None:
-        self._walkers = tuple(checks.row_numbers("record", walkers, count).tolist())
-        self._settings = settings
+        self._walkers = tuple(checks.row_numbers("record", walkers, len(worlds)).tolist())
+        self._settings, self._prostheses = settings, worlds.prosthesis
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
             raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
         self._interval = round(TICKS_PER_SECOND / rate_hz)
@@ -152,7 +153,7 @@ class Recorder:
             activation=activation,
             muscle_force_n=force * np.tile(FMAX_N, LEGS),
             ground_force_n=_mean_forces(rows, self._interval),
-            joint_torque_nm=_joint_torques(rows, self._settings),
+            joint_torque_nm=_joint_torques(rows, self._settings, self._prostheses[walker]),
             swing_torque_nm=rows[:, swing],
             device_torque_nm=rows[:, State.device_torque : State.device_torque + LEGS],
             fibre_length_m=length * OPTIMAL_M,
@@ -182,8 +183,11 @@ YIELD_RADPS = np.array([stops.HIP_RELAXATION_RADPS, *[stops.STOP_RELAXATION_RADP
 IMPLICIT = np.array([0.0, 1.0, 1.0])
 
 
-def _joint_torques(rows: Array, settings: Settings) -> Array:
-    """Torques of the last physics step, from the pose before it: `kernel.joints`, [t, 6]."""
+def _joint_torques(rows: Array, settings: Settings, prosthesis: Array) -> Array:
+    """Torques of the last physics step, from the pose before it: `kernel.joints`, [t, 6].
+
+    `prosthesis` is the walker's own of `Worlds`, [2, 3].
+    """
     q, rates = (rows[:, first : first + COORDINATES] for first in (State.q, State.qdot))
     links, step_s = [[2, 3, 4, 5], [2, 6, 7, 8]], settings.physics_step_s
     angle, rate = (np.diff(each[:, links]) for each in (q - step_s * rates, rates))  # [t, leg, 3]
@@ -198,6 +202,8 @@ def _joint_torques(rows: Array, settings: Settings) -> Array:
         rows[:, first : first + LEGS]
         for first in (State.stance_weight, State.hip_torque, State.knee_torque, State.device_torque)
     )
+    stiffness, damping, rest_rad = prosthesis.T
+    ankle += stiffness * (rest_rad - angle[..., stops.ANKLE]) - damping * rate[..., stops.ANKLE]
     torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle + device], -1)
     if settings.engine == OWN_ENGINE:
         beyond = np.clip(angle, LOWEST_RAD, HIGHEST_RAD) - angle

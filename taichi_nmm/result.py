@@ -53,7 +53,8 @@ class Trajectory:
         muscle_force_n: in the order of `activation`, [t, 14].
         ground_force_n: left x, left z, right x, right z, mean over the sample interval, [t, 4].
         joint_torque_nm: all that turns a joint in the last physics step, in the order and signs of
-            `joint_rad`, [t, 6]: muscles, ideal torques, device, and stops (not those of MuJoCo).
+            `joint_rad`, [t, 6]: muscles, ideal torques, exoskeleton, prosthesis, and stops (but
+            not those of MuJoCo).
         swing_torque_nm: the ideal part of it, left hip, left knee, right hip, right knee, [t, 4].
         device_torque_nm: of an exoskeleton, left and right ankle, [t, 2].
         fibre_length_m: of the contractile elements, in the order of `activation`, [t, 14].

@@ -91,7 +91,7 @@ def simulate(
     if not CONTROL_TICK_S <= duration_s <= LONGEST_WALK_S:
         raise InputError("duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}")
     ticks = round(duration_s / CONTROL_TICK_S)
-    recorder = Recorder(record, record_rate_hz, len(batch), settings)
+    recorder = Recorder(record, record_rate_hz, batch.worlds, settings)
     launch, packs, engine = _start(batch, settings)
     tick = 0
     while tick < ticks and packs.walkers.size:

@@ -4,6 +4,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 import taichi_nmm
@@ -79,11 +80,17 @@ def inverse_dynamics(folder: Path) -> tuple[Array, Array]:
     return torques, needed[:, :3]
 
 
-def test_inverse_dynamics_of_the_files_gives_the_walkers_torques(tmp_path: Path) -> None:
+SPRING = taichi_nmm.WorldRanges(prosthesis=taichi_nmm.Prosthesis("left", 600.0, 0.0, 0.1))
+
+
+@pytest.mark.parametrize("ranges", [taichi_nmm.WorldRanges(), SPRING])
+def test_inverse_dynamics_of_the_files_gives_the_walkers_torques(
+    tmp_path: Path, ranges: taichi_nmm.WorldRanges
+) -> None:
     """Within 2 %; in the 5 ms of a heel's impact the pose between two samples is not known."""
     result = taichi_nmm.simulate(
         taichi_nmm.PUBLISHED_GAINS, duration_s=4.0, bodies=BODY, record=[0], record_rate_hz=1000.0,
-        terrains=terrain.rough(1, flat_start_m=1.0),
+        terrains=terrain.rough(1, flat_start_m=1.0), worlds=ranges.draw([1]),
     )  # fmt: skip
     trajectory = kept(result.trajectories[0])
     write_opensim(tmp_path / "walk", trajectory, BODY)

@@ -86,6 +86,12 @@ def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(engine: str)
     assert not walked.muscle_force_n[:, 7:10].any() and walked.muscle_force_n[:, :3].any()
     in_the_air = ~walked.stance[:, 1] & (walked.time_s > 0.1) & (walked.time_s < 0.4)
     np.testing.assert_allclose(walked.joint_rad[in_the_air, 5], 0.1, atol=0.02)
+    rate = walked.qdot[:, 8] - walked.qdot[:, 7]
+    angle = walked.joint_rad[:, 5] - settings.physics_step_s * rate  # where the last step began
+    free = (angle > np.deg2rad(-20.0)) & (angle < np.deg2rad(40.0))  # of the stops
+    torque_nm = 600.0 * (0.1 - angle) - 1.0 * rate
+    np.testing.assert_allclose(walked.joint_torque_nm[free, 5], torque_nm[free], atol=1e-3)
+    assert free.sum() > 100 and np.ptp(torque_nm[free]) > 100.0
 
 
 def test_a_foot_too_light_for_its_damper_is_refused() -> None:
