@@ -44,7 +44,9 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
          state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
          const: Rows, work: Rows):  # fmt: skip
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
-    catch, own = feet_catch(lanes, const), muscles_differ(lanes, const)
+    # Of any lane: each of these phases changes nothing of the lanes that do without it.
+    catch = highest(Const.catch_ns, lanes, const) > 0.0
+    own = highest(Const.own_muscles, lanes, const) > 0.0
     for substep in range(substeps):
         locate(rough, lanes, terrain, heights, state, work)
         for lane in range(lanes):
@@ -70,7 +72,7 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)
                 dynamics.revise_contacts(lane, const, work)
-            if settled(lanes, work):
+            if highest(Work.changed, lanes, work) == 0.0:  # a further pass would change nothing
                 break
         for lane in range(lanes):
             contact.drag_anchors(lane, step_s, state, const, work)
@@ -129,9 +131,18 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
         reflexes.stimulate(lane, state, const, fibres, work)
         swing.leg_rates(lane, time, state, const, work)
         swing.place_legs(lane, state, const, work)
-    if device_pushes(lanes, const):
+    if highest(Const.exo_torque, lanes, const) > 0.0:  # `assist` gives the others no torque
         for lane in range(lanes):
             device.assist(lane, state, const)
+
+
+@ti.func
+def highest(row: Rows, lanes: Rows, rows: Rows):
+    """The largest number of a row over the lanes, 0 at least."""
+    most = 0.0
+    for lane in range(lanes):
+        most = larger(most, rows[row, lane])
+    return most
 
 
 @ti.func
@@ -142,33 +153,6 @@ def nerves_vary(lanes: Rows, const: Rows):
         vary = larger(vary, 1.0 - const[Const.nerve_blend, lane])
         vary = larger(vary, const[Const.sensing_noise, lane])
     return vary > 0.0
-
-
-@ti.func
-def feet_catch(lanes: Rows, const: Rows):
-    """Whether any lane's feet catch; `dynamics.catch_feet` would change nothing of the others'."""
-    most = 0.0
-    for lane in range(lanes):
-        most = larger(most, const[Const.catch_ns, lane])
-    return most > 0.0
-
-
-@ti.func
-def device_pushes(lanes: Rows, const: Rows):
-    """Whether any lane has a device; `device.assist` would give the others no torque."""
-    most = 0.0
-    for lane in range(lanes):
-        most = larger(most, const[Const.exo_torque, lane])
-    return most > 0.0
-
-
-@ti.func
-def muscles_differ(lanes: Rows, const: Rows):
-    """Whether any lane has muscles with own lengths or times; the others' have the same bits."""
-    most = 0.0
-    for lane in range(lanes):
-        most = larger(most, const[Const.own_muscles, lane])
-    return most > 0.0
 
 
 @ti.func
@@ -211,15 +195,6 @@ def add_ideal_torques(lane, state: Rows, const: Rows, work: Rows):
         work[Work.joint_torque + knee, lane] = (
             weight * work[Work.joint_torque + knee, lane] + state[State.knee_torque + leg, lane]
         )
-
-
-@ti.func
-def settled(lanes: Rows, work: Rows):
-    """Whether the last pass changed no contact of any lane; a further pass would change nothing."""
-    changed = 0.0
-    for lane in range(lanes):
-        changed = larger(changed, work[Work.changed, lane])
-    return changed == 0.0
 
 
 @ti.func

@@ -69,10 +69,9 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
         modules = {name: importlib.import_module(f"{prefix}.{name}") for name in INTERPRETED}
         for name in ("walker", "carried", "actuation"):
             vars(modules[name])["range"] = lane_range
-        # Without the early exit: a settled pass repeats itself, bit for bit.
-        vars(modules["walker"])["settled"] = lambda lanes, work: False
-        for name in ("nerves_vary", "feet_catch", "device_pushes", "muscles_differ"):  # of some
-            vars(modules["walker"])[name] = lambda lanes, const: True
+        # All phases for all lanes, and no early exit: a settled pass repeats itself, bit for bit.
+        vars(modules["walker"])["highest"] = lambda row, lanes, rows: 1.0
+        vars(modules["walker"])["nerves_vary"] = lambda lanes, const: True
         return tuple(modules[name] for name in names)
     finally:
         for name, module in real.items():
