@@ -5,6 +5,7 @@ The trial is simulated once more, recorded. A file that is there is whole, and i
 
 import json
 import uuid
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ from storage.folder import remove
 from study.experiment.database import opened
 from study.experiment.experiment import Experiment
 from study.experiment.folder import fingerprint, live_artifacts
-from study.experiment.trials import outcome_text, simulate_trials
+from study.experiment.gains import named_gains, recorded_walk
+from study.experiment.trials import outcome_text
 from study.pictures import write_strip
 
 STRIP_DPI = 100
@@ -37,7 +39,7 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     Raises:
         InputError: no place to write.
     """
-    best, folder = study.best_trial, live_artifacts(url, out)
+    best, folder, conditions = study.best_trial, live_artifacts(url, out), experiment.conditions
     gains = np.array([best.params[name] for name in experiment.names])
     title = f"{experiment.name}, run {run}: {outcome_text(best.user_attrs)}"
     walk = f"{fingerprint(experiment)}/{run}/{gains.tobytes().hex()}"
@@ -46,10 +48,10 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
         folder.mkdir(parents=True, exist_ok=True)
     remove(folder, f".*{TEMPORARY_SUFFIX}")
     if not file.exists():
-        (trajectory,) = simulate_trials(
-            experiment, [run], gains[np.newaxis], record=True, record_rate_hz=RECORD_RATE_HZ,
-            duration_s=min(RECORDED_S, experiment.conditions.duration_s),
-        ).trajectories  # fmt: skip
+        short = replace(conditions, duration_s=min(RECORDED_S, conditions.duration_s))
+        named = named_gains("best", experiment.fixed_by_name | best.params)
+        begun = recorded_walk(named, replace(experiment, conditions=short), run, RECORD_RATE_HZ)
+        (trajectory,) = begun.trajectories
         if not np.isfinite(trajectory.q).all(axis=1).any():
             return
         write_strip(file, trajectory, experiment.terrain(run), title, STRIP_DPI)

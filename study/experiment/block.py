@@ -31,7 +31,7 @@ from study.experiment.folder import (
     walkers,
 )
 from study.experiment.one_study import OneStudy, shown
-from study.experiment.trials import KEPT, finite, simulate_trials, walked
+from study.experiment.trials import KEPT, simulate_trials, walked
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
 from taichi_nmm.result import END_REASONS
 
@@ -62,7 +62,7 @@ class Walks:
         new = [k for k, key in enumerate(keys) if key not in self._found and key not in keys[:k]]
         if new:
             tried = [runs[place] for place in new]
-            rows = finite(simulate_trials(experiment, tried, gains[new]).rows)
+            rows = simulate_trials(experiment, tried, gains[new])
             self.add(tried, gains[new], rows, experiment.objective.costs(rows))
         found = [self._found[key] for key in keys]
         return np.array([row for row, _ in found]), np.array([value for _, value in found])

@@ -32,7 +32,6 @@ from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStud
 from study.experiment.trials import (
     ATTRIBUTES,
     attributes,
-    finite,
     simulate_trials,
 )
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
@@ -186,7 +185,7 @@ def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
 
 def _simulated(experiment: Experiment, one: LiveStudy, gains: list[float]) -> FrozenTrial:
     """Try what was asked for, and tell."""
-    rows = finite(simulate_trials(experiment, [one.run], np.array([gains])).rows)
+    rows = simulate_trials(experiment, [one.run], np.array([gains]))
     return one.tell(float(experiment.objective.costs(rows)[0]), rows, attributes(rows))
 
 

@@ -1,6 +1,6 @@
 """Trials of an experiment: simulated as one batch, what they cost, and whether they walked."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from study.experiment.experiment import Experiment
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import searched_parameters, split_points
-from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS, Result
+from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS
 from taichi_nmm.world import Worlds
 
 WALKING_SPEED_MPS = 0.3  # slower, a walker that lasted to the end has stood rather than walked
@@ -31,41 +31,33 @@ ATTRIBUTES = (
 
 
 def simulate_trials(
-    experiment: Experiment, runs: ArrayLike, gains: NDArray[np.float64],
-    record: bool | Sequence[int] = False,
-    *, duration_s: float | None = None, record_rate_hz: float = 100.0,
-) -> Result:  # fmt: skip
-    """Simulate n trials at once.
+    experiment: Experiment, runs: ArrayLike, gains: NDArray[np.float64]
+) -> NDArray[np.void]:
+    """Rows of n trials, [n], simulated at once; as `finite` gives them.
 
     Args:
         experiment: whose bodies, grounds and settings.
         runs: of each trial, [n].
         gains: the searched parameters of each, [n, 16 + k], in the order of `experiment.names`.
-        record: rows whose trajectory is wanted; True: all of them.
-        duration_s: of a trial; None is the experiment's.
-        record_rate_hz: samples a second of the trajectories.
 
     Raises:
         InputError: what `taichi_nmm.simulate` refuses.
     """
     numbers, index = np.unique(np.asarray(runs, dtype=np.int64), return_inverse=True)
-    different = numbers.tolist()
-    rows = range(len(gains)) if record is True else record or ()
-    conditions = experiment.conditions
+    different, conditions = numbers.tolist(), experiment.conditions
     searched = searched_parameters(experiment.searched)
     own, low_level = split_points(gains, searched, experiment.fixed)
-    return taichi_nmm.simulate(
+    walks = taichi_nmm.simulate(
         own,
-        duration_s=conditions.duration_s if duration_s is None else duration_s,
+        duration_s=conditions.duration_s,
         bodies=Bodies.stacked(experiment.body(run) for run in different).take(index),
         worlds=Worlds.stacked(experiment.world(run) for run in different).take(index),
         terrains=[experiment.terrain(run) for run in different],
         terrain_index=index.astype(np.int32),
         low_level_gains=low_level if experiment.searched else None,
         settings=conditions.settings,
-        record=tuple(rows),
-        record_rate_hz=record_rate_hz,
     )
+    return finite(walks.rows)
 
 
 def walked(rows: NDArray[np.void]) -> NDArray[np.bool_]:

@@ -86,8 +86,8 @@ def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> 
         experiment = replace(toy, objective=Objective(cost))
         (trial,) = run(experiment, "random", 1, InMemoryStorage(), 2)
         gains = fake_walker.gain_rows(list(trial.params.values()))
-        assert trial.value == function(simulate_trials(experiment, [2], gains).rows)[0]
-        assert trial.value != function(simulate_trials(experiment, [1], gains).rows)[0]
+        assert trial.value == function(simulate_trials(experiment, [2], gains))[0]
+        assert trial.value != function(simulate_trials(experiment, [1], gains))[0]
 
 
 def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:

@@ -28,7 +28,7 @@ from study.bench.bench import Bench
 from study.bench.journal import Trial
 from study.experiment.experiment import Experiment, read_experiment, store_path
 from study.experiment.robots import RobotExperiment, Runs, is_of_robots, read_robots
-from study.experiment.trials import finite, simulate_trials
+from study.experiment.trials import simulate_trials
 from study.options import config_path
 from study.report.numbers import wilcoxon
 
@@ -74,7 +74,7 @@ class Machine:
 def cost_of_walker(experiment: Experiment, robot: int, trial: Trial) -> float:
     """What a trial of our walker costs."""
     gains = np.array([[trial.params[name] for name in experiment.names]])
-    rows = finite(simulate_trials(experiment, [robot], gains).rows)
+    rows = simulate_trials(experiment, [robot], gains)
     return float(experiment.objective.costs(rows)[0])
 
 

@@ -14,7 +14,7 @@ from storage.databases.studies import open_studies
 from study.experiment import artifacts
 from study.experiment.artifacts import draw_best
 from study.experiment.database import export
-from study.experiment.trials import simulate_trials
+from study.experiment.gains import NamedGains, named_gains, recorded_walk
 from taichi_nmm.result import Result
 from tests.study import synthetic_gait
 from tests.study.conftest import refused
@@ -30,18 +30,18 @@ class Fake:
     """Stands for the simulator, and remembers what it was asked for."""
 
     def __init__(self) -> None:
-        self.asked: list[tuple[list[int], list[float], dict[str, Any]]] = []
+        self.asked: list[tuple[list[float], float, int, float]] = []
         self.walk = synthetic_gait.walk(0.3, 50.0)
 
-    def __call__(self, of: Any, runs: list[int], gains: np.ndarray, **options: Any) -> Result:
-        self.asked.append((runs, gains[0].tolist(), options))
+    def __call__(self, gains: NamedGains, of: Any, run: int, rate_hz: float) -> Result:
+        self.asked.append((gains.gains.tolist(), of.conditions.duration_s, run, rate_hz))
         return Result(np.zeros(0), (self.walk,))
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
     fake = Fake()
-    monkeypatch.setattr(artifacts, "simulate_trials", fake)
+    monkeypatch.setattr(artifacts, "recorded_walk", fake)
     return fake
 
 
@@ -71,8 +71,7 @@ def test_the_best_trial_is_simulated_and_registered(tmp_path: Path, url: str, fa
     study = make(url, tmp_path)
     (asked,) = fake.asked
     gains = [study.best_params[name] for name in TINY.names]
-    options = {"record": True, "duration_s": TINY.conditions.duration_s, "record_rate_hz": 50.0}
-    assert asked == ([0], gains, options)
+    assert asked == (gains, TINY.conditions.duration_s, 0, 50.0)
     (file,) = (tmp_path / "artifacts").iterdir()
     assert file.read_bytes().startswith(b"\x89PNG")
     found = [get_all_artifact_meta(each, storage=study._storage) for each in study.trials]
@@ -141,8 +140,8 @@ def test_the_real_one_repeats_it(tmp_path: Path, url: str, monkeypatch: pytest.M
     monkeypatch.setattr(artifacts, "write_strip", lambda _, *made: walks.append(made))
     study = make(url, tmp_path)
     ((trajectory, terrain, title, _),) = walks
-    gains = np.array([[study.best_params[name] for name in TINY.names]])
-    (again,) = simulate_trials(TINY, [0], gains, record=True, record_rate_hz=50.0).trajectories
+    gains = named_gains("best", study.best_params)
+    (again,) = recorded_walk(gains, TINY, 0, 50.0).trajectories
     np.testing.assert_array_equal(trajectory.q, again.q)
     assert np.isfinite(trajectory.q).all() and len(trajectory.time_s) > 5
     assert trajectory.time_s[1] - trajectory.time_s[0] == pytest.approx(0.02)

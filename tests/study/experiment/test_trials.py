@@ -55,7 +55,7 @@ def test_attributes_are_plain_values_and_make_a_sentence() -> None:
 def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> None:
     fake_walker.calls.clear()
     runs = [7, 0, 7]
-    result = simulate_trials(toy, runs, np.tile(PUBLISHED_GAINS, (3, 1)))
+    rows = simulate_trials(toy, runs, np.tile(PUBLISHED_GAINS, (3, 1)))
     (call,) = fake_walker.calls
     for place, run in enumerate(runs):
         body = Bodies.disturbed([stream(5, Purpose.BODY, run)], 0.15)
@@ -66,16 +66,7 @@ def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> No
         np.testing.assert_array_equal(chosen.height_m, ground.height_m)
     assert len(call["terrains"]) == 2
     assert (call["duration_s"], call["record"], call["low_level_gains"]) == (20.0, (), None)
-    assert result.rows[0] == result.rows[2] != result.rows[1]
-
-
-def test_recording_all_or_some_for_a_shorter_time(toy: Experiment) -> None:
-    fake_walker.calls.clear()
-    gains = np.tile(PUBLISHED_GAINS, (3, 1))
-    assert len(simulate_trials(toy, [0, 1, 2], gains, True).trajectories) == 3
-    made = simulate_trials(toy, [0, 1, 2], gains, [1], duration_s=4.0)
-    assert len(made.trajectories) == 1
-    assert [call["duration_s"] for call in fake_walker.calls] == [20.0, 4.0]
+    assert rows[0] == rows[2] != rows[1]
 
 
 def test_searched_low_level_gains_replace_defaults(fake_simulator: None, tmp_path: Path) -> None:

@@ -262,7 +262,7 @@ def test_a_study_of_an_experiment_does(toy, watch):
     asked, told = watch(optuna.Study, "ask"), watch(optuna.Study, "tell")
     with threadpool_limits(GIVEN, user_api="blas"):
         one = OneStudy(toy, find_arm("random"), 0, optuna.create_study())
-        rows = simulate_trials(toy, [0], np.array([one.ask()])).rows
+        rows = simulate_trials(toy, [0], np.array([one.ask()]))
         one.tell(1.0, rows)
         assert blas_threads() == {GIVEN}
     assert asked == told == [{1}]
