@@ -25,7 +25,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from storage.databases.studies import read_errors
 from storage.tables import difference
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
-from study.bench.plan import Candidates, Plan, read_plan
+from study.bench.plan import Plan, read_plan
 from study.sampler.diagnostics import Best, Prediction
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable, Rows
@@ -76,7 +76,7 @@ class Bench:
     def new(cls, path: str | Path, operator: str | None = None) -> "Bench":
         """Begin a bench, or open the one that was begun with this file."""
         bench = cls(path, operator)
-        simulated = bench.candidates.table
+        simulated = bench.candidates
         with bench._turn():
             if not bench._entries:
                 space = simulated.rows.space.as_dict()
@@ -109,14 +109,14 @@ class Bench:
         return tuple(self._entries)
 
     @cached_property
-    def candidates(self) -> Candidates:
+    def candidates(self) -> FeatureTable:
         """The candidates, as they were when the bench was begun.
 
         Raises:
             InputError: they cannot be read, or have changed since.
         """
         found = self.plan.read_candidates()
-        if self._entries and found.table.digest != self._begun["digest"]:
+        if self._entries and found.digest != self._begun["digest"]:
             allowed = "the candidates with which the bench was begun (their digest differs)"
             raise InputError("candidates", str(self.plan.path), allowed)
         return found
@@ -164,7 +164,8 @@ class Bench:
             value = self.plan.goal.of_failure(failed_s)
         if value is None:
             raise InputError("value", None, "the trial's value, or after how long it failed")
-        self._tell("record" if failed_s is None else "fail", number, value, columns, note)
+        kind = "record" if failed_s is None else "fail"
+        self._tell(kind, number, self._checked(value, columns, note))
 
     @checks.checked(number=WHOLE, value=VALUE, columns=COLUMNS, note=checks.text)
     def correct(
@@ -172,7 +173,7 @@ class Bench:
         columns: Mapping[str, float] | None = None, note: str = "",
     ) -> None:  # fmt: skip
         """Replace what was entered of a finished trial; what is not given stays."""
-        self._tell("correct", number, value, columns, note)
+        self._tell("correct", number, self._checked(value, columns, note))
 
     @checks.checked(number=WHOLE, note=checks.text)
     def abort(self, number: int, note: str = "") -> None:
@@ -246,7 +247,7 @@ class Bench:
 
     def simulated(self) -> dict[int, float]:
         """The mean over the worlds of each finished trial; none without worlds."""
-        rows = self.candidates.table.rows
+        rows = self.candidates.rows
         told = [trial for trial in self.state.trials.values() if trial.value is not None]
         if not told or rows.worlds is None:
             return {}
@@ -255,11 +256,7 @@ class Bench:
         values = rows.mixed(known[rows.numbers][:, None], places, places)[:, 0].tolist()
         return dict(zip([trial.number for trial in told], values, strict=True))
 
-    def _tell(
-        self, kind: str, number: int, value: float | None,
-        columns: Mapping[str, float] | None, note: str,
-    ) -> None:  # fmt: skip
-        result = self._checked(value, columns, note)
+    def _tell(self, kind: str, number: int, result: dict[str, Any]) -> None:
         with self._turn() as state:
             state.trial(number, finished=kind == "correct")
             self._add(kind, {"trial": number} | result)
@@ -360,7 +357,7 @@ class Bench:
 
     def _allowed(self, study: optuna.Study, sampler: FeatureKernelSampler) -> NDArray[np.bool_]:
         """Rows within the limits of [safety]; one at least."""
-        safety, rows = self.plan.safety, self.candidates.table.rows
+        safety, rows = self.plan.safety, self.candidates.rows
         found = sampler.predict(study)
         keeps = (found.kept >= safety.least_kept) & ~(found.success < safety.least_success)
         told = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
@@ -405,18 +402,18 @@ class Bench:
         found, state = self.candidates, self.state
         told = list[np.ndarray[Any, np.dtype[np.float64]]]()
         for context in self._others(state):
-            known = found.sampler(self.plan).predict(self._study(state, context))
-            column = np.full(len(found.table.rows), np.nan)
+            known = self.plan.sampler(found).predict(self._study(state, context))
+            column = np.full(len(found), np.nan)
             column[known.rows] = known.value
             told.append(column)
         if told:
             column, maximise = np.column_stack(told), self.plan.goal.maximise
             with warnings.catch_warnings(action="ignore", category=UserWarning):  # rows left out
                 found = with_before(found, column, maximise=maximise)
-        return found.sampler(self.plan, allowed)
+        return self.plan.sampler(found, allowed)
 
 
-def with_before(candidates: Candidates, told: Any, *, maximise: bool) -> Candidates:
+def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> FeatureTable:
     """Candidates of which k other contexts tell something too.
 
     It is a family of worlds with the weight of all others.
@@ -426,11 +423,11 @@ def with_before(candidates: Candidates, told: Any, *, maximise: bool) -> Candida
         told: predicted values of the rows, in the study's units, [n, k]; NaN where unknown.
         maximise: high values are good.
     """
-    rows, k = candidates.table.rows, told.shape[1]
+    rows, k = candidates.rows, told.shape[1]
     before, own = tuple(f"{BEFORE} {place}" for place in range(k)), rows.worlds
     if own is None:
         worlds = Worlds(before, told, np.full(k, 1.0 / k))
-        return Candidates(FeatureTable(replace(rows, worlds=worlds)))
+        return FeatureTable(replace(rows, worlds=worlds))
     if own.better is not None:  # in units of their own: as many standard deviations
         sign = 1.0 if maximise is (own.better == "higher") else -1.0
         spread = float(np.nanstd(told)) or 1.0
@@ -438,7 +435,7 @@ def with_before(candidates: Candidates, told: Any, *, maximise: bool) -> Candida
         told = told + np.nanmean(own.costs)
     weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
     worlds = Worlds((*own.names, *before), np.hstack([own.costs, told]), weights, own.better)
-    return Candidates(FeatureTable(replace(rows, worlds=worlds)))
+    return FeatureTable(replace(rows, worlds=worlds))
 
 
 def fits(distribution: BaseDistribution, value: Any) -> bool:

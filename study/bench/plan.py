@@ -125,8 +125,8 @@ class Plan:
         """As Optuna has it."""
         return StudyDirection.MAXIMIZE if self.goal.maximise else StudyDirection.MINIMIZE
 
-    def read_candidates(self) -> "Candidates":
-        """The table of candidates.
+    def read_candidates(self) -> FeatureTable:
+        """What may be tried, and what is known of it before.
 
         Raises:
             InputError: naming the key of the file, or the column and row.
@@ -135,18 +135,13 @@ class Plan:
         with warnings.catch_warnings(action="ignore", category=UserWarning):  # of rows left out
             found = _of_store(table, self.goal) if "store" in table.unread else _of_file(table)
         table.done()
-        return Candidates(found)
+        return found
 
-
-@dataclass(frozen=True)
-class Candidates:
-    """What may be tried, and what is known of it before."""
-
-    table: FeatureTable
-
-    def sampler(self, plan: Plan, allowed: NDArray[np.bool_] | None = None) -> FeatureKernelSampler:
-        """The sampler over them; trials off the table have what their nearest rows have."""
-        rows, options = self.table.rows, dict[str, Any]()
+    def sampler(
+        self, candidates: FeatureTable, allowed: NDArray[np.bool_] | None = None
+    ) -> FeatureKernelSampler:
+        """The sampler over candidates; trials off the table have what their nearest rows have."""
+        rows, options = candidates.rows, dict[str, Any]()
         if rows.worlds is None and rows.alike is None:
 
             def features(points: Floats) -> Floats:
@@ -155,7 +150,7 @@ class Candidates:
 
             options = {"feature_function": features}
         return FeatureKernelSampler(
-            self.table, seed=plan.seed, success=plan.goal.success, allowed=allowed, **options
+            candidates, seed=self.seed, success=self.goal.success, allowed=allowed, **options
         )
 
 

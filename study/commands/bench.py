@@ -38,7 +38,7 @@ def main(args: Namespace) -> None:
         raise InputError("action", args.action, ", ".join(ACTIONS))
     if args.action == "new":
         bench = Bench.new(needed(args.what, "what", "the TOML file of the bench"), args.operator)
-        rows = bench.candidates.table
+        rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
         print(f"next: taichi-nmm bench next --bench {bench.plan.path}")
         return

@@ -163,7 +163,7 @@ def test_new_ground_begins_with_what_was_good_before(path: Path) -> None:
 def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> None:
     bench = Bench.new(path)
     assert bench.simulated() == {}
-    rows, tried = bench.candidates.table.rows, robot.run(bench, 3)
+    rows, tried = bench.candidates.rows, robot.run(bench, 3)
     assert len(bench.simulated()) == (0 if rows.worlds is None else 3)
     for params, simulated in zip(tried, bench.simulated().values(), strict=False):
         row = rows.find(params)
