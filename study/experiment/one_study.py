@@ -47,13 +47,7 @@ class OneStudy:
         self.trials = len(self.finished())
         self._experiment = experiment
         self._sampler: BaseSampler | None = None
-        self._asked: optuna.Trial | None = None
-
-    @property
-    def asked(self) -> optuna.Trial:
-        """The trial that was asked for, and not told yet."""
-        assert self._asked is not None
-        return self._asked
+        self.asked: optuna.Trial  # the last one, once there is one
 
     def finished(self) -> list[FrozenTrial]:
         """The finished trials, in the order of their numbers."""
@@ -63,9 +57,9 @@ class OneStudy:
         """The next trial's searched parameters, in the order of `Experiment.names`."""
         with one_thread():
             self.study.sampler = self._sampler_of_turn()
-            self._asked = self.study.ask()
+            self.asked = self.study.ask()
             return [
-                self._asked.suggest_float(name, distribution.low, distribution.high)
+                self.asked.suggest_float(name, distribution.low, distribution.high)
                 for name, distribution in self._experiment.space.items()
             ]
 
@@ -120,12 +114,10 @@ class OneStudy:
             raise InputError(where, "other gains", allowed)
 
     def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
-        asked = self.asked
         for name, value in attributes.items():
-            asked.set_user_attr(name, value)
+            self.asked.set_user_attr(name, value)
         with one_thread():
-            told = self.study.tell(asked, cost)
-        self._asked = None
+            told = self.study.tell(self.asked, cost)
         self.trials += 1
         return told
 

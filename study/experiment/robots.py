@@ -209,8 +209,7 @@ class RobotsFolder(Folder):
 
     KIND: ClassVar[str] = "a comparison on robots"
     FIRST: ClassVar[str] = ROBOTS_NAME
-    # The picture is of comparisons that were made when there was one.
-    FILES: ClassVar[tuple[str, ...]] = (TRIALS_NAME, "report.md", "report.png")
+    FILES: ClassVar[tuple[str, ...]] = (TRIALS_NAME, "report.md")
 
 
 Unit = tuple[RobotExperiment, int]
