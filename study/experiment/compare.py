@@ -3,7 +3,6 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -144,13 +143,15 @@ class Outcome:
 
 
 def compare(
-    experiment: Experiment, request: Request, report: Callable[[Progress], None],
-    summarise: Summarise | None = None, pool: Pool | None = None,
-) -> Outcome:  # fmt: skip
+    experiment: Experiment,
+    request: Request,
+    report: Callable[[Progress], None],
+    summarise: Summarise | None = None,
+) -> Outcome:
     """Run an experiment, or what is missing of it, and write its tables.
 
     `report` is called whenever a stretch of trials is finished. Without `summarise` the
-    database has no summary study. A pool does the work in place of the request's workers.
+    database has no summary study.
 
     Raises:
         InputError: before anything is written: see `check_arms`, `ExperimentFolder.check` and
@@ -173,11 +174,8 @@ def compare(
         Walker(experiment.on_one_thread().conditions.settings), deciding_packages(experiment),
         [store_path(experiment, key) for key in read],
     )  # fmt: skip
-    with (
-        nullcontext(pool) if pool else opened as chosen,
-        ExperimentFolder.claim(request.out, identity) as folder,
-    ):
-        chosen.agree(folder.path)
+    with opened as pool, ExperimentFolder.claim(request.out, identity) as folder:
+        pool.agree(folder.path)
         studies = [(arm.name, run) for run in runs for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)
         before, began_s = finished.count, time.monotonic()
@@ -193,7 +191,7 @@ def compare(
                     "machine": machine(),
                     "stores": {key: str(path) for key, path in experiment.stores.items()},
                 }
-                folder.note_session(session | ({"cluster": chosen.kinds} if chosen.kinds else {}))
+                folder.note_session(session | ({"cluster": pool.kinds} if pool.kinds else {}))
 
         def commit(goes_on: bool) -> None:
             nonlocal exported_s
@@ -204,7 +202,7 @@ def compare(
                 exported_s = time.monotonic()
 
         report(finished.progress(trials))
-        _go_on(experiment, finished, trials, chosen, report, commit)
+        _go_on(experiment, finished, trials, pool, report, commit)
         results = folder.write_results()
         export(experiment, results, url, summarise, final=True)
         computed = finished.count - before

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,11 +95,15 @@ def test_growing_an_experiment_is_the_same_as_all_at_once(comparisons: Compariso
     assert comparisons.content("grown") == comparisons.content("whole")
 
 
-def test_results_depend_on_no_cut_slot_or_stop(comparisons: Comparisons, cut_into: CutInto) -> None:
+def test_results_depend_on_no_cut_slot_or_stop(
+    comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
+) -> None:
     comparisons.run("whole", arms=STATEFUL)
     for slots in (2, 5, 100):
-        request = Request(comparisons.folder / f"{slots}", arms=STATEFUL)
-        compare(comparisons.experiment, request, lambda _: None, pool=Pool(InProcess(), slots))
+        with monkeypatch.context() as patch:
+            pool = nullcontext(Pool(InProcess(), slots))
+            patch.setattr(comparing, "open_pool", lambda *_, pool=pool: pool)
+            comparisons.run(f"{slots}", arms=STATEFUL)
         assert comparisons.content(f"{slots}") == comparisons.content("whole")
         assert all(call["settings"].threads == 1 for call in fake_walker.calls[-12:])
     cut_into(2, 3)
