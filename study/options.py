@@ -37,7 +37,6 @@ Declared = Mapping[str, Any]
 
 DECLARED = tomllib.loads(HERE.joinpath("options.toml").read_text(encoding="utf-8"))
 COMMANDS: dict[str, Declared] = DECLARED["commands"]
-REMOVED: dict[str, str] = DECLARED["removed"]
 
 
 def looked_up(place: str) -> Any:
@@ -138,11 +137,8 @@ def parser_of(name: str) -> Options:
     """The parser of a command; `parser_of(name).format_help()` is its help.
 
     Raises:
-        InputError: no such command; the line lists all, or says what replaces one that is gone.
+        InputError: no such command; the line lists all.
     """
-    if name in REMOVED:
-        instead = f"{PROGRAM} {REMOVED[name]}; {name} is gone, version 0.2.0 was the last with it"
-        raise InputError("command", name, instead)
     if name not in COMMANDS:
         raise InputError("command", name, ", ".join(COMMANDS))
     command = COMMANDS[name]

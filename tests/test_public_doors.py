@@ -80,7 +80,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "seed": 1, "kernel": "rbf", "feature_function": np.sin,
         "off_grid": 2, "space": None, "strict": True, "extra_parameters": ("y",),
         "independent_sampler": optuna.samplers.RandomSampler(seed=1), "success": 0.5,
-        "allowed": None, "constraints_func": None,
+        "allowed": None,
     }  # fmt: skip
     frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
     named = {"parameters": ["x"], "features": ["f"], "bounds": {"x": (0, 1)}, "space": None}

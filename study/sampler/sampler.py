@@ -43,10 +43,6 @@ _MASK = checks.that(
     lambda value: isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype == bool,
     "an array of flags, one a row",
 )
-# Names the successor of the option, which is gone since 0.3.0.
-_NO_CONSTRAINTS = checks.that(
-    lambda value: value is None, "None: call trial.set_constraint(key, value) in the objective"
-)
 
 
 class FeatureKernelSampler(BaseSampler):
@@ -113,7 +109,6 @@ class FeatureKernelSampler(BaseSampler):
             alone counts.
         allowed: which rows of a table may be proposed, [n]; None: all. Points off it are not looked
             at then.
-        constraints_func: gone; call `trial.set_constraint(key, value)` in the objective.
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its objective has
@@ -135,7 +130,6 @@ class FeatureKernelSampler(BaseSampler):
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
         success=checks.optional(checks.number()),
         allowed=checks.optional(_MASK),
-        constraints_func=_NO_CONSTRAINTS,
     )
     def __init__(
         self,
@@ -151,7 +145,6 @@ class FeatureKernelSampler(BaseSampler):
         independent_sampler: BaseSampler | None = None,
         success: float | None = None,
         allowed: NDArray[np.bool_] | None = None,
-        constraints_func: None = None,
     ) -> None:
         given = dict(locals())
         self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]

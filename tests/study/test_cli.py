@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from study.cli import main
-from study.options import COMMANDS, REMOVED, Options, config_path, parser_of
+from study.options import COMMANDS, Options, config_path, parser_of
 from taichi_nmm.errors import InputError
 
 SLOW_TO_LOAD = ("taichi", "quadrants", "matplotlib", "optuna", "pyarrow", "scipy", "sklearn")
@@ -49,17 +49,6 @@ def test_an_unknown_command_is_one_line_that_lists_them(capsys: pytest.CaptureFi
         main(["wlak"])
     line = f"error: command: 'wlak' cannot be used; allowed: {', '.join(COMMANDS)}\n"
     assert capsys.readouterr().err == line
-
-
-@pytest.mark.parametrize("name", REMOVED)
-def test_removed_commands_name_others(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, check=lambda end: end.code == 2):
-        main([name, "--config", "optimum-smooth"])
-    instead, options = f"taichi-nmm {REMOVED[name]}", REMOVED[name].split()
-    gone = f"{name} is gone, version 0.2.0 was the last with it"
-    line = f"error: command: '{name}' cannot be used; allowed: {instead}; {gone}\n"
-    assert capsys.readouterr().err == line
-    parser_of(options[0]).parse_args(options[1:])  # which takes its options
 
 
 @pytest.mark.parametrize("word", ["a\nb", "\x1b[31m", "\udcff", "a\u2028b", "x" * 9999])

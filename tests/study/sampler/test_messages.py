@@ -95,8 +95,6 @@ CASES: dict[str, Callable[[], object]] = {
         lambda: FeatureKernelSampler(kernel="rbf"),
     "kernel: … allowed: one that uses features, or there is nothing to report":
         lambda: (FeatureKernelSampler().worth(optuna.create_study())),
-    "constraints_func: … allowed: None: call trial.set_constraint(key, value) in the objective":
-        lambda: sampler(constraints_func=3),
     "off_grid: … allowed: 0 without a feature_function": lambda: sampler(off_grid=9),
     "space: … allowed: none: a table knows its own": lambda: sampler(space=SPACE),
     "features: … allowed: a FeatureTable, a function, or None": lambda: sampler(FEATURES),
