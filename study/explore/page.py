@@ -154,8 +154,9 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
             return
         document.title = title
         left, right = points.panels, view.panels
-        for root in (message.layout, left[0], right[0], left[1], *right[1:]):
-            document.add_root(root)
+        with document.models.freeze():  # else Bokeh walks through all models after each root
+            for root in (message.layout, left[0], right[0], left[1], *right[1:]):
+                document.add_root(root)
         if isinstance(store, Trials):
             points.row.value = store.best
         elif isinstance(view, WalkView):

@@ -30,7 +30,6 @@ GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 RIM_M = 0.008  # of a muscle, both sides together
 NAMED: dict[str, str] = PEOPLE["muscles"]
 
-
 LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
     "bones": list(stick.WIDTHS_M), "trunk": stick.TRUNK_WIDTH_M, "rim": RIM_M,
     "muscles": [(f"{name}, {word}", stick.DRAWN[name]["belly_m"]) for name, word in NAMED.items()],

@@ -27,7 +27,7 @@ export default (args, changed) => {
     args.slider.setv({end: Math.max(0.1, ...ends)}, HERE)
     args.timeline.setv({end: 1.02 * Math.max(0.1, ...ends)}, HERE)
     args.stages.forEach((stage, which) => line_of(stage.frames.data, args.curves[which], args.falls[which]))
-    if (changed !== args.stages[1].frames) state.time = 0
+    if (changed !== args.stages[1].frames) move_to(args, 0)
     if (ends[0] > 0 || changed.data) state.shown += 1
   }
   draw_all(args)

@@ -1,15 +1,17 @@
-"""The explorer as a process."""
+"""The explorer as a process, and hands on its page."""
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from tests.tools.running import ROOT
 
 MODEL = "Bokeh.documents[0].get_model_by_name"
+WALKS = "window.walk_player?.shown"
 
 
 @contextmanager
@@ -26,3 +28,25 @@ def explorer(
             yield process.stdout.readline().split()[1]
         finally:
             process.terminate()
+
+
+@contextmanager
+def opened(page: Any, folder: Path, *words: str) -> Iterator[str]:
+    """The address of a page whose first gait walks, and which is left before its server ends."""
+    with explorer(folder, words=words) as address:
+        page.goto(address)
+        page.wait_for_function(f"window.store_view?.refreshed > 0 && {WALKS} > 0")
+        yield address
+        page.goto("about:blank")
+
+
+def change(page: Any, name: str, attribute: str, value: Any) -> None:
+    """What a hand on the model does."""
+    page.evaluate(f"{MODEL}('{name}').{attribute} = {json.dumps(value)}")
+
+
+def walks(page: Any, act: Any) -> None:
+    """Do something, and wait until another walk is seen."""
+    seen = page.evaluate(WALKS)
+    act()
+    page.wait_for_function(f"{WALKS} > {seen}")

@@ -1,9 +1,7 @@
 """The explorer as a person uses it: a headless Chromium on a store."""
 
 import json
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +10,15 @@ import pytest
 
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
+from study.explore.store_view import read_selection
 from study.explore.walk import RATE_HZ
-from tests.browser import SCREENSHOTS, opened_page, save
+from tests.browser import opened_page
 from tests.cases import ASSETS, cases
 from tests.storage.fake import content
 from tests.study import fake_walker
-from tests.study.explore.serving import MODEL, explorer
+from tests.study.explore.serving import MODEL, change, opened, walks
 
 pytestmark = pytest.mark.slow
-
-WALKS = "window.walk_player?.shown"
 
 
 @pytest.fixture(scope="module")
@@ -46,22 +43,11 @@ def page() -> Iterator[Any]:
         assert [url for url in asked if "://127.0.0.1:" not in url and url[:5] != "blob:"] == []
 
 
-@contextmanager
-def opened(page: Any, folder: Path) -> Iterator[str]:
-    """The address of a folder's page, which is left before its server ends."""
-    with explorer(folder) as address:
-        page.goto(address)
-        yield address
-        page.goto("about:blank")
-
-
 @pytest.fixture(scope="module")
 def store(folders: Path, page: Any) -> Iterator[Path]:
     """Opened in the page."""
     before = content(folders / "store")
     with opened(page, folders / "store"):
-        page.wait_for_function("window.store_view?.refreshed > 0")
-        page.wait_for_function(f"{WALKS} > 0")
         yield folders / "store"
     assert content(folders / "store") == before  # nothing was written
 
@@ -82,8 +68,6 @@ def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> N
     hostile = tmp_path / f"{SCRIPT}.parquet"
     write_table(hostile, table, footer)
     with opened(page, hostile):
-        page.wait_for_function("window.store_view?.refreshed > 0")
-        page.wait_for_function(f"{WALKS} > 0")
         for slot, name in enumerate((*names, *names, names[0])):
             page.evaluate(f"(name) => {{ {MODEL}('column-{slot}').value = name }}", name)
         page.wait_for_function(f"{MODEL}('column-4').value.includes('onerror')")
@@ -103,18 +87,6 @@ def model(page: Any, name: str, attribute: str) -> Any:
     return page.evaluate(f"{MODEL}('{name}').{attribute}")
 
 
-def change(page: Any, name: str, attribute: str, value: Any) -> None:
-    """What a hand on the model does."""
-    page.evaluate(f"{MODEL}('{name}').{attribute} = {json.dumps(value)}")
-
-
-def walks(page: Any, act: Any) -> None:
-    """Do something, and wait until another walk is seen."""
-    seen = page.evaluate(WALKS)
-    act()
-    page.wait_for_function(f"{WALKS} > {seen}")
-
-
 def frame(page: Any, name: str) -> tuple[float, float, float, float]:
     """Where the axes of a figure are on the screen: left, top, width and height, pixels."""
     left, top, width, height = page.evaluate(f"""(() => {{
@@ -130,9 +102,7 @@ def drag(page: Any, name: str, start: tuple[float, float], end: tuple[float, flo
     left, top, width, height = frame(page, name)
     page.mouse.move(left + start[0] * width, top + start[1] * height)
     page.mouse.down()
-    for part in (0.3, 0.7, 1.0):
-        x, y = (one + part * (two - one) for one, two in zip(start, end, strict=True))
-        page.mouse.move(left + x * width, top + y * height)
+    page.mouse.move(left + end[0] * width, top + end[1] * height, steps=3)
     page.mouse.up()
 
 
@@ -157,7 +127,6 @@ def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
     assert model(page, "count", "text") == f"{rows} of {rows} rows"
     image = f"{MODEL}('cloud').renderers[0].data_source.data.image[0]"
     assert page.evaluate(f"{image}.some((pixel) => pixel !== 0)")
-    save(page, "store")
 
 
 def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) -> None:
@@ -166,12 +135,9 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     page.wait_for_function("window.store_view.chosen < window.store_view.inside.length")
     chosen = page.evaluate("window.store_view.chosen")
     text = model(page, "selection", "value")
-    speed, _ = text.split(", ")
-    assert speed.startswith("mean_speed_mps ")
-    low, high = map(float, speed.removeprefix("mean_speed_mps ").split(".."))
-    listed = model(page, "listed", "data")
-    speeds = [row for row in page.evaluate(f"[...{MODEL}('listed').data.c0]")]
-    assert 0 < len(speeds) == min(chosen, 200) and listed
+    low, high = read_selection(text, ("mean_speed_mps", "phi_printed"))["mean_speed_mps"]
+    speeds = page.evaluate(f"[...{MODEL}('listed').data.c0]")
+    assert 0 < len(speeds) == min(chosen, 200)
     assert all(low <= value <= high for value in speeds)
     drag(page, "histogram-1", (0.0, 0.5), (0.5, 0.5))
     page.wait_for_function(f"{MODEL}('selection').value !== {json.dumps(text)}")
@@ -252,6 +218,8 @@ def test_play_pause_and_scrub(page: Any, store: Path) -> None:
     change(page, "time", "value", 0.5)
     shown_s = float(model(page, "stage", "title.text").split(" s")[0])
     assert 0.5 - 1.0 / RATE_HZ - 0.01 < shown_s <= 0.5
+    walks(page, lambda: change(page, "row", "value", 60))
+    assert model(page, "time", "value") == 0.0  # where another walk begins
     change(page, "play", "active", True)
     page.wait_for_function("window.walk_player.time > 0.5")
 
@@ -319,9 +287,9 @@ def test_the_selection_reads_back(page: Any, store: Path) -> None:
     page.wait_for_timeout(300)
     with page.expect_download() as saved:
         page.get_by_text("selection as Parquet").click()
-    table = pq.read_table(saved.value.path())
-    assert len(table) == page.evaluate("window.store_view.chosen")
-    assert table["mean_speed_mps"].to_numpy().max() <= 0.5
+    whole, table = open_store(store).table(), pq.read_table(saved.value.path())
+    assert table.equals(whole.filter(whole["mean_speed_mps"].to_numpy() <= 0.5))
+    assert 0 < len(table) == page.evaluate("window.store_view.chosen") < len(whole)
     change(page, "selection", "value", "")
 
 
@@ -354,16 +322,3 @@ def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) 
         (growing / shards[1].name).write_bytes(b"damaged")
         page.goto(address)
         page.get_by_text("store: ").first.wait_for()
-
-
-@pytest.mark.skipif(SCREENSHOTS not in os.environ, reason="draws docs/img/explorer-store.png")
-def test_the_picture_of_the_docs(page: Any) -> None:
-    with opened(page, Path("out/store-worlds")):
-        page.wait_for_function(f"{WALKS} > 0")
-        walks(page, lambda: change(page, "row", "value", 20100))
-        walks(page, lambda: page.get_by_text("keep it beside").click())
-        walks(page, lambda: change(page, "start", "value", "published"))
-        change(page, "ghost", "active", True)
-        change(page, "part", "active", 2)
-        page.wait_for_function(f"{MODEL}('cycle-knee')?.inner_width > 100")
-        save(page, "explorer-store")

@@ -22,7 +22,7 @@ from taichi_nmm import InputError
 from tests.browser import opened_page
 from tests.cases import asset
 from tests.study import fake_walker
-from tests.study.explore.serving import MODEL, explorer
+from tests.study.explore.serving import MODEL, opened
 
 
 def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> None:
@@ -74,8 +74,7 @@ def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(tmp_path: Pa
     assert setting.world(1).prosthesis.any()
     for name in ("distance_m", "duration_s", "phi_corrected"):
         assert walked.row[name] == rows.table()[name][1].as_py()
-    with explorer(tmp_path / "own.db") as address, opened_page(1280, 1100) as page:
-        page.goto(address)
+    with opened_page(1280, 1100) as page, opened(page, tmp_path / "own.db"):
         for number in (rows.best, 1 - rows.best):
             page.get_by_text(f"prosthesis-random-run-001-trial-{number}").wait_for()
             page.evaluate(f"{MODEL}('row').value = {1 - number}")

@@ -1,33 +1,20 @@
 """A gait that walks for the page: its setting, its frames, why it fell, and files to take away."""
 
-import io
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from storage.store import open_store
 from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.gains import gains_of_source
 from study.explore import walk as walking
-from study.explore.store_view import file_of_selection
-from study.explore.walk import (
-    COMMAND,
-    NAMES,
-    Walk,
-    chosen_setting,
-    file_of_walk,
-    frames_of,
-    to_toml,
-    walk,
-)
+from study.explore.walk import Walk, chosen_setting, walk
 from study.options import config_path
 from taichi_nmm import GAIN_NAMES, InputError
 from taichi_nmm.config import read_toml
-from tests.study import fake_walker, synthetic_gait
+from tests.study import synthetic_gait
 from tests.tools.running import run_tool
 
 
@@ -42,7 +29,7 @@ def same_robot(one: Experiment, other: Experiment) -> None:
 
 def reread(experiment: Experiment, folder: Path) -> Experiment:
     path = folder / "walk.toml"
-    path.write_text(to_toml(as_written(experiment)))
+    path.write_text(walking.to_toml(as_written(experiment)))
     return read_experiment(path)
 
 
@@ -70,7 +57,7 @@ def test_a_seed_that_no_configuration_takes_and_tables_within_tables(tmp_path: P
     with pytest.raises(InputError, match="seed: -1"):
         chosen_setting("flat", "nominal", -1, "nominal", "taichi", 5.0)
     tables = {"a": {"b": {"c": 1.5}, "d": [1, 2]}, "e": "x\ty", "f": True}
-    (tmp_path / "t.toml").write_text(to_toml(tables))
+    (tmp_path / "t.toml").write_text(walking.to_toml(tables))
     assert read_toml(tmp_path / "t.toml").unread == tables
 
 
@@ -105,7 +92,7 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
     q = trajectory.q.copy()
     q[50:] = np.nan
     terrain = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 5.0).terrain(0)
-    frames = frames_of(replace(trajectory, q=q), terrain)
+    frames = walking.frames_of(replace(trajectory, q=q), terrain)
     assert np.isfinite(frames["near"]).all() and frames["time_s"][-1] <= trajectory.time_s[50]
 
 
@@ -114,10 +101,10 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     fell: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for wanted in NAMES:
-        name, content = file_of_walk(fell, wanted)
+    for wanted in walking.NAMES:
+        name, content = walking.file_of_walk(fell, wanted)
         Path(name).write_bytes(content)
-    words = COMMAND.split()
+    words = walking.COMMAND.split()
     assert words[:2] == ["taichi-nmm", "walk"]
     more = ("--movie-seconds", "0", "--json", "--out", "pictures")
     assert run_tool(monkeypatch, "walk", *words[2:], *more) == 0
@@ -126,13 +113,3 @@ def test_what_is_taken_walks_the_same_to_the_bit(
         assert found[field] == fell.row[field], field
     assert found["gains"] == dict(zip(GAIN_NAMES, fell.gains.gains.tolist(), strict=True))
     assert Path("walk.sto").read_bytes().startswith(b"gains\n")
-
-
-def test_a_selection_is_read_back(fake_simulator: None, tmp_path: Path) -> None:
-    fake_walker.write_plain_store(tmp_path / "store")
-    table = open_store(tmp_path / "store").table()
-    low = float(np.median(table["mean_speed_mps"].to_numpy()))
-    wanted = table.filter(table["mean_speed_mps"].to_numpy() >= low)
-    ranges = {"mean_speed_mps": (low, np.inf)}
-    name, content = file_of_selection(open_store(tmp_path / "store"), ranges)
-    assert name == "selection.parquet" and pq.read_table(io.BytesIO(content)).equals(wanted)
