@@ -42,10 +42,6 @@ LOADS: dict[str, Measured] = {
 }
 TURNS = 7
 
-# Seconds for 100,000 points x 5 s, as measured on another 2-core machine (AVX-512).
-REFERENCE_POINTS = 100_000
-REFERENCES_S = {"scalar C, float64": 234.0, "hand-written AVX-512, float32": 14.9}
-
 
 def main() -> None:
     options = parse()
@@ -80,10 +76,6 @@ def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
            f" {100 * run['alive'] / samples:.1f} % alive at the end")  # fmt: skip
     yield f"speed          {samples / seconds:,.0f} walkers/s, {steps_per_s:,.0f} walker-steps/s"
     yield f"peak memory    {run['peak_rss_mib']:,.0f} MiB"
-    for name, reference_s in REFERENCES_S.items():
-        ratio = samples / seconds * reference_s / REFERENCE_POINTS
-        yield (f"{ratio:6.2f} x the speed of {name} ({reference_s:g} s for {REFERENCE_POINTS:,},"
-               " on another 2-core machine)")  # fmt: skip
 
 
 def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
