@@ -68,7 +68,7 @@ def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(tmp_path: Pa
     run_study(experiment, arm, 1, 2, open_studies(f"sqlite:///{tmp_path / 'own.db'}"))
     rows = open_rows(tmp_path / "own.db")
     assert isinstance(rows, Trials)
-    setting = chosen_setting(OWN, OWN, 3601, OWN, "taichi", 1.0, rows.document)
+    setting = chosen_setting(OWN, OWN, experiment.seed, OWN, "taichi", 1.0, rows.document)
     walked = walk(gains_at(rows, 1, 1), setting)
     assert walked.gains.name == "prosthesis-random-run-001-trial-1" and walked.run == 1
     assert setting.world(1).prosthesis.any()
