@@ -87,7 +87,7 @@ def _read(storage: optuna.storages.BaseStorage | None, file: Path, name: str | N
         short = [re.sub(r"run-\d+$", "run-NNN", each) for each in names]
         listed = dict.fromkeys(names if len(names) <= MOST_LISTED else short)
         allowed = f"--study with one of {', '.join(listed)}" if names else "a study with trials"
-        raise InputError("study", name, f"{allowed}, of {file}")
+        raise InputError("study", name or "none named", f"{allowed}, of {file}")
     study = load_whole(storage, name)
     trials = [each for each in study.get_trials(False) if each.state is not TrialState.WAITING]
     sign = -1.0 if study.directions[0] is optuna.study.StudyDirection.MAXIMIZE else 1.0
