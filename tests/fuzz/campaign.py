@@ -121,9 +121,7 @@ def content(folder: Path) -> Content:
         sound = path.is_file() and not path.is_symlink()
         return hashlib.sha256(path.read_bytes()).hexdigest() if sound else "no file"
 
-    # SQLite's two files beside a database stay as long as this process has a connection.
-    kept = [path for path in folder.rglob("*") if not path.name.endswith((".db-wal", ".db-shm"))]
-    return {str(path.relative_to(folder)): digest(path) for path in sorted(kept)}
+    return {str(path.relative_to(folder)): digest(path) for path in sorted(folder.rglob("*"))}
 
 
 @contextmanager
