@@ -54,9 +54,21 @@ GAINS: tuple[Parameter, ...] = _group("searched")
 
 DEVICE: tuple[Parameter, ...] = _group("device")  # exoskeleton: `kernel.device`
 
+ASYMMETRIES: tuple[Parameter, ...] = tuple(
+    Parameter(
+        f"{gain.name}_asymmetry", "1", -reach, reach, 0.0,
+        f"(left - right) / (left + right) of {gain.name}, which is the mean of both", "ours",
+    )
+    for gain in GAINS
+    # Half of what would take one leg from the middle of the gain's range to its end.
+    for reach in [0.5 * (gain.high - gain.low) / (gain.high + gain.low)]
+)  # fmt: skip
+"""How far each gain differs by side: the left leg has K (1 + a), the right one K (1 - a)."""
+
 # Not searched by the paper, but of the same form, so that a later study can search them.
-LOW_LEVEL_GAINS: tuple[Parameter, ...] = (*_group("fixed"), *DEVICE)
-"""The 8 fixed gains and the 4 numbers of a device, in the order of a row of `low_level_gains`."""
+FIXED: tuple[Parameter, ...] = _group("fixed")
+LOW_LEVEL_GAINS: tuple[Parameter, ...] = (*FIXED, *DEVICE, *ASYMMETRIES)
+"""8 fixed gains, 4 numbers of a device, 16 asymmetries: in the order of `low_level_gains`."""
 
 GAIN_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in GAINS)
 """Names of the searched gains, [16]."""
@@ -115,7 +127,7 @@ def read_fixed(table: Table) -> tuple[float, ...]:
 def split_points(
     points: NDArray[np.float64], searched: tuple[Parameter, ...], fixed: tuple[float, ...] = ()
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points as arguments of `taichi_nmm.simulate`: gains [n, 16] and low-level gains [n, 12].
+    """Points as arguments of `taichi_nmm.simulate`: gains [n, 16] and low-level gains [n, 28].
 
     Args:
         points: [n, 16 + k], or [n, k] where the gains are fixed.
@@ -186,7 +198,7 @@ def load_gains(source: str) -> NDArray[np.float64]:
 
 @checks.checked(source=checks.path)
 def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Gains [16] and low-level gains [12], from a source of `load_gains`.
+    """Gains [16] and low-level gains [28], from a source of `load_gains`.
 
     Here a file may name some of `LOW_LEVEL_GAINS` too; those it does not name have their defaults.
 

@@ -20,7 +20,7 @@ from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER, require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import (
-    DEVICE,
+    FIXED,
     GAIN_NAMES,
     GAINS,
     LOW_LEVEL_GAINS,
@@ -146,15 +146,11 @@ class Walker:
         return self.searched if self.fixed else (*GAINS, *self.searched)
 
     def document(self) -> dict[str, Any]:
-        """Low-level gains that are not searched, and the settings less those of the machine.
+        """Fixed gains that are not searched, and the settings less those of the machine.
 
-        A device that is not searched is none; stores from before there was one say nothing of it.
+        What else is not searched is not there: no device, no asymmetry.
         """
-        fixed = {
-            gain.name: float(gain.default)
-            for gain in LOW_LEVEL_GAINS
-            if gain not in (*self.searched, *DEVICE)
-        }
+        fixed = {gain.name: float(gain.default) for gain in FIXED if gain not in self.searched}
         document = {"low_level_gains": fixed, "simulation": self.settings.document()}
         if self.fixed:
             document["fixed_gains"] = dict(zip(GAIN_NAMES, self.fixed, strict=True))

@@ -10,11 +10,11 @@ from taichi_nmm import checks
 from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
-from taichi_nmm.kernel.layout import GAIN_ROWS, LEGS, LOW_LEVEL_ROWS, MUSCLE_COUNT, Const
+from taichi_nmm.kernel.layout import LEGS, MUSCLE_COUNT, Const
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.muscle_table import T_STRAIN, muscle_table
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
-from taichi_nmm.parameters import LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, gain_rows
+from taichi_nmm.parameters import ASYMMETRIES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, gain_rows
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
 from taichi_nmm.world import MUSCLE_LIMITS, Worlds
@@ -99,8 +99,9 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     bodies, worlds = batch.bodies, batch.worlds
     mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
     rows = np.zeros((len(batch), Const.count))
-    rows[:, GAIN_ROWS] = batch.gains
-    rows[:, LOW_LEVEL_ROWS] = batch.low_level
+    low_level, asymmetry = np.split(batch.low_level, [-len(ASYMMETRIES)], axis=1)
+    by_leg = np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1) * batch.gains[:, :, None]
+    rows[:, : Const.total_mass] = np.hstack([by_leg.reshape(len(batch), -1), low_level])
     rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-batch.low_level[:, W_FILTER] * CONTROL_TICK_S)
     rows[:, Const.total_mass] = mass.sum(axis=1)
     nominal_n_per_m = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M

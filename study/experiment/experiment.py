@@ -26,6 +26,7 @@ from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml, read_whole
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
+    ASYMMETRIES,
     DEVICE,
     GAIN_NAMES,
     GAINS,
@@ -42,7 +43,8 @@ NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
-SEARCHABLE = ("theta_ref", *(each.name for each in DEVICE))
+ADDED = tuple(each.name for each in (*DEVICE, *ASYMMETRIES))  # none, unless they are searched
+SEARCHABLE = ("theta_ref", *ADDED)
 PAID = tuple(name for name in RESULT_DTYPE.names or () if name not in ("end_reason", SURVIVED))
 
 
@@ -248,15 +250,17 @@ def store_path(experiment: Experiment, store: str) -> Path:
 def check_store(experiment: Experiment, store: str, feature: str) -> Store:
     """Open a store, and see that it has the experiment's parameters and this feature.
 
+    Its rows may lack a device and asymmetries: they are then walkers without.
+
     Raises:
         InputError: no such store, not a finished store, other parameters or bounds, or no such
             column.
     """
     opened = open_store(store_path(experiment, store))
     searched = tuple(opened.specification["gains"])
-    if set(searched) != set(experiment.names):
-        more = [name for name in searched if name not in experiment.names]
-        less = [name for name in experiment.names if name not in searched]
+    more = [name for name in searched if name not in experiment.names]
+    less = [name for name in experiment.names if name not in (*searched, *ADDED)]
+    if more or less:
         found = f"{opened.path} {'with' if more else 'without'} {(more or less)[0]}"
         allowed = f"a store of {' and '.join(('the 16 gains', *experiment.searched))}"
         raise InputError(f"stores.{store}", found, allowed)

@@ -16,6 +16,7 @@ from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
+from taichi_nmm.parameters import LOW_LEVEL_GAINS
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +39,8 @@ def feature_table(
 ) -> FeatureTable:
     """The rows of a store as candidates; those that no world ran are not proposed.
 
-    `space` has the columns that studies suggest, with distributions.
+    `space` has the columns that studies suggest, with distributions; low-level gains that the store
+    lacks have their defaults.
     """
     if feature == WORLDS:
         return table_of_worlds(store, objective.in_worlds, space)
@@ -57,7 +59,9 @@ def _table(
     """A table of the rows of a store, with what is known of them."""
     columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
     if space is not None:
-        columns, bounds, own = {name: columns[name] for name in space}, {}, dict(space)
+        defaults = {each.name: np.full(len(store), each.default) for each in LOW_LEVEL_GAINS}
+        known_columns = defaults | columns
+        columns, bounds, own = {name: known_columns[name] for name in space}, {}, dict(space)
     with warnings.catch_warnings():
         # Rows are left out on purpose; stores themselves have no gaps.
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)

@@ -38,7 +38,7 @@ class NamedGains:
 
     name: str  # for titles and file names
     gains: NDArray[np.float64]  # [16]
-    low_level: NDArray[np.float64]  # [12]
+    low_level: NDArray[np.float64]  # [28]
 
     def as_document(self) -> dict[str, float]:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""

@@ -7,7 +7,7 @@ as in `body.SEGMENT_NAMES`. A block's row is the name plus the index within the 
 
 from types import SimpleNamespace
 
-from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_NAMES
+from taichi_nmm.parameters import DEVICE, FIXED, GAIN_NAMES
 
 LEGS = 2
 CONTACTS = 4
@@ -74,11 +74,12 @@ Muscle = blocks(
     force=MUSCLE_COUNT,  # over the nominal Fmax
 )
 
-# Never written by a step: each gain by its name (`Const.K_SOL`), coefficients of the body, and the
-# world.
+# Never written by a step: each gain by its name (`Const.K_SOL`, of the left leg, then the right),
+# coefficients of the body, and the world.
 # A_i and B_ij multiply the directions of the links in the mass matrix: see `dynamics`.
 Const = blocks(
-    **dict.fromkeys((*GAIN_NAMES, *LOW_LEVEL_NAMES), 1),
+    **dict.fromkeys(GAIN_NAMES, LEGS),
+    **dict.fromkeys((each.name for each in (*FIXED, *DEVICE)), 1),
     total_mass=1,  # kg
     a_hat=1,  # A of the HAT, kg m; negative, since its centre of mass lies above the hip
     b_hat=1,  # B of the HAT, kg m2
@@ -103,8 +104,6 @@ Const = blocks(
     leg_weight=LEGS,  # N
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)
 )
-GAIN_ROWS = [getattr(Const, name) for name in GAIN_NAMES]
-LOW_LEVEL_ROWS = [getattr(Const, name) for name in LOW_LEVEL_NAMES]
 
 # Scratch of one step. First comes what several of its parts use. After it lies what one part alone
 # uses, in rows that the next part overwrites: the more rows, the longer a kernel compiles.

@@ -64,10 +64,7 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
     """Stimulations of all muscles: stance reflexes and swing, mixed by the stance weights."""
     s = ti.static(Work.sensed)
     lean = work[s + Signal.trunk, lane] - const[Const.theta_ref, lane]
-    balance = (
-        const[Const.Kp_stance, lane] * lean
-        + const[Const.Kd_stance, lane] * work[s + Signal.trunk_rate, lane]
-    )
+    lean_rate = work[s + Signal.trunk_rate, lane]
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
         load = work[s + Signal.load + leg, lane]
@@ -75,27 +72,35 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
         knee = work[s + Signal.knee + leg, lane]
         extends = (knee < OVEREXTENSION_RAD) & (work[s + Signal.knee_rate + leg, lane] < 0.0)
         inhibition = const[Const.k_oe, lane] * ti.select(extends, OVEREXTENSION_RAD - knee, 0.0)
+        balance = (
+            const[Const.Kp_stance + leg, lane] * lean
+            + const[Const.Kd_stance + leg, lane] * lean_rate
+        )
         # Forward lean excites the extensors, backward lean the flexor, as the leg carries load.
         extensor = clip01(load * (PRESTIMULATION_TRUNK + larger(balance, 0.0)))
         flexor = clip01(load * (PRESTIMULATION_TRUNK - smaller(balance, 0.0)))
-        swing_ta = PRESTIMULATION + const[Const.K_TA, lane] * work[s + Signal.length_ta + leg, lane]
-        sol = PRESTIMULATION + const[Const.K_SOL, lane] * force_sol
-        ta = swing_ta - const[Const.K_TA_SOL, lane] * force_sol
-        gas = PRESTIMULATION + const[Const.K_GAS, lane] * work[s + Signal.force_gas + leg, lane]
+        swing_ta = (
+            PRESTIMULATION + const[Const.K_TA + leg, lane] * work[s + Signal.length_ta + leg, lane]
+        )
+        sol = PRESTIMULATION + const[Const.K_SOL + leg, lane] * force_sol
+        ta = swing_ta - const[Const.K_TA_SOL + leg, lane] * force_sol
+        gas = (
+            PRESTIMULATION + const[Const.K_GAS + leg, lane] * work[s + Signal.force_gas + leg, lane]
+        )
         vas = (
             PRESTIMULATION_VAS
-            + const[Const.K_VAS, lane] * work[s + Signal.force_vas + leg, lane]
+            + const[Const.K_VAS + leg, lane] * work[s + Signal.force_vas + leg, lane]
             - inhibition
         )
         ham = (
             PRESTIMULATION
-            + const[Const.K_HAM, lane] * work[s + Signal.force_ham + leg, lane]
+            + const[Const.K_HAM + leg, lane] * work[s + Signal.force_ham + leg, lane]
             + extensor
         )
         glu = (
             PRESTIMULATION
-            + const[Const.K_GLU, lane] * work[s + Signal.force_glu + leg, lane]
-            + const[Const.K_mix_GLU, lane] * extensor
+            + const[Const.K_GLU + leg, lane] * work[s + Signal.force_glu + leg, lane]
+            + const[Const.K_mix_GLU + leg, lane] * extensor
         )
         m = ti.static(Muscle.stimulation + MUSCLES_PER_LEG * leg)
         muscle[m + SOL, lane] = mix(weight, sol, 0.0)

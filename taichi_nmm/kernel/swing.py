@@ -73,14 +73,14 @@ def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
     length = work[Work.leg_length + leg, lane]
     ahead = work[Work.com_x, lane] - work[Work.ankle_x + 1 - leg, lane]
     target = (
-        const[Const.alpha_0, lane]
-        - const[Const.C_d, lane] * ahead
-        - const[Const.C_v, lane] * work[Work.com_speed, lane]
+        const[Const.alpha_0 + leg, lane]
+        - const[Const.C_d + leg, lane] * ahead
+        - const[Const.C_v + leg, lane] * work[Work.com_speed, lane]
     )
     threshold = target + THRESHOLD_RAD
     phase = next_phase(
         state[State.swing_phase + leg, lane], work[s + leg, lane], work[s + 1 - leg, lane],
-        length, const[Const.l_clr, lane], angle, threshold, rate,
+        length, const[Const.l_clr + leg, lane], angle, threshold, rate,
     )  # fmt: skip
     state[State.swing_phase + leg, lane] = phase
     near = (angle < threshold) & (rate < LARGEST_LEG_RATE_RADPS)
@@ -96,8 +96,8 @@ def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
     )
     flex = 0.0 - const[Const.k_flex, lane] * smaller(rate, 0.0)
     hip = (
-        const[Const.Kp_swing, lane] * (target - angle)
-        - const[Const.Kd_swing, lane] * rate
+        const[Const.Kp_swing + leg, lane] * (target - angle)
+        - const[Const.Kd_swing + leg, lane] * rate
         + 2.0 * stop
     )
     knee = ti.select(phase == FLEX, flex, hold + stop)

@@ -15,7 +15,7 @@ from taichi_nmm.kernel.carried import drive, follow
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, Muscle, Sense, State, Work
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.parameters import (
-    DEVICE,
+    FIXED,
     LOW_LEVEL_GAINS,
     PUBLISHED_GAINS,
     lower_bounds,
@@ -43,7 +43,8 @@ SEGMENT_COUNT = layout.SEGMENT_COUNT
 
 def walking_batch(count: int) -> Batch:
     """Walkers of random gains, the first of the published ones: each body and each world another,
-    every third with a prosthesis and muscles of its own, on five grounds in turn.
+    every second with a device and legs that differ, every third with a prosthesis and muscles of
+    its own, on five grounds in turn.
     """
     rng = np.random.default_rng(4)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (count, 16))
@@ -63,9 +64,10 @@ def walking_batch(count: int) -> Batch:
     worlds = each_world.take(np.arange(count) + count * (np.arange(count) % 3 == 2))
     bodies = Bodies.disturbed(range(count))
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (count, 1))
-    first = len(LOW_LEVEL_GAINS) - len(DEVICE)
-    ends = np.array([(each.low, each.high) for each in DEVICE]).T
-    low_level[::2, first:] = rng.uniform(*ends, low_level[::2, first:].shape)  # others have none
+    first = len(FIXED)
+    ends = np.array([(each.low, each.high) for each in LOW_LEVEL_GAINS[first:]]).T
+    # The others have no device, and equal legs.
+    low_level[::2, first:] = rng.uniform(*ends, low_level[::2, first:].shape)
     index = np.arange(count) % len(grounds)
     return check_batch(gains, bodies, grounds, index, low_level, worlds)
 

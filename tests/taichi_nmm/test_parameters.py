@@ -28,7 +28,8 @@ IN_THE_PAPERS_ORDER = (
 
 def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification() -> None:
     assert " ".join(GAIN_NAMES) == IN_THE_PAPERS_ORDER
-    assert LOW_LEVEL_NAMES[7] == "theta_ref" and len(LOW_LEVEL_NAMES) == 8 + len(DEVICE)
+    assert LOW_LEVEL_NAMES[7] == "theta_ref" and len(LOW_LEVEL_NAMES) == 8 + len(DEVICE) + 16
+    assert LOW_LEVEL_NAMES[-16:] == tuple(f"{name}_asymmetry" for name in GAIN_NAMES)
     assert DEVICE[0].default == DEVICE[0].low == 0.0  # no torque
     assert not set(LOW_LEVEL_NAMES) & set(GAIN_NAMES)
     for group in (GAINS, [each for each in LOW_LEVEL_GAINS if each != DEVICE[0]]):
@@ -67,7 +68,7 @@ def spoilt(value: float) -> NDArray[np.float64]:
 def test_rows_that_cannot_be_used_are_named(values: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^{message}"):
         parameters.gain_rows(values)
-    with pytest.raises(InputError, match=r"low_level_gains\.shape.*\[n, 12\]"):
+    with pytest.raises(InputError, match=r"low_level_gains\.shape.*\[n, 28\]"):
         parameters.gain_rows(np.ones((2, 16)), LOW_LEVEL_GAINS, "low_level_gains")
 
 

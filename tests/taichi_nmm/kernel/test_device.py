@@ -6,7 +6,7 @@ import pytest
 import taichi_nmm
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.layout import Const, State, Work
-from taichi_nmm.parameters import DEVICE, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_gains
+from taichi_nmm.parameters import DEVICE, FIXED, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_gains
 from tests.parity.interpreter import interpreted
 
 STRIDE, STANCE = 1000, 600  # ticks
@@ -45,7 +45,7 @@ def test_the_torque_rises_and_falls_on_splines_once_a_stride_has_been_seen() -> 
 def test_the_plantarflexors_of_a_walker_do_less_beside_it(engine: str) -> None:
     settings = taichi_nmm.Settings(arch="cpu", engine=engine)
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (2, 1))
-    low_level[1, -len(DEVICE) :] = TORQUE, PEAK, RISE, FALL
+    low_level[1, len(FIXED) : len(FIXED) + len(DEVICE)] = TORQUE, PEAK, RISE, FALL
     gains = np.tile(load_gains("reference"), (2, 1))
     rows = taichi_nmm.simulate(
         gains, duration_s=8.0, low_level_gains=low_level, settings=settings
