@@ -25,7 +25,7 @@ from study.experiment.gains import (
     row_at_speed,
 )
 from study.experiment.live_study import run_study
-from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, PUBLISHED_GAINS
+from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -186,3 +186,21 @@ def test_where_gains_are_fixed_rows_and_trials_have_them(
         check_store(other, "worlds", "worlds")
     with refused(r"stores\.worlds: .* a store of the same fixed gains"):
         check_store(replace(toy, fixed=(1.0, *toy.fixed[1:])), "worlds", "worlds")
+
+
+def test_a_store_of_equal_legs_serves_a_search_of_gains_by_side(
+    fake_simulator: None, tmp_path: Path
+) -> None:
+    """Rows have no asymmetry; points near good trials have some, and so have their walks."""
+    searched = ["K_SOL_asymmetry", "exo_torque"]
+    toy = fake_walker.experiment(tmp_path, f"searched = {json.dumps(searched)}\n")
+    fake_walker.calls.clear()
+    found = compare(toy, Request(tmp_path / "out", arms=("worlds", "bo-ranking"), runs=2, trials=8),
+                    lambda progress: None).trials.to_pandas()  # fmt: skip
+    first = found[found.trial < 1]
+    assert (first.row >= 0).all() and not first[searched].to_numpy().any()
+    ours = found[(found.arm == "worlds") & (found.row < 0)]
+    assert (ours[searched] != 0.0).any().all() and (ours.K_SOL_asymmetry.abs() <= 0.5).all()
+    places = [LOW_LEVEL_NAMES.index(name) for name in searched]
+    walked = np.concatenate([call["low_level_gains"][:, places] for call in fake_walker.calls])
+    assert {tuple(row) for row in found[searched].to_numpy()} == {tuple(row) for row in walked}
