@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from taichi_nmm.settings import Settings
     from taichi_nmm.simulator import forward_dynamics, simulate
     from taichi_nmm.terrain import Terrain
+    from taichi_nmm.walkers import Switch
     from taichi_nmm.world import Prosthesis, WorldRanges, Worlds
 
 __version__ = "0.3.0"
@@ -32,8 +33,8 @@ __version__ = "0.3.0"
 __all__ = [
     "END_REASONS", "GAINS", "GAIN_NAMES", "LOW_LEVEL_GAINS", "PUBLISHED_GAINS", "Bodies",
     "Controller", "InputError", "Muscles", "Observation", "Prosthesis", "Result", "Settings",
-    "Terrain", "Trajectory", "WorldRanges", "Worlds", "forward_dynamics", "load_all_gains",
-    "load_gains", "simulate", "smooth_cost", "walking_cost",
+    "Switch", "Terrain", "Trajectory", "WorldRanges", "Worlds", "forward_dynamics",
+    "load_all_gains", "load_gains", "simulate", "smooth_cost", "walking_cost",
 ]  # fmt: skip
 
 _PLACES = {
@@ -48,6 +49,7 @@ _PLACES = {
     "settings": ("Settings",),
     "simulator": ("forward_dynamics", "simulate"),
     "terrain": ("Terrain",),
+    "walkers": ("Switch",),
     "world": ("Prosthesis", "WorldRanges", "Worlds"),
 }  # fmt: skip
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}

@@ -35,10 +35,9 @@ from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import Result
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Terrain
-from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
+from taichi_nmm.walkers import Batch, Schedule, Switch, blends, check_batch, constant_rows
 from taichi_nmm.world import Worlds
 
-CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
 LONGEST_WALK_S = 10_000.0  # ticks stay whole numbers in float32
 
 Progress = Callable[[float, int], None]
@@ -61,6 +60,7 @@ def simulate(
     terrain_index: ArrayLike | None = None,
     low_level_gains: ArrayLike | None = None,
     worlds: Worlds | None = None,
+    switches: Sequence[Switch] = (),
     settings: Settings | None = None,
     record: Sequence[int] = (),
     record_rate_hz: float = 100.0,
@@ -77,6 +77,7 @@ def simulate(
             n terrains serve a walker each.
         low_level_gains: [n, gain] or [gain], in the order of `parameters.LOW_LEVEL_GAINS`.
         worlds: one for all or n of them; None is the nominal world.
+        switches: other gains later on, one switch after another.
         settings: precision, step, contact, machine; None is `Settings()`.
         record: rows of the walkers that get a `Trajectory`.
         record_rate_hz: samples a second of the trajectories; a divisor of 1000.
@@ -92,10 +93,12 @@ def simulate(
         raise InputError("duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}")
     ticks = round(duration_s / CONTROL_TICK_S)
     recorder = Recorder(record, record_rate_hz, batch.worlds, settings)
+    schedule = Schedule(batch, settings, switches)
     launch, packs, engine = _start(batch, settings)
     tick = 0
     while tick < ticks and packs.walkers.size:
-        for part in recorder.parts(tick, min(CHUNK_TICKS, ticks - tick)):
+        chunk = schedule.set_constants(packs, tick)
+        for part in recorder.parts(tick, min(chunk, ticks - tick)):
             launch(packs, tick, part)
             tick += part
             recorder.sample(tick, packs)

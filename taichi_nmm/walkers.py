@@ -1,7 +1,11 @@
-"""The walkers of a call: their input, checked, as a `Batch`, and the constants of the kernels."""
+"""The walkers of a call: their input, checked, as a `Batch`, and the constants of the kernels.
 
+Constants stay as they are, unless the walkers have a `Switch` to other gains.
+"""
+
+from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,12 +18,15 @@ from taichi_nmm.kernel.layout import LEGS, MUSCLE_COUNT, Const
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.muscle_table import T_STRAIN, muscle_table
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
+from taichi_nmm.packs import Packs
 from taichi_nmm.parameters import ASYMMETRIES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, gain_rows
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
 from taichi_nmm.world import MUSCLE_LIMITS, Worlds
 
 W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
+CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
+BLEND_TICKS = 10  # of a switch, for which gains stay the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +59,7 @@ def check_batch(
     """
     rows = gain_rows(gains)
     count = len(rows)
-    if low_level_gains is None:
-        low_level_gains = [parameter.default for parameter in LOW_LEVEL_GAINS]
-    low_level = gain_rows(low_level_gains, LOW_LEVEL_GAINS, "low_level_gains")
-    if len(low_level) not in (1, count):
-        size = len(LOW_LEVEL_GAINS)
-        raise InputError("low_level_gains.shape", low_level.shape, f"[{count}, {size}] or [{size}]")
+    low_level = _low_level_rows(low_level_gains, count)
     bodies = checks.instance(Bodies)("bodies", Bodies.nominal() if bodies is None else bodies)
     worlds = checks.instance(Worlds)("worlds", Worlds.nominal() if worlds is None else worlds)
     for field, one, length in (("bodies", "body", len(bodies)), ("worlds", "world", len(worlds))):
@@ -67,12 +69,22 @@ def check_batch(
     everyone = np.arange(count)
     return Batch(
         rows,
-        low_level[everyone % len(low_level)],
+        low_level,
         bodies.take(everyone % len(bodies)),
         worlds.take(everyone % len(worlds)),
         grounds,
         index,
     )
+
+
+def _low_level_rows(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
+    """Low-level gains of `count` walkers, [n, gain]; None: the defaults."""
+    if given is None:
+        given = [parameter.default for parameter in LOW_LEVEL_GAINS]
+    rows, size = gain_rows(given, LOW_LEVEL_GAINS, "low_level_gains"), len(LOW_LEVEL_GAINS)
+    if len(rows) not in (1, count):
+        raise InputError("low_level_gains.shape", rows.shape, f"[{count}, {size}] or [{size}]")
+    return rows[np.arange(count) % len(rows)]
 
 
 def _check_terrains(
@@ -92,6 +104,57 @@ def _check_terrains(
     if len(index) != count:
         raise InputError("terrain_index.shape", index.shape, f"[{count}] of whole numbers")
     return grounds, index.astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class Switch:
+    """Other gains from some time on, to which those before go over on a straight line.
+
+    Attributes:
+        at_s: when they begin to go over.
+        gains: [n, gain] or [gain], in the order of `parameters.GAINS`.
+        low_level_gains: likewise, of `parameters.LOW_LEVEL_GAINS`; None: those of the start.
+        over_s: how long they take; two seconds are about two strides (docs/speeds.md).
+    """
+
+    at_s: float
+    gains: ArrayLike
+    low_level_gains: ArrayLike | None = None
+    over_s: float = 2.0
+
+
+class Schedule:
+    """The constants of a batch's walkers from tick to tick."""
+
+    def __init__(self, batch: Batch, settings: Settings, switches: Sequence[Switch]) -> None:
+        """Refuses switches that are not one after another."""
+        self._ticks, self._rows = [0], [constant_rows(batch, settings)]  # the line's knots
+        every: tuple[Switch, ...] = checks.each(checks.instance(Switch))("switches", switches)
+        for number, switch in enumerate(every):
+            field, before_s = f"switches[{number}]", self._ticks[-1] * CONTROL_TICK_S
+            at_s = checks.number(before_s)(f"{field}.at_s", switch.at_s)
+            over_s = checks.number(CONTROL_TICK_S)(f"{field}.over_s", switch.over_s)
+            gains, low_level = gain_rows(switch.gains, field=f"{field}.gains"), batch.low_level
+            if len(gains) not in (1, len(batch)):
+                raise InputError(f"{field}.gains.shape", gains.shape, f"[{len(batch)}, 16] or [16]")
+            if switch.low_level_gains is not None:
+                low_level = _low_level_rows(switch.low_level_gains, len(batch))
+            gains = gains[np.arange(len(batch)) % len(gains)]
+            later = constant_rows(replace(batch, gains=gains, low_level=low_level), settings)
+            self._ticks += [round(time / CONTROL_TICK_S) for time in (at_s, at_s + over_s)]
+            self._rows += [self._rows[-1], later]
+
+    def set_constants(self, packs: Packs, tick: int) -> int:
+        """Give the walkers that are up the constants of a tick; for how many ticks they hold."""
+        if len(self._ticks) == 1:
+            return CHUNK_TICKS  # as they were packed
+        place = bisect_right(self._ticks, tick) - 1
+        before, after = self._rows[place], self._rows[min(place + 1, len(self._rows) - 1)]
+        ends = [*self._ticks, tick + CHUNK_TICKS][place : place + 2]
+        share = (tick - ends[0]) / (ends[1] - ends[0]) if after is not before else 0.0
+        rows = ((1.0 - share) * before + share * after)[packs.walkers]
+        packs.constants[...] = packs.fold(rows)
+        return min(CHUNK_TICKS if after is before else BLEND_TICKS, ends[1] - tick)
 
 
 def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:

@@ -125,7 +125,8 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         (taichi_nmm.load_gains, {"source": "published"}),
         (taichi_nmm.simulate, dict.fromkeys(("bodies", "low_level_gains", "worlds", "progress")) | {
             "gains": PUBLISHED_GAINS, "duration_s": 0.002, "terrains": terrain.flat(),
-            "terrain_index": [0], "settings": cpu, "record": [0], "record_rate_hz": 100}),
+            "terrain_index": [0], "settings": cpu, "record": [0], "record_rate_hz": 100,
+            "switches": [taichi_nmm.Switch(0.001, PUBLISHED_GAINS)]}),
         (taichi_nmm.smooth_cost, {"rows": rows, "target_speed_mps": 1.3}),
         (taichi_nmm.walking_cost, {"rows": rows, "target_speed_mps": 1.3}),
         (storage.merge, {"source": store, "target": folder / "merged.parquet"}),
@@ -165,6 +166,9 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "Controller.step": (lambda observation: controller().step(observation),
                             {"observation": taichi_nmm.Observation(**observation)}),
         "Observation": (stepped, observation),
+        "Switch": (lambda **switch: taichi_nmm.simulate(
+            PUBLISHED_GAINS, duration_s=0.002, switches=[taichi_nmm.Switch(**switch)], settings=cpu
+        ), {"at_s": 0.001, "gains": PUBLISHED_GAINS, "low_level_gains": None, "over_s": 1.0}),
         "WorldRanges": (lambda **ranges: taichi_nmm.WorldRanges(**ranges).draw([1]),
                         dict(vars(taichi_nmm.WorldRanges()))),
         "DoGSampler": (tried(study.DoGSampler), {"table": table} | options),

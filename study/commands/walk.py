@@ -58,8 +58,9 @@ def find_gains(args: Namespace) -> NamedGains:
             missing, kind = (where, given[0]) if is_needed else (kinds[0], kinds[0])
             raise InputError(missing, None, f"a value: --{kind} and --{where} belong together")
     if args.speed is not None:
-        checks.number(0.0)("speed", args.speed)
-        return gains_of_row(args.store, row_at_speed(args.store, args.speed))
+        speeds = checks.each(checks.number(0.0))("speed", args.speed)
+        first, *later = (gains_of_row(args.store, row_at_speed(args.store, v)) for v in speeds)
+        return replace(first, later=tuple(later))
     if args.row is not None:
         return gains_of_row(args.store, args.row)
     if args.trial is not None:

@@ -39,6 +39,7 @@ class NamedGains:
     name: str  # for titles and file names
     gains: NDArray[np.float64]  # [16]
     low_level: NDArray[np.float64]  # [28]
+    later: tuple["NamedGains", ...] = ()  # that follow, each for an equal part of a walk
 
     def as_document(self) -> dict[str, float]:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""
@@ -187,9 +188,14 @@ def recorded_walk(
         InputError: what the simulator refuses.
     """
     conditions = experiment.conditions
+    part_s = conditions.duration_s / (1 + len(gains.later))
+    switches = [
+        taichi_nmm.Switch(part_s * number, later.gains, later.low_level)
+        for number, later in enumerate(gains.later, start=1)
+    ]
     return taichi_nmm.simulate(
         gains.gains, low_level_gains=gains.low_level, duration_s=conditions.duration_s,
         bodies=experiment.body(run), worlds=experiment.world(run),
-        terrains=experiment.terrain(run), settings=conditions.settings,
+        terrains=experiment.terrain(run), switches=switches, settings=conditions.settings,
         record=[0], record_rate_hz=rate_hz, progress=progress,
     )  # fmt: skip

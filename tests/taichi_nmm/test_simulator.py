@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm import Bodies, InputError, Settings, terrain
+from taichi_nmm import Bodies, InputError, Settings, Switch, load_gains, terrain
+from taichi_nmm.kernel import backend
+from taichi_nmm.kernel.layout import Const, State
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
+from taichi_nmm.simulator import start_packs
+from taichi_nmm.walkers import Schedule, check_batch
 from tests.processes import printed
 
 pytestmark = pytest.mark.slow
@@ -162,6 +166,42 @@ def test_every_kind_of_input_reaches_the_walker() -> None:
     assert result.rows[:1].tobytes() == walked(duration_s=3.0).rows.tobytes()  # alone on the flat
 
 
+def test_gains_go_over_to_others_on_a_straight_line() -> None:
+    """Walkers that take the lanes of others keep their own gains."""
+    settings = Settings(arch="cpu")
+    backend.start(settings)
+    last = backend.lanes()  # alone in the second pack
+    gains = np.outer(np.arange(1.0, last + 2.0), PUBLISHED_GAINS)
+    switches = [Switch(1.0, 3.0 * gains, over_s=0.5), Switch(2.0, PUBLISHED_GAINS, over_s=0.001)]
+    batch = check_batch(gains)
+    schedule, packs = Schedule(batch, settings, switches), start_packs(batch, settings)
+    for tick, factor, ticks in (
+        (0, 1.0, 250), (900, 1.0, 100), (1000, 1.0, 10), (1240, 1.96, 10), (1495, 2.98, 5),
+        (1500, 3.0, 250), (1999, 3.0, 1), (2000, 3.0, 1), (2001, 0.0, 250), (9000, 0.0, 250),
+    ):  # fmt: skip
+        assert schedule.set_constants(packs, tick) == ticks
+        pack, lane = packs.lane_of(last) or (-1, -1)
+        k_sol, total_mass = packs.constants[pack, [Const.K_SOL + 1, Const.total_mass], lane]
+        expected = gains[last, 3] * factor or PUBLISHED_GAINS[3]
+        assert k_sol == pytest.approx(expected, rel=1e-6) and total_mass == 80.0
+        assert (pack, lane) == ((1, 0) if tick == 0 else (0, 5))
+        packs.rows[0, State.active, 5] = float(tick > 0)
+        packs.compact()
+
+
+@pytest.mark.parametrize("engine", ["taichi", "mujoco"])
+def test_a_walk_with_a_switch_is_that_of_the_first_gains_until_then(engine: str) -> None:
+    settings, reference = Settings(arch="cpu", engine=engine), load_gains("reference")
+    plain, same, other = (
+        walked(duration_s=1.5, settings=settings, record=[0], switches=switches)
+        for switches in ((), [Switch(0.3, PUBLISHED_GAINS)], [Switch(0.7, reference, over_s=0.2)])
+    )
+    np.testing.assert_array_equal(same.trajectories[0].q, plain.trajectories[0].q)
+    moved = (other.trajectories[0].q != plain.trajectories[0].q).any(axis=1)
+    first = plain.trajectories[0].time_s[moved][0]
+    assert 0.7 < first < 0.75
+
+
 def test_settings_change_the_walk() -> None:
     base = walked()["hip_x_m"][0]
     for change in ({"contact_relaxation_speed_mps": 0.03}, {"physics_step_s": 0.5e-3}):
@@ -179,6 +219,9 @@ def test_settings_change_the_walk() -> None:
     ({"terrain_index": [1, 0]}, "terrain_index"), ({"terrain_index": [0.0, 0.0]}, "terrain_index"),
     ({"low_level_gains": np.zeros(7)}, r"low_level_gains\.shape"), ({"record": [2]}, "record: 2"),
     ({"record": [0], "record_rate_hz": 300.0}, "record_rate_hz: 300"),
+    ({"switches": [Switch(1.0, np.ones((3, 16)))]}, r"switches\[0\]\.gains\.shape: \(3, 16\)"),
+    ({"switches": [Switch(1.0, PUBLISHED_GAINS), Switch(2.0, PUBLISHED_GAINS)]},
+     r"switches\[1\]\.at_s: 2\.0 cannot be used; allowed: a finite number from 3\.0"),
     ({"gains": MASKED}, "gains.*nan"), ({"gains": [PUBLISHED_GAINS, MASKED]}, r"gains\[1\].*nan"),
     (
         {"terrains": [terrain.flat()], "terrain_index": np.ma.masked_array([0, 0], [0, 1])},

@@ -13,6 +13,7 @@ import pytest
 from study import pictures
 from study.commands.walk import powered_cost
 from study.experiment.experiment import read_experiment
+from study.experiment.gains import gains_of_row, row_at_speed
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE, Result
 from tests.study import fake_walker, synthetic_gait
@@ -111,6 +112,17 @@ def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk: Walk, tmp_pa
     assert set(bent["gains"]) == {*GAIN_NAMES, "theta_ref"}
     assert bent["distance_m"] < plain["distance_m"]
     assert fake_walker.calls[-1]["low_level_gains"][fake_walker.THETA_REF] == 0.5
+
+
+def test_of_several_speeds_each_has_its_part_of_the_walk(walk: Walk, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    fake_walker.write_plain_store(store)
+    slow, fast = (gains_of_row(store, row_at_speed(store, speed)) for speed in (1.0, 1.2))
+    shown = walk("--store", store, "--speed", 1.0, "--speed", 1.2, "--duration", 12)
+    call = fake_walker.calls[-1]
+    (switch,) = call["switches"]
+    assert shown["gains"] == slow.as_document() and (call["gains"] == slow.gains).all()
+    assert switch.at_s == 6.0 and (switch.gains == fast.gains).all()
 
 
 def test_a_run_and_a_seed_have_their_own_body_and_ground(walk: Walk) -> None:
