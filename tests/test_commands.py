@@ -142,6 +142,7 @@ def test_a_command_that_is_named_is_taken(
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     monkeypatch.setattr("storage.specification.Repertoire.generations", 20)  # and not 520
+    monkeypatch.setattr("study.experiment.gains.SPEED_TOLERANCE_MPS", 1.0)  # fakes are much alike
     monkeypatch.chdir(tmp_path)
     for name in ("configs", "out", *TAKEN_AWAY):
         (tmp_path / name).symlink_to(made / name)

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from storage import open_store
-from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, Parameter
+from taichi_nmm.parameters import ASYMMETRIES, DEVICE, FIXED, GAINS, Parameter
 from tests.processes import printed
 from tests.study import fake_walker
 from tests.tools.running import ROOT
@@ -65,12 +65,20 @@ def example(tmp_path: Path) -> Example:
     return run
 
 
-@pytest.mark.parametrize("parameter", [*GAINS, *LOW_LEVEL_GAINS], ids=lambda p: p.name)
+@pytest.mark.parametrize("parameter", [*GAINS, *FIXED, *DEVICE], ids=lambda p: p.name)
 def test_parameter_table_is_that_of_the_code(parameter: Parameter) -> None:
     p = parameter
     bounds = f"{p.low:.4g} | {p.high:.4g} | {p.default:.4g}"
     row = f"| `{p.name}` | {p.unit} | {bounds} | {p.meaning} | {p.source} |"
     assert row in (DOCS / "walker.md").read_text()
+
+
+def test_the_bounds_of_asymmetries_are_those_of_the_code() -> None:
+    page = (DOCS / "walker.md").read_text()
+    for gain, asymmetry in zip(GAINS, ASYMMETRIES, strict=True):
+        assert asymmetry.low == -asymmetry.high and asymmetry.default == 0.0
+        named = f"{asymmetry.high:.3f} of `{gain.name}`"
+        assert named in page or (asymmetry.high == 0.5 and gain.low == 0.0)
 
 
 def test_the_page_of_commands_is_made_from_their_help() -> None:
