@@ -26,14 +26,14 @@ if TYPE_CHECKING:
     from taichi_nmm.simulator import forward_dynamics, simulate
     from taichi_nmm.terrain import Terrain
     from taichi_nmm.walkers import Switch
-    from taichi_nmm.world import Prosthesis, WorldRanges, Worlds
+    from taichi_nmm.world import Exoskeleton, Prosthesis, WorldRanges, Worlds
 
 __version__ = "0.3.0"
 
 __all__ = [
     "END_REASONS", "GAINS", "GAIN_NAMES", "LOW_LEVEL_GAINS", "PUBLISHED_GAINS", "Bodies",
-    "Controller", "InputError", "Muscles", "Observation", "Prosthesis", "Result", "Settings",
-    "Switch", "Terrain", "Trajectory", "WorldRanges", "Worlds", "forward_dynamics",
+    "Controller", "Exoskeleton", "InputError", "Muscles", "Observation", "Prosthesis", "Result",
+    "Settings", "Switch", "Terrain", "Trajectory", "WorldRanges", "Worlds", "forward_dynamics",
     "load_all_gains", "load_gains", "simulate", "smooth_cost", "walking_cost",
 ]  # fmt: skip
 
@@ -50,7 +50,7 @@ _PLACES = {
     "simulator": ("forward_dynamics", "simulate"),
     "terrain": ("Terrain",),
     "walkers": ("Switch",),
-    "world": ("Prosthesis", "WorldRanges", "Worlds"),
+    "world": ("Exoskeleton", "Prosthesis", "WorldRanges", "Worlds"),
 }  # fmt: skip
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 _RENAMED = {"K_T": "PUBLISHED_GAINS", "Sensed": "Observation"}  # since 0.3.0; gone in 0.4.0

@@ -155,7 +155,7 @@ class Recorder:
             ground_force_n=_mean_forces(rows, self._interval),
             joint_torque_nm=_joint_torques(rows, self._settings, self._prostheses[walker]),
             swing_torque_nm=rows[:, swing],
-            device_torque_nm=rows[:, State.device_torque : State.device_torque + LEGS],
+            device_torque_nm=rows[:, State.device_torque :][:, : 3 * LEGS],
             fibre_length_m=length * OPTIMAL_M,
             fibre_velocity_mps=velocity * OPTIMAL_M * FASTEST_PER_S,
             stance=np.any(touching > 0.5, axis=2),
@@ -198,13 +198,14 @@ def _joint_torques(rows: Array, settings: Settings, prosthesis: Array) -> Array:
         cosine * np.cos(angle[..., joint]) + sine * np.sin(angle[..., joint])
         for joint, cosine, sine in ((stops.KNEE, *rest[:2]), (stops.ANKLE, *rest[2:]))
     )
-    weight, ideal_hip, ideal_knee, device = (
+    weight, ideal_hip, ideal_knee = (
         rows[:, first : first + LEGS]
-        for first in (State.stance_weight, State.hip_torque, State.knee_torque, State.device_torque)
+        for first in (State.stance_weight, State.hip_torque, State.knee_torque)
     )
     stiffness, damping, rest_rad = prosthesis.T
     ankle += stiffness * (rest_rad - angle[..., stops.ANKLE]) - damping * rate[..., stops.ANKLE]
-    torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle + device], -1)
+    torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle], -1)
+    torque += rows[:, State.device_torque :][:, : 3 * LEGS].reshape(torque.shape)
     if settings.engine == OWN_ENGINE:
         beyond = np.clip(angle, LOWEST_RAD, HIGHEST_RAD) - angle
         stop = beyond - (np.abs(beyond) / YIELD_RADPS + step_s * IMPLICIT) * rate

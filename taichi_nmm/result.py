@@ -56,7 +56,7 @@ class Trajectory:
             `joint_rad`, [t, 6]: muscles, ideal torques, exoskeleton, prosthesis, and stops (but
             not those of MuJoCo).
         swing_torque_nm: the ideal part of it, left hip, left knee, right hip, right knee, [t, 4].
-        device_torque_nm: of an exoskeleton, left and right ankle, [t, 2].
+        device_torque_nm: of an exoskeleton, in the order of `joint_torque_nm`, [t, 6].
         fibre_length_m: of the contractile elements, in the order of `activation`, [t, 14].
         fibre_velocity_mps: their rates, lengthening positive, [t, 14].
         stance: foot on the ground, left and right, bool [t, 2].

@@ -93,7 +93,12 @@ class WalkerWorlds:
     def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
         """Names for people, and digests of all numbers that were drawn."""
         numbers = vars(worlds.surroundings)
-        for newer in ("catch_ns", "prosthesis", *MUSCLE_LIMITS):  # than many stores, as below
+        for newer in (
+            "catch_ns",
+            "prosthesis",
+            "exoskeleton",
+            *MUSCLE_LIMITS,
+        ):  # than many stores, as below
             if getattr(self.ranges, newer) == getattr(NOMINAL, newer):
                 numbers = {name: values for name, values in numbers.items() if name != newer}
         bodies = array_digest(*vars(worlds.bodies).values())

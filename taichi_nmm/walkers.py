@@ -181,6 +181,8 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     rows[:, Const.catch_ns] = worlds.catch_ns
     for number, row in enumerate((Const.ankle_stiffness, Const.ankle_damping, Const.ankle_rest)):
         rows[:, row : row + LEGS] = worlds.prosthesis[:, :, number]
+    rows[:, Const.exo_share : Const.exo_power] = worlds.exoskeleton[:, :, :3].reshape(len(rows), -1)
+    rows[:, Const.exo_power : Const.exo_power + LEGS] = worlds.exoskeleton[:, :, 3]
     rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
     rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]

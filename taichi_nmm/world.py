@@ -49,6 +49,16 @@ PROSTHESIS_LIMITS: dict[str, Range] = {
     "rest_rad": (math.radians(-20.0), math.radians(40.0)),  # between the stops of `kernel.joints`
 }
 ACROSS_ANKLE = ("SOL", "TA", "GAS")
+MOTIONS = {  # of an exoskeleton: hip extension, knee flexion and plantarflexion, positive
+    "hip_extension": (1.0, 0.0, 0.0),
+    "hip_flexion": (-1.0, 0.0, 0.0),
+    "knee_extension": (0.0, -1.0, 0.0),
+    "knee_flexion": (0.0, 1.0, 0.0),
+    "plantarflexion": (0.0, 0.0, 1.0),
+    "dorsiflexion": (0.0, 0.0, -1.0),
+}
+BOTH_SIDES = ("both", *SIDES)
+POWER_W: Range = (1.0, 1e6)  # the last is no limit
 
 
 @dataclass(frozen=True)
@@ -73,6 +83,31 @@ class Prosthesis:
     def __post_init__(self) -> None:
         numbers = {name: checks.number(*limits) for name, limits in PROSTHESIS_LIMITS.items()}
         checks.check_fields(self, "prosthesis.", side=checks.word(*SIDES), **numbers)
+
+
+@dataclass(frozen=True)
+class Exoskeleton:
+    """What an exoskeleton does with its torque, whose curve low-level gains tell (`exo_torque`).
+
+    Attributes:
+        motion: that it helps, of `MOTIONS`.
+        side: "left", "right" or "both".
+        power_w: the most that it gives to a leg, W; its torque is lowered to this.
+    """
+
+    motion: str = "plantarflexion"
+    side: str = "both"
+    power_w: float = POWER_W[1]
+
+    def __post_init__(self) -> None:
+        words = {"motion": checks.word(*MOTIONS), "side": checks.word(*BOTH_SIDES)}
+        checks.check_fields(self, "exoskeleton.", **words, power_w=checks.number(*POWER_W))
+
+    @property
+    def row(self) -> NDArray[np.float64]:
+        """As `Worlds` have it, [2, 4]."""
+        legs = [[self.side in ("both", side)] for side in SIDES]
+        return np.array(legs) * (*MOTIONS[self.motion], 0.0) + (0.0, 0.0, 0.0, self.power_w)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +135,8 @@ class Worlds(Rows):
         optimal_length: of each muscle's fibre over the nominal, as `strength`, [n, 14].
         slack_length: of its tendon, likewise; where it is attached does not change.
         activation_time: the time constant from an order to the activation, likewise.
+        exoskeleton: of the left leg, then the right: the shares of its torque that extend the hip,
+            flex the knee and turn the foot down, -1 to 1, and its largest power in W, [n, 2, 4].
     """
 
     contact_stiffness: NDArray[np.float64]
@@ -114,6 +151,7 @@ class Worlds(Rows):
     optimal_length: NDArray[np.float64]
     slack_length: NDArray[np.float64]
     activation_time: NDArray[np.float64]
+    exoskeleton: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         self._check_shapes("world", _size)
@@ -122,6 +160,8 @@ class Worlds(Rows):
         within["strength"] = self.strength, (0.0, LIMITS["strength"][1])
         for place, (name, limits) in enumerate(PROSTHESIS_LIMITS.items()):
             within[f"prosthesis.{name}"] = self.prosthesis[..., place], limits
+        within["exoskeleton.share"] = self.exoskeleton[..., :3], (-1.0, 1.0)
+        within["exoskeleton.power_w"] = self.exoskeleton[..., 3], POWER_W
         for name, (values, (low, high)) in within.items():
             outside = values[~((values >= low) & (values <= high))]
             if outside.size:
@@ -133,9 +173,11 @@ class Worlds(Rows):
         """`count` worlds of the published walker."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
         none, usual = np.zeros((count, *_size("prosthesis"))), FRICTION_COEFFICIENT * one
+        ankles = np.tile(Exoskeleton().row, (count, 1, 1))
         return Worlds(
-            one, one, usual, strength, zero, zero, zero, zero, none, strength, strength, strength
-        )
+            one, one, usual, strength, zero, zero, zero, zero, none, strength, strength, strength,
+            ankles,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -146,8 +188,8 @@ class WorldRanges:
     a stream of its own, and so is the seed of noise and catches. A muscle is `overall_strength`,
     which all of a walker's muscles share, times its own `strength`, times what `muscles` has for it
     in all worlds, the left leg's first, [14]: a weak soleus, a muscle that is missing (0). All
-    worlds have the `prosthesis`, if there is one, and the same factors of the muscles' optimal
-    lengths, slack lengths and activation times, [14]. They pickle and hash.
+    worlds have the `prosthesis`, if there is one, the same `exoskeleton`, and the same factors of
+    the muscles' optimal lengths, slack lengths and activation times, [14]. They pickle and hash.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -163,12 +205,13 @@ class WorldRanges:
     optimal_length: tuple[float, ...] = HEALTHY
     slack_length: tuple[float, ...] = HEALTHY
     activation_time: tuple[float, ...] = HEALTHY
+    exoskeleton: Exoskeleton = Exoskeleton()
 
     def __post_init__(self) -> None:
         pairs = {name: checks.interval(*LIMITS[name]) for name in RANGES}
         low, high = LIMITS["strength"]
-        device = checks.optional(checks.instance(Prosthesis))
-        checks.check_fields(self, "world.", **pairs, prosthesis=device)
+        foot, device = checks.optional(checks.instance(Prosthesis)), checks.instance(Exoskeleton)
+        checks.check_fields(self, "world.", **pairs, prosthesis=foot, exoskeleton=device)
         for name in ("muscles", *MUSCLE_LIMITS):
             given = getattr(self, name)
             if checks.numbers(f"world.{name}", given).shape != (MUSCLE_COUNT,):
@@ -202,6 +245,7 @@ class WorldRanges:
             drawn["prosthesis"][:, leg] = [getattr(self.prosthesis, n) for n in PROSTHESIS_LIMITS]
             gone = [MUSCLE_NAMES.index(f"{m}_{self.prosthesis.side}") for m in ACROSS_ANKLE]
             drawn["strength"][:, gone] = 0.0
+        drawn["exoskeleton"] = np.tile(self.exoskeleton.row, (len(streams), 1, 1))
         for name in MUSCLE_LIMITS:
             drawn[name] = np.tile(np.asarray(getattr(self, name), dtype=float), (len(streams), 1))
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
@@ -218,7 +262,9 @@ class WorldRanges:
         own = {name: _changed(getattr(self, name)) for name in MUSCLE_LIMITS}
         muscles |= {name: changed for name, changed in own.items() if changed}
         document |= {"muscles": muscles} if muscles else {}
-        return document | ({"prosthesis": asdict(self.prosthesis)} if self.prosthesis else {})
+        document |= {"prosthesis": asdict(self.prosthesis)} if self.prosthesis else {}
+        worn = self.exoskeleton != NOMINAL.exoskeleton
+        return document | ({"exoskeleton": asdict(self.exoskeleton)} if worn else {})
 
 
 MUSCLE_NAMES = tuple(f"{muscle}_{side}" for side in SIDES for muscle in MUSCLES)
@@ -234,7 +280,8 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
 
     [world.muscles] has factors of the strength of single muscles, by name (`SOL`), or name and side
     (`SOL_left`); its tables `optimal_length`, `slack_length` and `activation_time` those of these.
-    [world.prosthesis] has the fields of `Prosthesis`. Reads every key.
+    [world.prosthesis] has the fields of `Prosthesis`, [world.exoskeleton] those of `Exoskeleton`.
+    Reads every key.
 
     Raises:
         InputError: an unknown key, a range that is empty or out of bounds, or a contact of our own
@@ -247,7 +294,8 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
         own[name] = _read_muscles(named.table(name), *limits)
         named.table(name).done()
     named.done()
-    ranges = WorldRanges(**pairs, muscles=muscles, prosthesis=_read_prosthesis(table), **own)
+    foot, device = _read_prosthesis(table), _read_exoskeleton(table.table("exoskeleton"))
+    ranges = WorldRanges(**pairs, muscles=muscles, prosthesis=foot, exoskeleton=device, **own)
     table.done()
     if engine != OWN_ENGINE:
         for name in set(ranges.document()) & set(OWN_CONTACT):
@@ -283,6 +331,15 @@ def _read_prosthesis(world: Table) -> Prosthesis | None:
     return Prosthesis(side, **numbers)
 
 
+def _read_exoskeleton(table: Table) -> Exoskeleton:
+    usual = Exoskeleton()
+    motion = table.text("motion", usual.motion, choices=tuple(MOTIONS))
+    side = table.text("side", usual.side, choices=BOTH_SIDES)
+    device = Exoskeleton(motion, side, table.number("power_w", usual.power_w, *POWER_W))
+    table.done()
+    return device
+
+
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
     """A stream for each of a world's numbers, so that a new number changes no other's."""
     known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
@@ -295,4 +352,6 @@ def _size(name: str) -> tuple[int, ...]:
     """Numbers of that name in one world."""
     if name == "prosthesis":
         return len(SIDES), len(PROSTHESIS_LIMITS)
+    if name == "exoskeleton":
+        return Exoskeleton().row.shape
     return (MUSCLE_COUNT,) if name in ("strength", *MUSCLE_LIMITS) else ()

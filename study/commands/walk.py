@@ -139,7 +139,7 @@ def write_pictures(
 def powered_cost(result: taichi_nmm.Result, experiment: Experiment, run: int) -> float:
     """The cost of transport with the positive work of ideal torques and exoskeleton, J/(kg m)."""
     row, walk = result.rows[0], result.trajectories[0]
-    torques = np.insert(walk.swing_torque_nm, [2, 4], walk.device_torque_nm, axis=1)  # as joints
+    torques = np.insert(walk.swing_torque_nm, [2, 4], 0.0, axis=1) + walk.device_torque_nm
     work_j = np.maximum(torques[1:] * np.diff(walk.joint_rad, axis=0), 0.0).sum()
     burden = experiment.weight_n(run) / GRAVITY_MPS2 * float(row["distance_m"])
     return float(row["cost_of_transport_jpkgpm"] + (work_j / burden if burden > 0.0 else 0.0))

@@ -202,7 +202,7 @@ def own_columns(trajectory: Trajectory) -> Columns:
         ([f"{side}_stance" for side in SIDES], trajectory.stance.astype(np.float64)),
         ([f"{name}_torque_nm" for name in TORQUES], trajectory.joint_torque_nm),
         ([f"{name}_swing_torque_nm" for name in swing], trajectory.swing_torque_nm),
-        ([f"{side}_device_torque_nm" for side in SIDES], trajectory.device_torque_nm),
+        ([f"{name}_device_torque_nm" for name in TORQUES], trajectory.device_torque_nm),
         ([f"{side}_{muscle}_fibre_m" for side, muscle in SIDED], trajectory.fibre_length_m),
         ([f"{side}_{muscle}_fibre_mps" for side, muscle in SIDED], trajectory.fibre_velocity_mps),
     ])  # fmt: skip

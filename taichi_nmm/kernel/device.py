@@ -1,11 +1,12 @@
-"""Devices at the ankles: an exoskeleton on both, or a passive foot in the place of one or both.
+"""Devices: an exoskeleton at hips, knees or ankles, and a passive foot in the place of an ankle.
 
 The exoskeleton's torque follows the stride, timed by each leg's own heel strikes. It rises to its
 peak and falls again on cubic splines, of which four numbers tell the shape: peak torque, and peak
 time, rise and fall as shares of a stride (Zhang et al. 2017, "Human-in-the-loop optimization of
 exoskeleton assistance during walking", figure 1). A stride is taken to last as long as the one
-before; there is no torque before a whole stride has been seen. The device has no mass of its own:
-[body.mass] may give the shanks and feet some.
+before; there is no torque before a whole stride has been seen. A curve that would rise before the
+strike begins there. Where the power at the joints would exceed the device's, all its torques are
+lowered alike. The device has no mass of its own: [body.mass] may give the links some.
 
 A prosthesis is a linear spring and damper (`world.Prosthesis`); the muscles that cross the ankle
 are missing, their strength being 0.
@@ -16,6 +17,8 @@ from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.gait import DEBOUNCE_TICKS
 from taichi_nmm.kernel.layout import LEGS, Const, State, Work
 
+LEAST_RATE_RADPS = 1e-3  # no torque at a slower rate has a power that is limited
+
 
 @ti.func
 def rising(share):
@@ -25,8 +28,8 @@ def rising(share):
 
 
 @ti.func
-def assist(lane, state: Rows, const: Rows):
-    """The torque of each ankle at this tick, N m, plantarflexion positive."""
+def assist(lane, state: Rows, const: Rows, work: Rows):
+    """The torques on the joints of each leg at this tick, N m, in the signs of the joints."""
     for leg in ti.static(range(LEGS)):
         heel, ball = ti.static(State.touching + 2 * leg, State.touching + 2 * leg + 1)
         down = larger(state[heel, lane], state[ball, lane]) > 0.5
@@ -38,8 +41,15 @@ def assist(lane, state: Rows, const: Rows):
         from_peak = share - const[Const.exo_peak, lane]
         up = rising(1.0 + from_peak / const[Const.exo_rise, lane])
         down_again = rising(from_peak / const[Const.exo_fall, lane])
-        torque = const[Const.exo_torque, lane] * up * (1.0 - down_again)
-        state[State.device_torque + leg, lane] = ti.select(stride > 0.0, torque, 0.0)
+        curve = const[Const.exo_torque, lane] * up * (1.0 - down_again)
+        torque = ti.select(stride > 0.0, curve, 0.0)
+        rate = 0.0
+        for joint in ti.static(range(3 * leg, 3 * leg + 3)):
+            rate += const[Const.exo_share + joint, lane] * work[Work.joint_rate + joint, lane]
+        most = const[Const.exo_power + leg, lane]
+        torque = ti.select(torque * rate > most, most / larger(rate, LEAST_RATE_RADPS), torque)
+        for joint in ti.static(range(3 * leg, 3 * leg + 3)):
+            state[State.device_torque + joint, lane] = const[Const.exo_share + joint, lane] * torque
         state[State.device_stride + leg, lane] = stride
         state[State.device_clock + leg, lane] = clock
         air = state[State.device_air + leg, lane] + 1.0

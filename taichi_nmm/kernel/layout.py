@@ -63,7 +63,7 @@ State = blocks(
     device_air=LEGS,  # ticks since the leg touched the ground
     device_clock=LEGS,  # ticks since the leg's last strike; 0 before the first
     device_stride=LEGS,  # ticks of its last stride; 0 before there was one
-    device_torque=LEGS,  # on the ankle, held over the tick
+    device_torque=3 * LEGS,  # of an exoskeleton on hip, knee, ankle, held over the tick
 )
 
 Muscle = blocks(
@@ -100,6 +100,8 @@ Const = blocks(
     ankle_stiffness=LEGS,  # of a prosthesis, N m/rad; 0 is none
     ankle_damping=LEGS,  # N m s/rad
     ankle_rest=LEGS,  # angle without torque, rad
+    exo_share=3 * LEGS,  # of an exoskeleton's torque on hip, knee and ankle
+    exo_power=LEGS,  # its most, W
     hat_weight=1,  # N
     leg_weight=LEGS,  # N
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)

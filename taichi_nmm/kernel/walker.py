@@ -133,7 +133,7 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
         swing.place_legs(lane, state, const, work)
     if highest(Const.exo_torque, lanes, const) > 0.0:  # `assist` gives the others no torque
         for lane in range(lanes):
-            device.assist(lane, state, const)
+            device.assist(lane, state, const, work)
 
 
 @ti.func
@@ -181,19 +181,24 @@ def contract_muscles(blend, own: Rows, lanes: Rows, muscles: Rows, fibres: Rows,
 def add_ideal_torques(lane, state: Rows, const: Rows, work: Rows):
     """Hip and knee torques: the muscles' by their share of stance, and the ideal parts.
 
-    Ankles get the torques of the devices.
+    All joints get the torques of the devices.
     """
     for leg in ti.static(range(LEGS)):
         weight = state[State.stance_weight + leg, lane]
         hip, knee, ankle = ti.static(3 * leg, 3 * leg + 1, 3 * leg + 2)
+        worn = ti.static(State.device_torque)
         work[Work.joint_torque + ankle, lane] += state[
-            State.device_torque + leg, lane
+            worn + ankle, lane
         ] + device.prosthesis_torque(lane, ankle, leg, const, work)
         work[Work.joint_torque + hip, lane] = (
-            weight * work[Work.joint_torque + hip, lane] + state[State.hip_torque + leg, lane]
+            weight * work[Work.joint_torque + hip, lane]
+            + state[State.hip_torque + leg, lane]
+            + state[worn + hip, lane]
         )
         work[Work.joint_torque + knee, lane] = (
-            weight * work[Work.joint_torque + knee, lane] + state[State.knee_torque + leg, lane]
+            weight * work[Work.joint_torque + knee, lane]
+            + state[State.knee_torque + leg, lane]
+            + state[worn + knee, lane]
         )
 
 

@@ -120,6 +120,13 @@ def test_a_prosthesis_takes_the_muscles_of_its_ankle() -> None:
     assert drawn.strength[0].tolist() == [0, 0, 0, 1, 1, 1, 1, 0.5, 1, 1, 1, 1, 1, 1]
 
 
+def test_an_exoskeleton_helps_where_its_table_says() -> None:
+    ranges = read_world(Table({"exoskeleton": {"motion": "hip_flexion", "side": "right"}}))
+    assert read_world(Table(ranges.document())) == ranges == pickle.loads(pickle.dumps(ranges))
+    worn, none = [-1.0, 0.0, 0.0, 1e6], [0.0, 0.0, 0.0, 1e6]
+    assert ranges.draw([3]).exoskeleton.tolist() == [[none, worn]]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", [CPU, Settings(engine="mujoco", arch="cpu")])
 def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
@@ -150,6 +157,8 @@ def test_muscles_have_lengths_and_times_of_their_own() -> None:
     ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"), ({"friction": [0.9]}, "worlds"),
     ({"catch_ns": [0.0, 50.1]}, "worlds.catch_ns"),
     ({"prosthesis": np.full((2, 2, 3), 3.0)}, "worlds.prosthesis.rest_rad"),
+    ({"exoskeleton": np.full((2, 2, 4), 3.0)}, "worlds.exoskeleton.share"),
+    ({"exoskeleton": np.zeros((2, 2, 4))}, "worlds.exoskeleton.power_w"),
 ])  # fmt: skip
 def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError, match=f"^{field}: "):
@@ -176,7 +185,11 @@ def test_each_walker_walks_in_its_own_world() -> None:
         walk(Worlds.nominal(2), 3)
 
 
-@pytest.mark.parametrize("name", sorted(vars(Worlds.nominal()).keys() - {"noise_seed"}))
+# Neither is anything without the gains of a device, or noise.
+NOT_ALONE = {"noise_seed", "exoskeleton"}
+
+
+@pytest.mark.parametrize("name", sorted(vars(Worlds.nominal()).keys() - NOT_ALONE))
 def test_every_number_reaches_the_walker(name: str) -> None:
     nominal = vars(Worlds.nominal())
     value = nominal[name] * 0.7 if np.any(nominal[name]) else nominal[name] + 0.01

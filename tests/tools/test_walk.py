@@ -54,7 +54,7 @@ def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path: Path, tool: 
 def test_motors_pay_for_their_positive_work() -> None:
     """Ten newton metres at the left knee and the right ankle, of 80 kg over 50 m."""
     walk, rows = synthetic_gait.walk(4.0), np.zeros(1, RESULT_DTYPE)
-    walk.swing_torque_nm[:, 1], walk.device_torque_nm[:, 1] = 10.0, -10.0
+    walk.swing_torque_nm[:, 1], walk.device_torque_nm[:, 5] = 10.0, -10.0
     rows["cost_of_transport_jpkgpm"], rows["distance_m"] = 3.0, 50.0
     flexed, bent = np.diff(walk.joint_rad[:, [1, 5]], axis=0).T
     work_j = 10.0 * (flexed[flexed > 0.0].sum() - bent[bent < 0.0].sum())

@@ -7,16 +7,22 @@ import taichi_nmm
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.layout import Const, State, Work
 from taichi_nmm.parameters import DEVICE, FIXED, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_gains
+from taichi_nmm.walkers import check_batch, constant_rows
 from tests.parity.interpreter import interpreted
 
 STRIDE, STANCE = 1000, 600  # ticks
 TORQUE, PEAK, RISE, FALL = 30.0, 0.5, 0.25, 0.1
 
 
-def torques(strides: int) -> np.ndarray:
-    """Of both ankles, [ticks, 2], of a leg that walks evenly and of one that hardly lifts."""
+def torques(strides: int, worn: taichi_nmm.Exoskeleton, rate_radps: float = 0.0) -> np.ndarray:
+    """Of all joints, which turn at a rate: [ticks, 6], of a leg that walks evenly and of one that
+    hardly lifts.
+    """
     (device,) = interpreted("device")
-    state, const, lane = np.zeros((State.count, 1)), np.zeros((Const.count, 1)), np.arange(1)
+    state, lane = np.zeros((State.count, 1)), np.arange(1)
+    worlds = taichi_nmm.WorldRanges(exoskeleton=worn).draw([1])
+    const = constant_rows(check_batch(PUBLISHED_GAINS, worlds=worlds), taichi_nmm.Settings()).T
+    work = np.full((Work.count, 1), rate_radps)
     for name, value in zip(("torque", "peak", "rise", "fall"), (TORQUE, PEAK, RISE, FALL),
                            strict=True):  # fmt: skip
         const[getattr(Const, f"exo_{name}")] = value
@@ -25,20 +31,58 @@ def torques(strides: int) -> np.ndarray:
         since = tick % STRIDE
         state[State.touching + 1] = since < STANCE  # the ball is enough
         state[State.touching + 2] = since < STRIDE - 50  # too short a lift to be a swing
-        device.assist(lane, state, const)
-        found.append(state[State.device_torque : State.device_torque + 2, 0].copy())
+        device.assist(lane, state, const, work)
+        found.append(state[State.device_torque : State.device_torque + 6, 0].copy())
     return np.array(found)
 
 
 def test_the_torque_rises_and_falls_on_splines_once_a_stride_has_been_seen() -> None:
-    found = torques(4)
-    assert not found[: 2 * STRIDE].any() and not found[:, 1].any()
+    every = torques(4, taichi_nmm.Exoskeleton())
+    found = every[:, 2]
+    assert not found[: 2 * STRIDE].any() and not every[:, [0, 1, 3, 4, 5]].any()
     share = (np.arange(STRIDE) + 1) / STRIDE
     up, down = np.clip((share - PEAK + RISE) / RISE, 0, 1), np.clip((share - PEAK) / FALL, 0, 1)
     expected = TORQUE * (3 * up**2 - 2 * up**3) * (1 - 3 * down**2 + 2 * down**3)
-    for stride in found[2 * STRIDE :, 0].reshape(2, STRIDE):
+    for stride in found[2 * STRIDE :].reshape(2, STRIDE):
         np.testing.assert_allclose(stride, expected, atol=1e-12)
     assert expected.max() == TORQUE and expected[int(1000 * (PEAK + FALL)) :].max() < 1e-3
+
+
+@pytest.mark.parametrize(("motion", "joint", "sign"), [
+    ("hip_extension", 0, 1), ("hip_flexion", 0, -1), ("knee_extension", 1, -1),
+    ("knee_flexion", 1, 1), ("plantarflexion", 2, 1), ("dorsiflexion", 2, -1),
+])  # fmt: skip
+def test_it_helps_one_motion_of_a_side_with_no_more_than_its_power(
+    motion: str, joint: int, sign: int
+) -> None:
+    for side, worn in (("left", True), ("right", False), ("both", True)):
+        found = torques(3, taichi_nmm.Exoskeleton(motion, side))
+        assert np.ptp(found[:, joint] * sign) == (TORQUE if worn else 0.0)
+        assert not np.delete(found, joint, axis=1).any()
+    for rate in (2.0 * sign, -2.0 * sign):
+        found = torques(3, taichi_nmm.Exoskeleton(motion, power_w=20.0), rate)[:, joint] * sign
+        assert found.max() == pytest.approx(10.0 if rate == 2.0 * sign else TORQUE)
+
+
+@pytest.mark.parametrize("engine", ["taichi", "mujoco"])
+def test_at_the_hip_it_takes_work_from_the_muscles_there(engine: str) -> None:
+    """Torque and power as recorded; extensors of the hip do less beside one that extends it."""
+    settings, device = taichi_nmm.Settings(arch="cpu", engine=engine), len(FIXED)
+    worlds = taichi_nmm.WorldRanges(
+        exoskeleton=taichi_nmm.Exoskeleton("hip_extension", "both", 30.0)
+    )
+    low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (2, 1))
+    low_level[1, device : device + len(DEVICE)] = 15.0, 0.15, 0.1, 0.2
+    result = taichi_nmm.simulate(
+        np.tile(load_gains("reference"), (2, 1)), duration_s=8.0, low_level_gains=low_level,
+        worlds=worlds.draw([1]), settings=settings, record=[1], record_rate_hz=1000,
+    )  # fmt: skip
+    alone, helped = result["activation_ham_mean"] + result["activation_glu_mean"]
+    walk = result.trajectories[0]
+    assert helped < 0.98 * alone and (result["survived_fraction"] == 1.0).all()
+    torque, rate = walk.device_torque_nm[:, 0], walk.qdot[:, 3] - walk.qdot[:, 2]
+    assert torque.max() == pytest.approx(15.0, abs=0.1) and not walk.device_torque_nm[:, 1:3].any()
+    assert np.max(torque[1:] * rate[:-1]) == pytest.approx(30.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
