@@ -2,23 +2,18 @@
 
 A crew is several processes, on any machines, that work on one study. They take turns at proposing,
 by a lock of the server, so that no row is proposed twice and no trial too many is begun. A running
-trial has a heartbeat, in Optuna's own table; without one its process, its machine or its network is
-dead.
-
-Optuna's own heartbeats run within `Study.optimize` alone. A crew asks and tells, so that a proposal
-is made in a turn, and a process that finds itself alone need not wait until heartbeats are old.
+trial has such a lock too, which ends with its process: without one that is dead, or its machine, or
+its network. Optuna's heartbeats run within `Study.optimize` alone, where there are no turns, and
+one that has stopped is known only after a while.
 """
 
-import threading
-import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any
 
 import sqlalchemy as sql
 from optuna.storages import RDBStorage
-from sqlalchemy.exc import NoSuchModuleError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import NoSuchModuleError, SQLAlchemyError
 
 from storage.databases.urls import POSTGRESQL_FORM, public_url
 from taichi_nmm.errors import InputError
@@ -31,18 +26,20 @@ READ_ONLY = {"options": "-c default_transaction_read_only=on"}
 ENGINE_OPTIONS: dict[str, Any] = {"connect_args": CONNECT, "pool_pre_ping": True}
 READING_OPTIONS: dict[str, Any] = {"connect_args": CONNECT | READ_ONLY}
 
-BEAT_S = 5.0
-GRACE_S = 30.0  # without a beat: six of them lost, or a stall that long
-JOIN_S = 10  # that a process alone with the study may take to tidy it
+# By which the server ends the session, and so the locks, of a machine that is gone: after 30 s.
+KEEPALIVES = {"idle": 10, "interval": 5, "count": 4}
+
 KEY = "hashtextextended(:study, 0)"
 TURN_KEY = "hashtextextended(:study || '/turn', 0)"
-NOW = "(now() AT TIME ZONE 'utc')"  # the server's clock, whatever zone a client is in
-OF_STUDY = "trials JOIN studies USING (study_id) WHERE study_name = :study"
-_TEXT = Path(__file__).with_name("heartbeats.toml").read_text(encoding="utf-8")
-BEAT, STILL, DEAD = (
-    tomllib.loads(_TEXT)[name].format(now=NOW, of_study=OF_STUDY)
-    for name in ("beat", "still", "dead")
-)
+TRIAL_KEY = "hashtextextended(:study || '/trial/' || {number}, 0)"
+DEAD = f"""
+    SELECT number FROM trials JOIN studies USING (study_id)
+    WHERE study_name = :study AND state = 'RUNNING' AND {TRIAL_KEY.format(number="number")} NOT IN (
+        SELECT classid::int8 << 32 | objid::int8  -- the two halves of a key
+        FROM pg_locks JOIN pg_database ON database = pg_database.oid
+        WHERE locktype = 'advisory' AND datname = current_database()
+    )
+"""
 
 
 def require_server(url: str) -> str:
@@ -112,8 +109,7 @@ class Crew:
     `connection` holds the locks of this process, which end with it.
     """
 
-    def __init__(self, engine: sql.Engine, connection: sql.Connection, study_name: str) -> None:
-        self._engine = engine
+    def __init__(self, connection: sql.Connection, study_name: str) -> None:
         self._connection = connection
         self._study = {"study": study_name}
 
@@ -122,59 +118,38 @@ class Crew:
     def joined(url: str, study_name: str) -> Iterator["Crew"]:
         """Be of the crew while the block lasts.
 
-        A process that finds nobody there ends the heartbeats of all running trials: they are dead.
-
         Raises:
             InputError: a process has the study for itself, or the server is gone.
         """
         with connected(url) as engine, _own(engine) as connection:
-            crew = Crew(engine, connection, study_name)
-            if crew._do(f"SELECT pg_try_advisory_lock({KEY})"):
-                crew._do(STILL)
-                crew._do(f"SELECT pg_advisory_lock_shared({KEY})")
-                crew._do(f"SELECT pg_advisory_unlock({KEY})")
-            else:
-                crew._do(f"SET lock_timeout = '{JOIN_S}s'")
-                try:
-                    crew._do(f"SELECT pg_advisory_lock_shared({KEY})")
-                except OperationalError:
-                    allowed = "a study that no process has for itself; one is running this one"
-                    raise InputError("study", study_name, allowed) from None
-                crew._do("SET lock_timeout = 0")
+            crew = Crew(connection, study_name)
+            for name, value in KEEPALIVES.items():
+                crew._do(f"SET tcp_keepalives_{name} = {value}")
+            if not crew._do(f"SELECT pg_try_advisory_lock_shared({KEY})"):
+                allowed = "a study that no process has for itself; one is running this one"
+                raise InputError("study", study_name, allowed)
             yield crew
 
-    @contextmanager
-    def turn(self) -> Iterator[None]:
+    def turn(self) -> AbstractContextManager[None]:
         """Be alone of the crew in this block; wait for the others."""
-        self._do(f"SELECT pg_advisory_lock({TURN_KEY})")
+        return self._holding(TURN_KEY)
+
+    def dead(self) -> list[int]:
+        """Numbers of running trials whose processes are gone; to be called within a turn."""
+        return [*self._connection.execute(sql.text(DEAD), self._study).scalars()]
+
+    def alive(self, number: int) -> AbstractContextManager[None]:
+        """Show that a trial's process lives, while the block lasts; to be begun within a turn."""
+        return self._holding(TRIAL_KEY.format(number=number))
+
+    @contextmanager
+    def _holding(self, key: str) -> Iterator[None]:
+        self._do(f"SELECT pg_advisory_lock({key})")
         try:
             yield
         finally:
             with suppress(SQLAlchemyError):  # a server that is gone has no locks
-                self._do(f"SELECT pg_advisory_unlock({TURN_KEY})")
-
-    def dead(self) -> list[int]:
-        """Numbers of running trials whose processes are gone; to be called within a turn."""
-        found = self._connection.execute(sql.text(DEAD), self._study | {"grace": GRACE_S})
-        return [int(number) for (number,) in found]
-
-    @contextmanager
-    def alive(self, number: int) -> Iterator[None]:
-        """Show that a trial's process lives, while the block lasts; to be begun within a turn."""
-        words, over = self._study | {"number": number}, threading.Event()
-        self._connection.execute(sql.text(BEAT), words)
-
-        def beat() -> None:
-            while not over.wait(BEAT_S):
-                with suppress(SQLAlchemyError), _own(self._engine) as connection:
-                    connection.execute(sql.text(BEAT), words)
-
-        thread = threading.Thread(target=beat, daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            over.set()
+                self._do(f"SELECT pg_advisory_unlock({key})")
 
     def _do(self, statement: str) -> object:
         """Run a statement; its first value, if it has one."""

@@ -3,21 +3,19 @@
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 
 import optuna
 import pytest
 import sqlalchemy as sql
-from optuna.storages import RDBStorage
 from optuna.trial import TrialState
 
-from storage.databases import postgresql
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies
 from taichi_nmm.errors import InputError
 from tests.processes import ROOT, until
+from tests.storage.databases.conftest import Server
 from tests.study import fake_walker
 
 pytestmark = pytest.mark.slow
@@ -25,11 +23,10 @@ pytestmark = pytest.mark.slow
 WAIT_S = 200.0
 TRIALS = 30
 
-# The command with a walk that takes a tenth of a second, and a heart that is missed soon.
+# The command with a walk that takes a tenth of a second.
 STUDY = """
 import sys, time
 import taichi_nmm
-from storage.databases import postgresql
 from study.cli import main
 from tests.study import fake_walker
 
@@ -37,7 +34,6 @@ def simulate(*args, **options):
     time.sleep(0.1)
     return fake_walker.simulate(*args, **options)
 
-postgresql.BEAT_S, postgresql.GRACE_S = 0.5, 4.0
 vars(taichi_nmm)["simulate"] = simulate
 main(["study", *sys.argv[1:]])
 """
@@ -97,9 +93,8 @@ def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path: Path) -> None:
         optuna.create_study(storage=open_studies(f"sqlite:///{file}"), study_name="a")
 
 
-def test_a_trial_without_a_heart_is_dead(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(postgresql, "BEAT_S", 0.1)
-    monkeypatch.setattr(postgresql, "GRACE_S", grace_s := 3.0)  # a busy machine may miss some beats
+def test_a_trial_whose_process_is_gone_is_dead(server: Server, url: str) -> None:
+    """Its lock is of this study, in this database, and ends with the connection."""
     storage = open_studies(url)
     study = optuna.create_study(storage=storage, study_name="a")
     other = optuna.create_study(storage=storage, study_name="b")
@@ -108,33 +103,21 @@ def test_a_trial_without_a_heart_is_dead(url: str, monkeypatch: pytest.MonkeyPat
     other.ask()
     with Crew.joined(url, "a") as mine:
         assert mine.dead() == [number]
+        for another in (Crew.joined(url, "b"), Crew.joined(server.new_database(), "a")):
+            with another as crew, crew.alive(number):
+                assert mine.dead() == [number]
         with mine.alive(number):
             assert mine.dead() == []
             with Crew.joined(url, "a") as theirs, theirs.turn():
                 assert theirs.dead() == []
-                time.sleep(grace_s + 1.0)
-                assert theirs.dead() == []
-        # A beat that was under way may come after the block: the last one counts.
-        while silence_s(storage) < grace_s + 0.5:
-            time.sleep(0.1)
         assert mine.dead() == [number]
+        with Crew.joined(url, "a") as theirs, theirs.alive(number):
+            assert mine.dead() == []
+            theirs._connection.invalidate()
+            until(lambda: mine.dead() == [number])
 
 
-def silence_s(storage: RDBStorage) -> float:
-    """Since the one heart's last beat, by the server's clock."""
-    age = f"SELECT extract(epoch FROM {postgresql.NOW} - heartbeat) FROM trial_heartbeats"
-    with storage.engine.connect() as connection:
-        return float(connection.execute(sql.text(age)).scalar_one())
-
-
-def test_who_is_alone_takes_what_runs_for_dead(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    study = optuna.create_study(storage=open_studies(url), study_name="a")
-    number = study.ask().number
-    with Crew.joined(url, "a") as mine, mine.alive(number):
-        assert mine.dead() == []
-    with Crew.joined(url, "a") as next_one:  # at once: nobody else can have it
-        assert next_one.dead() == [number]
-    monkeypatch.setattr(postgresql, "JOIN_S", 1)
+def test_a_study_is_for_one_process_or_for_a_crew(url: str) -> None:
     refused = pytest.raises(InputError, match=r"^study: 'a' .* one is running this one")
     with only_run(url, "a"), Crew.joined(url, "b"), refused, Crew.joined(url, "a"):
         pass
