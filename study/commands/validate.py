@@ -35,7 +35,7 @@ class Figure:
     def holds(self) -> bool:
         """Whether the number lies within its bar."""
         enough = self.low is None or self.value >= self.low
-        return enough and (self.high is None or self.value <= self.high)
+        return bool(enough and (self.high is None or self.value <= self.high))
 
     def row(self) -> str:
         """A row of a Markdown table."""

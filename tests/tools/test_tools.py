@@ -65,7 +65,7 @@ def test_a_proposal_passes_few_files_and_classes() -> None:
 
 # As of validate and of tools/validate_mujoco.py.
 FIGURES = (
-    Figure("speed", 1.4, 1.365, 1.425, "m/s"), Figure("tick", 250.0, 0, 200, "us"),
+    Figure("speed", np.float64(1.4), 1.365, 1.425, "m/s"), Figure("tick", 250.0, 0, 200, "us"),
     Figure("steps a second", 50_000.0, low=45_000), Figure("alive", 10.1, unit="%"),
 )  # fmt: skip
 
