@@ -13,12 +13,16 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.points import sobol_points
+from study.experiment.trials import walked
 from taichi_nmm import GAINS, Bodies, Settings, terrain
 from taichi_nmm.result import COMPLETED
+from taichi_nmm.settings import OWN_ENGINE
+from taichi_nmm.walker_simulator import require_engine
 
 SHORT_S, LONG_S = 5.0, 100.0
 TOP_FRACTION = 0.05
 AGREEMENT_POINTS = 4096
+MUJOCO_BATCH = 250  # points at once
 
 
 @dataclass(frozen=True)
@@ -65,15 +69,21 @@ def show(measured: Iterable[Figure], how: str, as_json: bool) -> None:
 
 def main(args: Namespace) -> None:
     """Measure and print."""
-    how = f"{args.samples} Sobol points, float32, 1 ms unless stated otherwise"
-    show(measure(args.samples, args.draws, args.seed), how, args.json)
+    require_engine(Settings(engine=args.engine))
+    if args.engine == OWN_ENGINE:
+        how = f"{args.samples} Sobol points, float32, 1 ms unless stated otherwise"
+        measured = of_our_engine(args.samples, args.draws, args.seed)
+    else:
+        how = f"{args.samples} Sobol points, MuJoCo's default contact, 1 ms"
+        measured = of_mujoco(args.samples, args.seed)
+    show(measured, how, args.json)
 
 
-def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
+def of_our_engine(samples: int, draws: int, seed: int) -> Iterator[Figure]:
     """All figures, as they are measured."""
     from sklearn.metrics import roc_auc_score  # a second
 
-    yield from published_gait()
+    yield from known_gait("published", (1.365, 1.425), (0.99, 1.01), Settings())
     gains = sobol_points(seed, 0, samples, GAINS)
     short = taichi_nmm.simulate(gains, duration_s=SHORT_S).rows
     alive = short["end_reason"] == COMPLETED
@@ -89,13 +99,16 @@ def measure(samples: int, draws: int, seed: int) -> Iterator[Figure]:
     yield from agreement(gains[:AGREEMENT_POINTS])
 
 
-def published_gait() -> Iterator[Figure]:
-    """The published gains on flat ground."""
-    row = taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=LONG_S).rows[0]
-    yield Figure("published gains, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
-    yield Figure("published gains, flat: mean speed", row["mean_speed_mps"], 1.365, 1.425, "m/s")
+def known_gait(
+    name: str, speed_mps: tuple[float, float], load_bw: tuple[float, float], settings: Settings
+) -> Iterator[Figure]:
+    """A gait that ships, on flat ground; its speed and its mean load have bars."""
+    gains = taichi_nmm.load_gains(name)
+    row = taichi_nmm.simulate(gains, duration_s=LONG_S, settings=settings).rows[0]
+    yield Figure(f"{name} gains, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
+    yield Figure(f"{name} gains, flat: mean speed", row["mean_speed_mps"], *speed_mps, "m/s")
     force = row["grf_vertical_mean_bw"]
-    yield Figure("published gains: mean vertical ground reaction", force, 0.99, 1.01, "BW")
+    yield Figure(f"{name} gains: mean vertical ground reaction", force, *load_bw, "BW")
 
 
 def rough_ground(
@@ -128,3 +141,31 @@ def agreement(gains: NDArray[np.float64]) -> Iterator[Figure]:
     double = verdicts(Settings(precision="float64"))
     yield Figure("same verdict at 1 ms and 0.25 ms", 100 * (base == fine).mean(), 94.0, 100.0, "%")
     yield Figure("same verdict in float32 and float64", 100 * (base == double).mean(), 97, 100, "%")
+
+
+def of_mujoco(samples: int, seed: int) -> Iterator[Figure]:
+    """Known gaits, and agreement with our engine and of MuJoCo with itself at half the step."""
+    mujoco, load_bw = Settings(engine="mujoco"), (0.998, 1.002)
+    yield from known_gait("published", (1.37, 1.43), load_bw, mujoco)
+    yield from known_gait("reference", (1.23, 1.31), load_bw, mujoco)
+    points = sobol_points(seed, 0, samples, GAINS)
+    finer = Settings(engine="mujoco", physics_step_s=0.5e-3)
+    ours, theirs, half = (lasting(points, each) for each in (Settings(), mujoco, finer))
+    yield Figure("alive at 5 s", 100 * theirs[0].mean(), unit="%")
+    yield Figure("walk 100 s", 100 * theirs[1].mean(), unit="%")
+    same = 100 * (theirs[1] == ours[1]).mean()
+    yield Figure("same verdict 'walks 100 s' as our engine", same, 93, 100, "%")
+    for name, one, other in zip(("alive at 5 s", "walks 100 s"), theirs, half, strict=True):
+        same = 100 * (one == other).mean()
+        yield Figure(f"same verdict '{name}' at 1 and 0.5 ms", same, unit="%")
+
+
+def lasting(
+    points: NDArray[np.float64], settings: Settings
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether each point is alive at 5 s, and whether it walks 100 s."""
+    rows = np.concatenate([
+        taichi_nmm.simulate(batch, duration_s=LONG_S, settings=settings).rows
+        for batch in np.split(points, range(MUJOCO_BATCH, len(points), MUJOCO_BATCH))
+    ])  # fmt: skip
+    return rows["duration_s"] >= SHORT_S, walked(rows)

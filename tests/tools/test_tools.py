@@ -63,7 +63,7 @@ def test_a_proposal_passes_few_files_and_classes() -> None:
     assert len(files) <= MOST and len(classes) <= MOST, (files, classes)
 
 
-# As of validate and of tools/validate_mujoco.py.
+# As of validate.
 FIGURES = (
     Figure("speed", np.float64(1.4), 1.365, 1.425, "m/s"), Figure("tick", 250.0, 0, 200, "us"),
     Figure("steps a second", 50_000.0, low=45_000), Figure("alive", 10.1, unit="%"),
