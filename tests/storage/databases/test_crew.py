@@ -1,8 +1,6 @@
 """Several processes on one study of a PostgreSQL server, or at one new SQLite file."""
 
 import signal
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -14,29 +12,15 @@ from optuna.trial import TrialState
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies
 from taichi_nmm.errors import InputError
-from tests.processes import ROOT, until
+from tests.processes import until
 from tests.storage.databases.conftest import Server
 from tests.study import fake_walker
+from tests.tools.running import WAIT_S, finish, start
 
 pytestmark = pytest.mark.slow
 
-WAIT_S = 200.0
 TRIALS = 30
 
-# The command with a walk that takes a tenth of a second.
-STUDY = """
-import sys, time
-import taichi_nmm
-from study.cli import main
-from tests.study import fake_walker
-
-def simulate(*args, **options):
-    time.sleep(0.1)
-    return fake_walker.simulate(*args, **options)
-
-vars(taichi_nmm)["simulate"] = simulate
-main(["study", *sys.argv[1:]])
-"""
 OPEN = """
 import sys, time
 from pathlib import Path
@@ -52,25 +36,19 @@ for number in range(5):
 """
 
 
-def start(code: str, *words: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-c", code, *map(str, words)]
-    both = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
-    return subprocess.Popen(command, cwd=ROOT, text=True, **both)
-
-
 def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None:
     fake_walker.write_plain_store(tmp_path / "store")
     words = ["--config", "rough8", "--arm", "dog", "--trials", TRIALS, "--storage", url]
     words += ["--store", tmp_path / "store"]
-    processes = [start(STUDY, *words, "--out", tmp_path / str(n)) for n in range(4)]
-
+    processes = [start("study", *words, "--out", tmp_path / str(n), trial_s=0.1) for n in range(4)]
     finished = "SELECT count(*) FROM trials WHERE state = 'COMPLETE'"
     with open_studies(url).engine.connect() as connection:
         connection.execution_options(isolation_level="AUTOCOMMIT")
         until(lambda: connection.execute(sql.text(finished)).scalar_one() >= 10, WAIT_S)
     processes[0].send_signal(signal.SIGKILL)
-    said = [process.communicate(timeout=WAIT_S)[0] for process in processes]
-    assert [process.returncode for process in processes] == [-9, 0, 0, 0], said
+    done = [finish(process) for process in processes]
+    assert [each.code for each in done] == [-9, 0, 0, 0], done
+    said = [each.out + each.error for each in done]
     assert all("rough8/dog/run-000" in lines for lines in said)  # each had trials
     assert all("://***@" in lines for lines in said[1:]) and "secret" not in "".join(said)
     study = optuna.load_study(study_name="rough8/dog/run-000", storage=open_studies(url))
@@ -85,9 +63,9 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
 
 
 def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path: Path) -> None:
-    processes = [start(OPEN, tmp_path, number) for number in range(4)]
-    said = [process.communicate(timeout=WAIT_S)[0] for process in processes]
-    assert [process.returncode for process in processes] == [0] * 4, said
+    processes = [start(tmp_path, number, program=("-c", OPEN)) for number in range(4)]
+    done = [finish(process) for process in processes]
+    assert [each.code for each in done] == [0] * 4, done
     assert len(list(tmp_path.glob("?.db"))) == 5
     for file in tmp_path.glob("?.db"):
         optuna.create_study(storage=open_studies(f"sqlite:///{file}"), study_name="a")
