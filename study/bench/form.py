@@ -24,6 +24,7 @@ import bottle
 from storage.simulator import WALKER
 from storage.store import open_store
 from study.bench.bench import Bench
+from study.bench.journal import MOST_DIGITS
 from study.experiment.experiment import experiment_of
 from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
@@ -40,7 +41,7 @@ PROTECTION = [
     ("Cache-Control", "no-store"),
 ]  # fmt: skip
 OPERATOR, COOKIE_S = "bench_operator", 30 * 24 * 3600
-SHOWN_ENTRIES, LONGEST_NAME, MOST_DIGITS = 20, 60, 9
+SHOWN_ENTRIES, LONGEST_NAME = 20, 60
 Fields = Mapping[str, str]
 Filming = Callable[[Mapping[str, Any]], bytes]
 """An MP4 of parameters by name; pickles."""

@@ -20,6 +20,7 @@ from taichi_nmm.errors import InputError
 LOG = " (log)"  # after the name of the study whose attributes are the entries
 KEY = "entry {:06d}"
 WAIT_S = 20.0  # for another command on the same bench
+MOST_DIGITS = 9  # of the number of a trial, or of an entry, that somebody types
 
 
 @dataclass(frozen=True)

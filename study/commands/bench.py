@@ -18,7 +18,7 @@ import optuna
 from storage.commit import commit_text
 from storage.processes import Processes
 from study.bench.bench import Bench
-from study.bench.journal import Trial
+from study.bench.journal import MOST_DIGITS, Trial
 from study.bench.plan import read_columns
 from study.loopback import HOST, wsgi_server
 from study.sampler.diagnostics import RankCorrelation
@@ -233,7 +233,7 @@ def serve(bench: Bench, args: Namespace) -> None:
 def number(args: Namespace) -> int:
     """The number of a trial or an entry."""
     word = needed(args.what, "what", "the number of a trial")
-    if not word.isdecimal():
+    if not word.isdecimal() or len(word) > MOST_DIGITS:
         raise InputError("what", word, "a number")
     return int(word)
 

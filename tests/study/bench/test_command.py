@@ -98,6 +98,7 @@ def test_a_log_of_a_walk_gives_the_cost(folder: Path, capsys: pytest.CaptureFixt
     ("status --bench nothing.toml", "bench: 'nothing.toml'"),
     ("record 0 --cost nan", "value: nan"),
     ("record one --cost 1", "what: 'one' cannot be used; allowed: a number"),
+    (f"undo {'9' * 5000}", "what: '999"),
     ("record 0", "cost: 'missing'"),
     ("record 0 --cost 1 --speed 2", "speed: 2.0 cannot be used; allowed: one of the columns"),
     ("record 0 --cost 1 --torque much", "torque: 'much' cannot be used; allowed: a number"),
