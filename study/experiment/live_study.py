@@ -54,7 +54,7 @@ def run_study(
     Finished means COMPLETE. Trials found running are taken for dead (the caller sees to it that no
     other process runs this study: `storage.databases.studies.only_run`); they are marked failed and
     run again, with the same parameters, before anything else. Of a crew that is done with trials
-    whose heart has stopped, and a process that finds enough of them begun waits for the others.
+    whose process is gone, and a process that finds enough of them begun waits for the others.
 
     Trials are the total, not the number to add; an experiment may end a study before, with its
     first walker. `report` is called after each finished trial. Without a crew this process works on
