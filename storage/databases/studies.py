@@ -341,11 +341,11 @@ def _stays(path: Path) -> Callable[[sql.Connection], None]:
     return check
 
 
-def name_metric(study: optuna.Study, metric: str) -> None:
-    """Name the one objective of a study, unless it has a name."""
+def name_metrics(study: optuna.Study, metrics: list[str]) -> None:
+    """Name the objectives of a study, unless they have names."""
     if study.metric_names is None:
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
-            study.set_metric_names([metric])
+            study.set_metric_names(metrics)
 
 
 def _storage(url: str, **options: Any) -> RDBStorage:

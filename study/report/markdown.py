@@ -14,6 +14,7 @@ import pyarrow as pa
 from study.experiment import robots
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind, saw
 from study.experiment.experiment import study_name
+from study.experiment.objective import FRONT
 from study.report.numbers import (
     COMPARED_AFTER,
     RESAMPLES,
@@ -104,6 +105,7 @@ def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] =
         METHOD,
         table(*_walkers(numbers, sorted(within), _label)),
         "## Best cost",
+        WORDS["front"] if results.cost == FRONT else "",
         _costs(numbers, results.cost),
         WORDS["proposal"] if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
         *_tests(numbers),
@@ -182,7 +184,7 @@ def facts(results: Results) -> dict[str, str]:
         "wall time": _wall_time(sessions),
         "versions": _words(results.facts.get("versions")),
         "cost": results.cost,
-        "what it weighs": _words(results.facts.get("objective", {}).get("terms")),
+        "what it weighs": _weighed(results.facts.get("objective", {})),
         "a trial": f"{simulation['duration_s']:g} s" if "duration_s" in simulation else "",
         "simulation": _words({k: v for k, v in simulation.items() if k != "duration_s"}),
         "body": _words(results.facts.get("body")),
@@ -212,6 +214,12 @@ def _wall_time(sessions: list[dict[str, Any]]) -> str:
 def _words(values: dict[str, Any] | None) -> str:
     """Names and values in a line."""
     return ", ".join(f"{name} {value}" for name, value in (values or {}).items())
+
+
+def _weighed(objective: dict[str, Any]) -> str:
+    """The terms of a cost, or of each goal."""
+    goals = {f"{name}:": _words(goal) for name, goal in objective.get("goals", {}).items()}
+    return _words(goals or objective.get("terms"))
 
 
 KINDS: tuple[Kind, ...] = ("peer", "control", "ours")

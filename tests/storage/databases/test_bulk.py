@@ -45,7 +45,8 @@ def finished(number: int, value: float) -> FrozenTrial:
 
 
 TRIALS = [finished(*both) for both in enumerate([3.5, math.inf, -math.inf, 1 / 3, 300.25])]
-STUDY = FinishedStudy("e/dog/run-000", TRIALS, user_attrs={"arm": "dog", "run": 0}, metric="metres")
+ATTRIBUTES = {"arm": "dog", "run": 0}
+STUDY = FinishedStudy("e/dog/run-000", TRIALS, user_attrs=ATTRIBUTES, metrics=["metres"])
 
 
 @pytest.fixture
