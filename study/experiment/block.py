@@ -31,7 +31,7 @@ from study.experiment.folder import (
     walkers,
 )
 from study.experiment.one_study import OneStudy, shown
-from study.experiment.trials import KEPT, simulate_trials, walked
+from study.experiment.trials import KEPT, best_cost, simulate_trials, walked
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
 from taichi_nmm.result import END_REASONS
 
@@ -157,7 +157,7 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
         "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
         **dict(zip(objective.columns, costs.T, strict=True)),
         "cost": [objective.best(cost) for cost in costs[:, None]],
-        "best_cost": [study.best_cost for study in studies],
+        "best_cost": [best_cost(objective, study.study) for study in studies],
         "walked": walked(rows),
         "end_reason": np.array(END_REASONS)[rows["end_reason"]],
         **{name: rows[name] for name in KEPT},

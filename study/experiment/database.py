@@ -21,12 +21,12 @@ from storage.databases.bulk import (
 )
 from storage.databases.studies import (
     load_whole,
-    name_metrics,
     open_studies,
     read_errors,
     read_studies,
     shown_url,
     storage_errors,
+    study_of_costs,
 )
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name, summary_name
@@ -66,11 +66,7 @@ def export(
 
         name, metrics = summary_name(experiment.name), experiment.objective.metrics
         with read_errors(url):
-            study = optuna.create_study(
-                storage=storage, study_name=name, directions=["minimize"] * len(metrics),
-                load_if_exists=True,
-            )  # fmt: skip
-            name_metrics(study, metrics)
+            study = study_of_costs(storage, name, metrics)
             known = study.user_attrs
         if CONFIG_ATTRIBUTE not in known:
             study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))

@@ -37,7 +37,7 @@ from storage.folder import Folder, remove
 from storage.tables import FORMAT, document_hash, write_table
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, as_written, store_digest, store_path
-from study.experiment.objective import goal_column
+from study.experiment.objective import GOAL_COLUMN
 from study.experiment.trials import KEPT, OUTCOMES
 from taichi_nmm import __version__
 from taichi_nmm.errors import InputError
@@ -86,7 +86,7 @@ def state_schema(searched: Iterable[str], goals: Iterable[str] = ()) -> pa.Schem
     """
     schema = STATE_SCHEMA
     more = [name for name in searched if name != THETA_REF.name]
-    for before, names in (("row", more), ("cost", map(goal_column, goals))):
+    for before, names in (("row", more), ("cost", map(GOAL_COLUMN.format, goals))):
         for name in names:
             field = pa.field(name, pa.float64(), nullable=False)
             schema = schema.insert(schema.get_field_index(before), field)

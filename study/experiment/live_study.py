@@ -23,7 +23,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from storage.commit import require_folder
 from storage.databases.postgresql import Crew
-from storage.databases.studies import name_metrics, read_studies, require_lockable
+from storage.databases.studies import read_studies, require_lockable, study_of_costs
 from storage.tables import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
@@ -123,14 +123,9 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
         InputError: naming the study, the first field that differs, and the value it has there.
     """
     name, identity = _check_study(experiment, arm, run, storage)
-    metrics = experiment.objective.metrics
-    study = optuna.create_study(
-        storage=storage, study_name=name, directions=["minimize"] * len(metrics),
-        load_if_exists=True,
-    )  # fmt: skip
+    study = study_of_costs(storage, name, experiment.objective.metrics)
     if LIVE_ATTRIBUTE not in study.user_attrs:
         study.set_user_attr(LIVE_ATTRIBUTE, identity)
-    name_metrics(study, metrics)
     return study
 
 
@@ -243,10 +238,10 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
     Raises:
         InputError: naming the study, the trial, and the part of it.
     """
-    goals = len(experiment.objective.each)
-    if study.directions != [StudyDirection.MINIMIZE] * goals:
+    costs = len(experiment.objective.each)
+    if study.directions != [StudyDirection.MINIMIZE] * costs:
         directions = [direction.name for direction in study.directions]
-        allowed = "one, MINIMIZE" if goals == 1 else "two, each MINIMIZE"
+        allowed = " and ".join(["MINIMIZE"] * costs)
         raise InputError(f"study {study.study_name}: directions", directions, allowed)
     for place, trial in enumerate(study.get_trials(deepcopy=False)):
         prefix = f"study {study.study_name}, trial {trial.number}"

@@ -40,6 +40,7 @@ Floats = NDArray[np.float64]
 PRINTED = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
 WEIGHTED = "weighted"
 FRONT = "front"
+GOAL_COLUMN = "goal_{}"  # of a table of trials: the cost by the goal of this name
 GOAL_NAME = re.compile(r"[A-Za-z]\w{0,30}", re.ASCII)
 FUNCTION = re.compile(r"[\w./-]+:\w+")
 IMPORTED = "a function that can be imported: module:function, or file.py:function"
@@ -122,7 +123,7 @@ class Objective:
     @property
     def columns(self) -> list[str]:
         """Where a table of trials has these costs, k."""
-        return [goal_column(goal.name) for goal in self.goals] or ["cost"]
+        return [GOAL_COLUMN.format(goal.name) for goal in self.goals] or ["cost"]
 
     def values(self, rows: NDArray[np.void]) -> Floats:
         """What a study minimises, of a simulator's rows, [n, k]."""
@@ -204,11 +205,6 @@ class Objective:
         paid = sum(term.paid(term.values(given, self.survived)) for term in self.terms)
         lasting = np.minimum(paid, self.fell_cost)
         return np.asarray(np.where(lasted >= 1.0, lasting, self.fell_cost * (2.0 - lasted)))
-
-
-def goal_column(name: str) -> str:
-    """Where a table of trials has the cost by a goal."""
-    return f"goal_{name}"
 
 
 def read_objective(table: Table, columns: Sequence[str], survived: str | None = None) -> Objective:

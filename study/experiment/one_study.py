@@ -69,14 +69,6 @@ class OneStudy:
         # Not the trial's own: it does not hold what samplers write into the storage.
         return dict(self.study.get_trials(deepcopy=False)[self.asked.number].user_attrs)
 
-    @property
-    def best_cost(self) -> float:
-        """What its trials have reached: `Objective.best`."""
-        objective = self._experiment.objective
-        if not objective.goals:
-            return self.study.best_value
-        return objective.best(np.array([trial.values for trial in self.finished()]))
-
     def tell(
         self, values: list[float], rows: NDArray[np.void], attributes: dict[str, Any] | None = None
     ) -> FrozenTrial:

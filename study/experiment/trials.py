@@ -112,6 +112,14 @@ def best_trial(objective: Objective, study: optuna.Study) -> FrozenTrial:
     return min(finished, key=lambda trial: objective.best(np.array([trial.values])))
 
 
+def best_cost(objective: Objective, study: optuna.Study) -> float:
+    """What the finished trials of a study have reached together: `Objective.best`."""
+    if not objective.goals:
+        return study.best_value
+    finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return objective.best(np.array([trial.values for trial in finished]))
+
+
 def progress_line(
     objective: Objective, study: optuna.Study, trial: FrozenTrial, trials: int
 ) -> str:
@@ -152,7 +160,7 @@ def study_facts(objective: Objective, study: optuna.Study) -> dict[str, Any]:
         "walkers": len(walkers),
         "first_walker": walkers[0] if walkers else None,
         "best_trial": best.number,
-        "best_cost": objective.best(np.array([trial.values for trial in finished])),
+        "best_cost": best_cost(objective, study),
         "row": best.user_attrs.get(ROW_ATTRIBUTE),
         "score": best.user_attrs.get(SCORE_ATTRIBUTE),  # of arms that compare rows by one number
         **{name: best.user_attrs[name] for name in (*MEASURES, "end_reason")},

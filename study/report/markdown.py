@@ -176,7 +176,7 @@ def _saw(numbers: Numbers, stores: Mapping[str, Path]) -> str:
 def facts(results: Results) -> dict[str, str]:
     """How the runs were made, a line a fact; facts that the folder lacks are left out."""
     sessions = results.facts.get("sessions", [])
-    simulation = results.facts.get("simulation", {})
+    simulation, objective = (results.facts.get(name, {}) for name in ("simulation", "objective"))
     how = "alone" if "fixed_gains" in results.facts else "beside the 16 gains"
     found = {
         "date": _days(sessions),
@@ -184,7 +184,7 @@ def facts(results: Results) -> dict[str, str]:
         "wall time": _wall_time(sessions),
         "versions": _words(results.facts.get("versions")),
         "cost": results.cost,
-        "what it weighs": _weighed(results.facts.get("objective", {})),
+        "what it weighs": _words(objective.get("goals", objective.get("terms"))),
         "a trial": f"{simulation['duration_s']:g} s" if "duration_s" in simulation else "",
         "simulation": _words({k: v for k, v in simulation.items() if k != "duration_s"}),
         "body": _words(results.facts.get("body")),
@@ -214,12 +214,6 @@ def _wall_time(sessions: list[dict[str, Any]]) -> str:
 def _words(values: dict[str, Any] | None) -> str:
     """Names and values in a line."""
     return ", ".join(f"{name} {value}" for name, value in (values or {}).items())
-
-
-def _weighed(objective: dict[str, Any]) -> str:
-    """The terms of a cost, or of each goal."""
-    goals = {f"{name}:": _words(goal) for name, goal in objective.get("goals", {}).items()}
-    return _words(goals or objective.get("terms"))
 
 
 KINDS: tuple[Kind, ...] = ("peer", "control", "ours")
