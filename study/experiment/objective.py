@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 
 PRINTED = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
 WEIGHTED = "weighted"
-FRONT = "front"
+FRONT = "front"  # that of two goals
 GOAL_COLUMN = "goal_{}"  # of a table of trials: the cost by the goal of this name
 GOAL_NAME = re.compile(r"[A-Za-z]\w{0,30}", re.ASCII)
 FUNCTION = re.compile(r"[\w./-]+:\w+")
@@ -245,7 +245,7 @@ def _read_goals(table: Table, columns: Sequence[str]) -> tuple[Objective, ...]:
     """Each in its table; in the order of their names, so that no digest depends on another one."""
     names, goals = sorted(table.unread), []
     if len(names) != 2 and not table.mistaken():
-        raise InputError(table.path("")[:-1], ", ".join(names) or "none", "two tables, a goal each")
+        raise InputError("objective.goals", ", ".join(names) or "none", "two tables, a goal each")
     for name in names:
         if not GOAL_NAME.fullmatch(name):
             allowed = "a name of up to 31 letters, digits and '_', first a letter"

@@ -1,7 +1,6 @@
 """Experiments with two goals: configured, compared, resumed, live, reported, and refused."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -37,7 +36,7 @@ def front(folder: Path, old: str = "", new: str = "") -> Experiment:
     return read_experiment(path)
 
 
-def area(values: Any) -> float:
+def area(values: np.ndarray) -> float:
     """What points dominate, in strips from each to the next."""
     effort, slow = np.minimum(values, (4.0, 2.5)).T  # goals in the order of their names
     ends = np.unique([*effort, 4.0])
@@ -51,8 +50,7 @@ def test_a_comparison_has_each_goal_and_the_front(comparisons: Comparisons) -> N
             comparisons.run(out, experiment=experiment, arms=arms, runs=1, trials=trials)
     assert comparisons.content("parts") == comparisons.content("whole")
     table = comparisons.table("whole").to_pandas()
-    lasting = np.minimum(3.0 - table.mean_speed_mps, 2.5)
-    slow = np.where(table.walked, lasting, 2.5 * (2.0 - table.survived_fraction))
+    slow = np.where(table.walked, 3.0 - table.mean_speed_mps, 2.5 * (2.0 - table.survived_fraction))
     assert_allclose(table.goal_slow, slow)
     for _, study in table.groupby("arm"):
         values = study[["goal_effort", "goal_slow"]].to_numpy()
