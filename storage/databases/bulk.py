@@ -31,16 +31,16 @@ TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a seco
 
 @dataclass(frozen=True)
 class FinishedStudy:
-    """A study of one objective to be minimised, and finished trials for it.
+    """A study of objectives to be minimised, and finished trials for it.
 
-    Attributes and metric are written when the study is made.
+    Attributes and metrics are written when the study is made.
     """
 
     name: str  # in the database; once in a call
     trials: Sequence[FrozenTrial]  # without intermediate values, in the order of their numbers
     first: int = 0  # number of the first of them; those before it are in the database already
     user_attrs: dict[str, Any] = field(default_factory=dict)  # of the study, plain values
-    metric: str = ""  # name of its objective; empty: none
+    metrics: Sequence[str] = ()  # names of its objectives; empty: one, without a name
 
 
 def trial_counts(storage: RDBStorage) -> dict[str, int]:
@@ -171,10 +171,10 @@ def _trial_row(study_id: int, number: int, trial: FrozenTrial) -> Row:
 
 def _rows_of(trial: FrozenTrial) -> Iterator[tuple[str, Row]]:
     """All that a trial has, row by row, each with the name of its table; the trial's id is not."""
-    if trial.value is not None:
-        kind = {math.inf: "INF_POS", -math.inf: "INF_NEG"}.get(trial.value, "FINITE")
-        stored = trial.value if kind == "FINITE" else None
-        yield "trial_values", {"objective": 0, "value": stored, "value_type": kind}
+    for objective, value in enumerate(trial.values or ()):
+        kind = {math.inf: "INF_POS", -math.inf: "INF_NEG"}.get(value, "FINITE")
+        stored = value if kind == "FINITE" else None
+        yield "trial_values", {"objective": objective, "value": stored, "value_type": kind}
     for name, distribution in trial.distributions.items():
         value = distribution.to_internal_repr(trial.params[name])
         about = {"param_value": value, "distribution_json": as_json(distribution)}
@@ -205,14 +205,15 @@ def _study_ids(
     if new:
         _insert(connection, tables, {"studies": [{"study_name": study.name} for study in new]})
         ids = _pairs(connection, select)
-        direction = {"objective": 0, "direction": StudyDirection.MINIMIZE.name}
         rows: dict[str, list[Row]] = defaultdict(list)
         for study in new:
             own = {"study_id": ids[study.name]}
-            rows["study_directions"].append(own | direction)
+            for objective in range(len(study.metrics) or 1):
+                direction = {"objective": objective, "direction": StudyDirection.MINIMIZE.name}
+                rows["study_directions"].append(own | direction)
             rows["study_user_attributes"] += [own | row for row in _attributes(study.user_attrs)]
-            metric = {METRIC_ATTRIBUTE: [study.metric]} if study.metric else {}
-            rows["study_system_attributes"] += [own | row for row in _attributes(metric)]
+            named = {METRIC_ATTRIBUTE: list(study.metrics)} if study.metrics else {}
+            rows["study_system_attributes"] += [own | row for row in _attributes(named)]
         _insert(connection, tables, rows)
     return ids
 

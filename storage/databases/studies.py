@@ -341,11 +341,16 @@ def _stays(path: Path) -> Callable[[sql.Connection], None]:
     return check
 
 
-def name_metric(study: optuna.Study, metric: str) -> None:
-    """Name the one objective of a study, unless it has a name."""
+def study_of_costs(storage: BaseStorage, name: str, metrics: list[str]) -> optuna.Study:
+    """The study of that name, made where it is missing; its costs have these names, or others."""
+    study = optuna.create_study(
+        storage=storage, study_name=name, directions=["minimize"] * len(metrics),
+        load_if_exists=True,
+    )  # fmt: skip
     if study.metric_names is None:
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
-            study.set_metric_names([metric])
+            study.set_metric_names(metrics)
+    return study
 
 
 def _storage(url: str, **options: Any) -> RDBStorage:

@@ -55,7 +55,9 @@ def run_arm(experiment: Experiment, name: str, url: str, out: Path) -> optuna.St
     with only_run(url, study_name(experiment.name, name, RUN)), storage_errors(url):
         study = run_study(
             experiment, arm, RUN, trials, storage,
-            report=lambda study, trial: say(progress_line(study, trial, trials)),
+            report=lambda study, trial: say(
+                progress_line(experiment.objective, study, trial, trials)
+            ),
         )  # fmt: skip
         from study.experiment.artifacts import draw_best  # Matplotlib
 
@@ -111,7 +113,7 @@ def main(args: Namespace) -> None:
     paths = draw_walks(out, experiment, best)
     say(
         "",
-        *(study_line(study) for study in studies),
+        *(study_line(experiment.objective, study) for study in studies),
         f"Gains of the best: {out / 'found.json'}",
         f"Pictures: {', '.join(str(path) for path in paths)}",
         f"A film of it: {film_command(out / 'found.json', config_path(CONFIG), RUN)}",

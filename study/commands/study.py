@@ -21,7 +21,7 @@ from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import read_experiment, study_name
 from study.experiment.folder import live_artifacts
 from study.experiment.live_study import check_study, run_study
-from study.experiment.trials import progress_line, study_facts, study_line
+from study.experiment.trials import best_trial, progress_line, study_facts, study_line
 from study.options import config_path
 from taichi_nmm.walker_simulator import require_engine
 
@@ -46,14 +46,16 @@ def main(args: Namespace) -> None:
     storage = open_studies(args.storage)
 
     def report(study: optuna.Study, trial: FrozenTrial) -> None:
-        print(progress_line(study, trial, trials), file=sys.stderr, flush=True)
+        line = progress_line(experiment.objective, study, trial, trials)
+        print(line, file=sys.stderr, flush=True)
 
     # A sampler with a state of its own (CMA-ES) needs its trials in one order, from one process.
     shared = is_postgresql(args.storage) and not arm.replayed
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
     with taken as crew, storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
-        keep_best({**experiment.fixed_by_name, **study.best_params}, gains)
+        best = best_trial(experiment.objective, study)
+        keep_best({**experiment.fixed_by_name, **best.params}, gains)
         from study.experiment.artifacts import draw_best  # Matplotlib: a second
 
         with crew.turn() if crew else nullcontext():
@@ -64,10 +66,10 @@ def main(args: Namespace) -> None:
         }
         database = public_url(args.storage)
         if args.json:
-            known = study_facts(study) | {"gains": str(gains), "storage": database}
-            print(json.dumps(known | commands))
+            known = study_facts(experiment.objective, study)
+            print(json.dumps(known | {"gains": str(gains), "storage": database} | commands))
             return
-        print(study_line(study))
+        print(study_line(experiment.objective, study))
         print(lines({"gains": gains, "database": database, **commands}))
 
 

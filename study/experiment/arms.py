@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from optuna.samplers import BaseSampler, TPESampler
+from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 
 from storage.store import open_store
 from study.experiment import samplers
@@ -42,6 +42,7 @@ class Arm:
     feature: str = ""  # a column of that store, or of `IN_WORLDS`; "" for none
     fresh: bool = False  # a new sampler for each trial, since the library keeps a state in it
     replayed: bool = False  # the library keeps a state in trials, which a resumed study repeats
+    takes_goals: bool = False  # whether it takes two goals, or one cost alone
     options: Mapping[str, Any] = field(default_factory=dict)  # that decide its proposals as well
 
     @property
@@ -70,7 +71,8 @@ def _worlds_arm(name: str, label: str, summary: str, store: str) -> Arm:
         return FeatureKernelSampler(task.table, seed=task.seed, success=task.experiment.success)
 
     options = {"success_speed_mps": SUCCESS_SPEED_MPS}
-    return Arm(name, label, "ours", summary, new_sampler, store, WORLDS, options=options)
+    return Arm(name, label, "ours", summary, new_sampler, store, WORLDS, takes_goals=True,
+               options=options)  # fmt: skip
 
 
 def _plain(task: Task) -> BaseSampler:
@@ -80,7 +82,7 @@ def _plain(task: Task) -> BaseSampler:
 _ALL = (
     Arm(
         "random", "random", "peer", "uniform random",
-        lambda task: ReproducibleRandomSampler(seed=task.seed),
+        lambda task: ReproducibleRandomSampler(seed=task.seed), takes_goals=True,
     ),
     Arm(
         "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", samplers.ColdCmaEsSampler,
@@ -93,11 +95,17 @@ _ALL = (
     ),
     Arm(
         "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours", _plain,
+        takes_goals=True,
     ),
     Arm(
         "tpe", "TPE", "peer", "Optuna's TPESampler",
         lambda task: TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)),
-        fresh=True,
+        fresh=True, takes_goals=True,
+    ),
+    Arm(
+        "nsga2", "NSGA-II", "peer", "Optuna's NSGAIISampler",
+        lambda task: NSGAIISampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)),
+        fresh=True, replayed=True, takes_goals=True,
     ),
     Arm(
         PAPER_ARM, "DoG, as printed", "ours", "the paper's method: kernel over the score",
@@ -129,13 +137,17 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
     """The arms of these names, each found able to run `trials` trials of the experiment.
 
     Raises:
-        InputError: no arm at all, an unknown one, or one whose store is missing, of other
-            parameters, without a feature, or with fewer rows than trials.
+        InputError: no arm at all, an unknown one, one that takes no goals where there are two, or
+            one whose store is missing, of other parameters, without a feature, or with fewer rows
+            than trials.
     """
     if not names:
         raise InputError("arms", "none", "one arm or more, in the configuration or by --arms")
     arms = tuple(find_arm(name) for name in dict.fromkeys(names))
     for arm in arms:
+        if experiment.objective.goals and not arm.takes_goals:
+            able = ", ".join(name for name, each in ARMS.items() if each.takes_goals)
+            raise InputError("arm", arm.name, f"with two goals one of {able}")
         if not arm.store:
             continue
         store = check_store(experiment, arm.store, arm.feature)

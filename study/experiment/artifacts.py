@@ -20,7 +20,7 @@ from study.experiment.database import opened
 from study.experiment.experiment import Experiment
 from study.experiment.folder import fingerprint, live_artifacts
 from study.experiment.gains import named_gains, recorded_walk
-from study.experiment.trials import outcome_text
+from study.experiment.trials import best_trial, outcome_text
 from study.pictures import write_strip
 
 STRIP_DPI = 100
@@ -39,7 +39,8 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     Raises:
         InputError: no place to write.
     """
-    best, folder, conditions = study.best_trial, live_artifacts(url, out), experiment.conditions
+    best = best_trial(experiment.objective, study)
+    folder, conditions = live_artifacts(url, out), experiment.conditions
     gains = np.array([best.params[name] for name in experiment.names])
     title = f"{experiment.name}, run {run}: {outcome_text(best.user_attrs)}"
     walk = f"{fingerprint(experiment)}/{run}/{gains.tobytes().hex()}"

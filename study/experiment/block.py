@@ -31,7 +31,7 @@ from study.experiment.folder import (
     walkers,
 )
 from study.experiment.one_study import OneStudy, shown
-from study.experiment.trials import KEPT, simulate_trials, walked
+from study.experiment.trials import KEPT, best_cost, simulate_trials, walked
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
 from taichi_nmm.result import END_REASONS
 
@@ -47,25 +47,25 @@ class Walks:
     """
 
     def __init__(self) -> None:
-        self._found: dict[tuple[int, bytes], tuple[np.void, float]] = {}
+        self._found: dict[tuple[int, bytes], tuple[np.void, list[float]]] = {}
 
-    def add(self, runs: Sequence[int], gains: Floats, rows: Rows, cost: Floats) -> None:
-        """Keep n walks: runs [n], gains [n, 16 + k], rows [n], cost [n]."""
-        for run, tried, row, value in zip(runs, gains, rows, cost.tolist(), strict=True):
-            self._found.setdefault((run, tried.tobytes()), (row.copy(), value))
+    def add(self, runs: Sequence[int], gains: Floats, rows: Rows, costs: Floats) -> None:
+        """Keep n walks: runs [n], gains [n, 16 + m], rows [n], costs [n, k]."""
+        for run, tried, row, cost in zip(runs, gains, rows, costs.tolist(), strict=True):
+            self._found.setdefault((run, tried.tobytes()), (row.copy(), cost))
 
     def walk(
         self, experiment: Experiment, runs: Sequence[int], gains: Floats
     ) -> tuple[Rows, Floats]:
-        """Rows of the simulator, finite, and costs of n trials, [n]; new ones are simulated."""
+        """Of n trials rows, finite, [n], and costs [n, k]; new ones are simulated."""
         keys = [(run, tried.tobytes()) for run, tried in zip(runs, gains, strict=True)]
         new = [k for k, key in enumerate(keys) if key not in self._found and key not in keys[:k]]
         if new:
             tried = [runs[place] for place in new]
             rows = simulate_trials(experiment, tried, gains[new])
-            self.add(tried, gains[new], rows, experiment.objective.costs(rows))
+            self.add(tried, gains[new], rows, experiment.objective.values(rows))
         found = [self._found[key] for key in keys]
-        return np.array([row for row, _ in found]), np.array([value for _, value in found])
+        return np.array([row for row, _ in found]), np.array([cost for _, cost in found])
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def advance(block: Block) -> Advanced:
         for arm, run, table in by_study(block.known):
             _restore(experiment, studies[arm, run], table, walks)
         ended = walkers(block.known) if experiment.until_walker else set()
-        tables = [state_schema(experiment.searched).empty_table()]
+        tables = [schema_of(experiment).empty_table()]
         while open_studies := [
             study
             for key, study in studies.items()
@@ -124,11 +124,12 @@ def advance(block: Block) -> Advanced:
 
 def _restore(experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks) -> None:
     """Give a study its trials of earlier sessions."""
-    gains, rows, cost = gains_of(experiment, table), outcomes_of(table), table["cost"].to_numpy()
-    walks.add([study.run] * len(table), gains, rows, cost)
+    gains, rows = gains_of(experiment, table), outcomes_of(table)
+    costs = np.column_stack([table[name].to_numpy() for name in experiment.objective.columns])
+    walks.add([study.run] * len(table), gains, rows, costs)
     for place, notes in enumerate(table[NOTES].to_pylist()):
         noted = json.loads(notes) | shown(study.arm, rows[place : place + 1])
-        study.restore(gains[place].tolist(), float(cost[place]), noted)
+        study.restore(gains[place].tolist(), costs[place].tolist(), noted)
 
 
 def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.Table:
@@ -141,9 +142,10 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
         notes.append(study.noted())
         seconds.append(time.perf_counter() - began_s)
     runs, gains = [study.run for study in studies], np.array(asked, dtype=np.float64)
-    rows, cost = walks.walk(experiment, runs, gains)
+    rows, costs = walks.walk(experiment, runs, gains)
     for place, study in enumerate(studies):
-        study.tell(float(cost[place]), rows[place : place + 1])
+        study.tell(costs[place].tolist(), rows[place : place + 1])
+    objective = experiment.objective
     columns = {
         "experiment": [experiment.name] * len(gains),
         "arm": [study.arm.name for study in studies],
@@ -153,15 +155,21 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
         **{name: np.full(len(gains), gain) for name, gain in experiment.fixed_by_name.items()},
         **dict(zip(experiment.names, gains.T, strict=True)),
         "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
-        "cost": cost,
-        "best_cost": [study.study.best_value for study in studies],
+        **dict(zip(objective.columns, costs.T, strict=True)),
+        "cost": [objective.best(cost) for cost in costs[:, None]],
+        "best_cost": [best_cost(objective, study.study) for study in studies],
         "walked": walked(rows),
         "end_reason": np.array(END_REASONS)[rows["end_reason"]],
         **{name: rows[name] for name in KEPT},
         PROPOSAL_TIME: seconds,
         NOTES: [json.dumps(noted) for noted in notes],
     }
-    return pa.table(columns, schema=state_schema(experiment.searched))
+    return pa.table(columns, schema=schema_of(experiment))
+
+
+def schema_of(experiment: Experiment) -> pa.Schema:
+    """Of the finished trials of an experiment."""
+    return state_schema(experiment.searched, [goal.name for goal in experiment.objective.goals])
 
 
 @contextmanager

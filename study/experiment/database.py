@@ -21,12 +21,12 @@ from storage.databases.bulk import (
 )
 from storage.databases.studies import (
     load_whole,
-    name_metric,
     open_studies,
     read_errors,
     read_studies,
     shown_url,
     storage_errors,
+    study_of_costs,
 )
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name, summary_name
@@ -64,10 +64,9 @@ def export(
         note = summarise(experiment.name, shown, final, study_ids(storage))
         from optuna_dashboard import save_note  # a second, once a minute
 
-        name, metric = summary_name(experiment.name), experiment.objective.metric
+        name, metrics = summary_name(experiment.name), experiment.objective.metrics
         with read_errors(url):
-            study = optuna.create_study(storage=storage, study_name=name, load_if_exists=True)
-            name_metric(study, metric)
+            study = study_of_costs(storage, name, metrics)
             known = study.user_attrs
         if CONFIG_ATTRIBUTE not in known:
             study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
@@ -127,7 +126,8 @@ def _new_studies(
 ) -> Iterator[FinishedStudy]:
     """Each study of the table, with those of its trials that the database does not have."""
     attributes = (ROW_ATTRIBUTE, *ATTRIBUTES)
-    columns = ["arm", "run", "trial", *experiment.space, "cost", *attributes]
+    objective = experiment.objective
+    columns = ["arm", "run", "trial", *experiment.space, *objective.columns, *attributes]
     for arm, run, rows in by_study(trials.select(columns)):
         name = study_name(experiment.name, arm, run)
         first = counts.get(name, 0)
@@ -135,15 +135,15 @@ def _new_studies(
             create_trial(
                 params={name: row[name] for name in experiment.space},
                 distributions=dict(experiment.space),
-                value=row["cost"],
+                values=[row[name] for name in objective.columns],
                 user_attrs={name: row[name] for name in attributes},
             )
             for row in rows.slice(first).to_pylist()
         ]
-        first, metric = min(first, len(rows)), experiment.objective.metric
+        first = min(first, len(rows))
         known = {"experiment": experiment.name, "arm": arm, "run": run,
                  CONFIG_ATTRIBUTE: fingerprint(experiment)}  # fmt: skip
-        yield FinishedStudy(name, new, first=first, user_attrs=known, metric=metric)
+        yield FinishedStudy(name, new, first=first, user_attrs=known, metrics=objective.metrics)
 
 
 def note_worths(

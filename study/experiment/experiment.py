@@ -91,8 +91,8 @@ class Experiment:
         return search_space(self.parameters)
 
     @property
-    def success(self) -> float:
-        """The cost of a trial that has succeeded."""
+    def success(self) -> float | None:
+        """The cost of a trial that has succeeded; None: there are several goals."""
         return self.objective.success(self.conditions.duration_s)
 
     def body(self, run: int) -> Bodies:
@@ -185,6 +185,8 @@ def experiment_of(
     )
     objective.done()
     table.done()
+    if experiment.until_walker and experiment.objective.goals:
+        raise InputError("until_walker", "true", "false with two goals: one walker is no front")
     return experiment
 
 

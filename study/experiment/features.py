@@ -1,7 +1,7 @@
 """What a store knows of its rows: columns, and what a trial costs in each world."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,8 @@ IN_WORLDS = (WORLDS, RANKING)
 def check_feature(feature: str, store: Store, objective: Objective) -> None:
     """Refuse a store without a column of the feature by an InputError that names both."""
     if feature in IN_WORLDS:
-        outcomes_of(store, objective.in_worlds)
+        for cost in objective.each:
+            outcomes_of(store, cost.in_worlds)
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
 
@@ -42,10 +43,11 @@ def feature_table(
     `space` has the columns that studies suggest, with distributions; low-level gains that the store
     lacks have their defaults.
     """
+    costs = [one.in_worlds for one in objective.each]
     if feature == WORLDS:
-        return table_of_worlds(store, objective.in_worlds, space)
+        return table_of_worlds(store, costs, space)
     if feature == RANKING:
-        rows = table_of_worlds(store, objective.in_worlds).rows
+        rows = table_of_worlds(store, costs).rows
         values = np.full(len(rows), np.nan)
         values[rows.numbers] = -rows.ensemble(np.ones(1)).columns[:, -1]
     else:
@@ -134,16 +136,15 @@ def world_table(path: str | Path, cost: Cost | None = None, *others: Cost) -> Fe
     """
     store = open_store(path)
     store.require_bounds()
-    first = cost or Objective().in_worlds
-    if not others:
-        return table_of_worlds(store, first)
-    goals = [outcomes_of(store, each) for each in (first, *others)]
-    outcomes = {family: np.stack([goal[family] for goal in goals], axis=-1) for family in goals[0]}
-    return _table(store, None, outcomes=outcomes)
+    return table_of_worlds(store, (cost or Objective().in_worlds, *others))
 
 
 def table_of_worlds(
-    store: Store, cost: Cost, space: Mapping[str, BaseDistribution] | None = None
+    store: Store, costs: Sequence[Cost], space: Mapping[str, BaseDistribution] | None = None
 ) -> FeatureTable:
     """`world_table` of an opened store; `space` as for `feature_table`, None: the store's own."""
-    return _table(store, space, outcomes=outcomes_of(store, cost))
+    goals = [outcomes_of(store, cost) for cost in costs]
+    outcomes = goals[0]
+    if len(goals) > 1:
+        outcomes = {name: np.stack([goal[name] for goal in goals], axis=-1) for name in outcomes}
+    return _table(store, space, outcomes=outcomes)

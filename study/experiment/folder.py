@@ -37,6 +37,7 @@ from storage.folder import Folder, remove
 from storage.tables import FORMAT, document_hash, write_table
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, as_written, store_digest, store_path
+from study.experiment.objective import GOAL_COLUMN
 from study.experiment.trials import KEPT, OUTCOMES
 from taichi_nmm import __version__
 from taichi_nmm.errors import InputError
@@ -77,12 +78,19 @@ _FIELDS = [  # none has gaps
 STATE_SCHEMA = pa.schema(_FIELDS)
 
 
-def state_schema(searched: Iterable[str]) -> pa.Schema:
-    """`STATE_SCHEMA`, with a column of each further low-level gain that is searched."""
-    place = STATE_SCHEMA.get_field_index(THETA_REF.name) + 1
+def state_schema(searched: Iterable[str], goals: Iterable[str] = ()) -> pa.Schema:
+    """`STATE_SCHEMA`, with a column of each further low-level gain that is searched.
+
+    Of goals, by name, there is a column each. Then `cost` is the front cost of the trial alone, and
+    `best_cost` that of the trials so far.
+    """
+    schema = STATE_SCHEMA
     more = [name for name in searched if name != THETA_REF.name]
-    fields = [pa.field(name, pa.float64(), nullable=False) for name in more]
-    return pa.schema([*_FIELDS[:place], *fields, *_FIELDS[place:]])
+    for before, names in (("row", more), ("cost", map(GOAL_COLUMN.format, goals))):
+        for name in names:
+            field = pa.field(name, pa.float64(), nullable=False)
+            schema = schema.insert(schema.get_field_index(before), field)
+    return schema
 
 
 TIME_COLUMNS = ("arm", "run", "trial", PROPOSAL_TIME)
@@ -261,7 +269,7 @@ class ExperimentFolder(Folder):
     @property
     def schema(self) -> pa.Schema:
         """Of its finished trials."""
-        return state_schema(self.document["searched"])
+        return state_schema(self.document["searched"], self.document["objective"].get("goals", ()))
 
     def arms(self) -> list[str]:
         """Arms that have finished trials here."""

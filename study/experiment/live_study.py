@@ -23,7 +23,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from storage.commit import require_folder
 from storage.databases.postgresql import Crew
-from storage.databases.studies import name_metric, read_studies, require_lockable
+from storage.databases.studies import read_studies, require_lockable, study_of_costs
 from storage.tables import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
@@ -123,12 +123,9 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
         InputError: naming the study, the first field that differs, and the value it has there.
     """
     name, identity = _check_study(experiment, arm, run, storage)
-    study = optuna.create_study(
-        storage=storage, study_name=name, direction="minimize", load_if_exists=True
-    )
+    study = study_of_costs(storage, name, experiment.objective.metrics)
     if LIVE_ATTRIBUTE not in study.user_attrs:
         study.set_user_attr(LIVE_ATTRIBUTE, identity)
-    name_metric(study, experiment.objective.metric)
     return study
 
 
@@ -186,7 +183,7 @@ def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
 def _simulated(experiment: Experiment, one: LiveStudy, gains: list[float]) -> FrozenTrial:
     """Try what was asked for, and tell."""
     rows = simulate_trials(experiment, [one.run], np.array([gains]))
-    return one.tell(float(experiment.objective.costs(rows)[0]), rows, attributes(rows))
+    return one.tell(experiment.objective.values(rows)[0].tolist(), rows, attributes(rows))
 
 
 def running(study: optuna.Study) -> list[FrozenTrial]:
@@ -241,9 +238,11 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
     Raises:
         InputError: naming the study, the trial, and the part of it.
     """
-    if study.directions != [StudyDirection.MINIMIZE]:
+    costs = len(experiment.objective.each)
+    if study.directions != [StudyDirection.MINIMIZE] * costs:
         directions = [direction.name for direction in study.directions]
-        raise InputError(f"study {study.study_name}: directions", directions, "one, MINIMIZE")
+        allowed = " and ".join(["MINIMIZE"] * costs)
+        raise InputError(f"study {study.study_name}: directions", directions, allowed)
     for place, trial in enumerate(study.get_trials(deepcopy=False)):
         prefix = f"study {study.study_name}, trial {trial.number}"
         if trial.number != place:
@@ -263,7 +262,7 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
 
 
 def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
-    checks.each(_number)(f"{prefix}: values", trial.values)
+    checks.each(_number, len(experiment.objective.each))(f"{prefix}: values", trial.values)
     if trial.params.keys() != experiment.space.keys():
         allowed = f"one of each of {', '.join(experiment.names)}"
         raise InputError(f"{prefix}: parameters", list(trial.params), allowed)

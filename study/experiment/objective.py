@@ -1,4 +1,4 @@
-"""What a trial costs: one of the paper's two costs, or a weighted sum of what a run gives.
+"""What a trial costs: one of the paper's two costs, a weighted sum, or two goals, each a cost.
 
 [objective]
 cost = "weighted"
@@ -9,13 +9,20 @@ cost_of_transport_jpkgpm = 1.0
 mean_speed_mps = {weight = 100.0, target = 0.8, tolerance = 0.02}    # the distance from a target
 
 A function "module:function", or "file.py:function", of the columns may stand for a column.
+
+[objective]
+cost = "front"          # a study of two goals: each is a table as above, by its name
+
+[objective.goals.energy]
+cost = "weighted"
+...
 """
 
 import hashlib
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +39,9 @@ Floats = NDArray[np.float64]
 
 PRINTED = {"smooth": smooth_cost, "walking": walking_cost}  # the paper's two
 WEIGHTED = "weighted"
+FRONT = "front"  # that of two goals
+GOAL_COLUMN = "goal_{}"  # of a table of trials: the cost by the goal of this name
+GOAL_NAME = re.compile(r"[A-Za-z]\w{0,30}", re.ASCII)
 FUNCTION = re.compile(r"[\w./-]+:\w+")
 IMPORTED = "a function that can be imported: module:function, or file.py:function"
 SUCCESS_SPEED_MPS = 1.0  # people walk at 1.3; with 1.1, up a ramp, first walkers come later
@@ -87,19 +97,56 @@ class Term:
 class Objective:
     """What a trial costs. It pickles and hashes."""
 
-    cost: str = "smooth"  # of `PRINTED`; `WEIGHTED`; or, of any simulator, a column
+    cost: str = "smooth"  # of `PRINTED`; `WEIGHTED`; `FRONT`; or, of any simulator, a column
     terms: tuple[Term, ...] = ()  # none: one of the paper's
     fell_cost: float = math.inf
     survived: str = SURVIVED  # column with the share of the time that a run lasted
+    goals: tuple["Objective", ...] = ()  # of a `FRONT`, two
+    name: str = ""  # of a goal
+
+    @property
+    def each(self) -> tuple["Objective", ...]:
+        """The k costs that a study minimises: the goals, or this one."""
+        return self.goals or (self,)
 
     @property
     def metric(self) -> str:
         """Its name in a study: of the paper's costs that of the function in `taichi_nmm`."""
         name = self.cost.rpartition(":")[2]
-        return f"{name}_cost" if self.terms else PRINTED[name].__name__
+        return self.name or (f"{name}_cost" if self.terms else PRINTED[name].__name__)
+
+    @property
+    def metrics(self) -> list[str]:
+        """The names of the costs that a study minimises, k."""
+        return [one.metric for one in self.each]
+
+    @property
+    def columns(self) -> list[str]:
+        """Where a table of trials has these costs, k."""
+        return [GOAL_COLUMN.format(goal.name) for goal in self.goals] or ["cost"]
+
+    def values(self, rows: NDArray[np.void]) -> Floats:
+        """What a study minimises, of a simulator's rows, [n, k]."""
+        return np.stack([one.costs(rows) for one in self.each], axis=-1)
+
+    def best(self, values: Floats) -> float:
+        """What trials have reached together, from their values [n, k]: the least cost.
+
+        Of two goals, the front cost: minus the area that the trials dominate, from the `fell_cost`
+        of both on. It falls as the front grows.
+        """
+        if not self.goals:
+            return float(values.min())
+        farthest, reached = (goal.fell_cost for goal in self.goals)
+        area = 0.0
+        for first, second in sorted(values.tolist()):
+            if first < farthest and second < reached:
+                area += (farthest - first) * (reached - second)
+                reached = second
+        return 0.0 - area
 
     def costs(self, rows: NDArray[np.void]) -> Floats:
-        """Costs of a simulator's rows, [n]."""
+        """Costs of a simulator's rows, [n]; of a front, its goals have them."""
         return self._weighted(rows) if self.terms else PRINTED[self.cost](rows)
 
     def in_worlds(self, given: Mapping[str, Floats], horizon_s: float) -> Floats:
@@ -119,11 +166,13 @@ class Objective:
             rows["cost_of_transport_jpkgpm"] = given["cost_of_transport_jpkgpm"]
         return PRINTED[self.cost](rows)
 
-    def success(self, duration_s: float) -> float:
-        """The cost of a trial that has succeeded: of a run to the end.
+    def success(self, duration_s: float) -> float | None:
+        """The cost of a trial that has succeeded: of a run to the end; None: of a front.
 
         With the smooth cost of a fast one, since a slow one costs more than a late fall.
         """
+        if self.goals:
+            return None
         if self.terms:
             return self.fell_cost
         if self.cost == "walking":
@@ -135,6 +184,8 @@ class Objective:
 
     def document(self) -> dict[str, Any]:
         """The table [objective]; `read_objective` reads it back."""
+        if self.goals:
+            return {"cost": FRONT, "goals": {goal.name: goal.document() for goal in self.goals}}
         if not self.terms:
             return {"cost": self.cost}
         document: dict[str, Any] = {"cost": self.cost, "fell_cost": self.fell_cost}
@@ -157,7 +208,7 @@ class Objective:
 
 
 def read_objective(table: Table, columns: Sequence[str], survived: str | None = None) -> Objective:
-    """The table [objective], whose keys `cost`, `fell_cost` and `terms` are read.
+    """The table [objective], whose keys `cost`, `fell_cost`, `terms` and `goals` are read.
 
     Args:
         table: with other keys perhaps, which are left.
@@ -168,11 +219,13 @@ def read_objective(table: Table, columns: Sequence[str], survived: str | None = 
     Raises:
         InputError: naming the key.
     """
-    known = (*PRINTED, WEIGHTED) if survived is None else (*columns, WEIGHTED)
+    known = (*PRINTED, WEIGHTED, FRONT) if survived is None else (*columns, WEIGHTED)
     is_own = FUNCTION.fullmatch(str(table.unread.get("cost")))
     cost = table.text("cost", REQUIRED if survived else "smooth", () if is_own else known)
     if survived is None and cost in PRINTED:
         return Objective(cost)
+    if survived is None and cost == FRONT:
+        return Objective(cost, goals=_read_goals(table.table("goals"), columns))
     survived, fell_cost = survived or SURVIVED, table.number("fell_cost", low=1e-9)
     own = Table({cost: 1.0}, table.path("cost"), table.folder)
     given = table.table("terms") if cost == WEIGHTED else own
@@ -181,11 +234,30 @@ def read_objective(table: Table, columns: Sequence[str], survived: str | None = 
             raise InputError(given.path(name), "no number of a run", f"one of {', '.join(columns)}")
     terms = tuple(_read_term(given, name) for name in list(given.unread))
     if not any(term.weight for term in terms) and not given.mistaken():
-        raise InputError("objective.terms", "nothing to pay for", "a column with a weight but zero")
+        raise InputError(table.path("terms"), "nothing to pay for", "a weight other than zero")
     found = Objective(cost, terms, fell_cost, survived)
     if found.code:
         table.text("code", found.code, (found.code,))
     return found
+
+
+def _read_goals(table: Table, columns: Sequence[str]) -> tuple[Objective, ...]:
+    """Each in its table; in the order of their names, so that no digest depends on another one."""
+    names, goals = sorted(table.unread), []
+    if len(names) != 2 and not table.mistaken():
+        raise InputError("objective.goals", ", ".join(names) or "none", "two tables, a goal each")
+    for name in names:
+        if not GOAL_NAME.fullmatch(name):
+            allowed = "a name of up to 31 letters, digits and '_', first a letter"
+            raise InputError(table.path(name), "a goal", allowed)
+        goal = table.table(name)
+        cost = goal.unread.get("cost", "missing")
+        if cost in ("missing", FRONT, *PRINTED) and not goal.mistaken("cost"):
+            allowed = "weighted, or a function: a front is measured from the fell_cost of its goals"
+            raise InputError(goal.path("cost"), cost, allowed)
+        goals.append(replace(read_objective(goal, columns), name=name))
+        goal.done()
+    return tuple(goals)
 
 
 def _read_term(table: Table, column: str) -> Term:

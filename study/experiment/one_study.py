@@ -43,7 +43,8 @@ class OneStudy:
     ) -> None:
         self.arm = arm
         self.run = run
-        self.study = study or optuna.create_study(direction="minimize")
+        costs = len(experiment.objective.each)
+        self.study = study or optuna.create_study(directions=["minimize"] * costs)
         self.trials = len(self.finished())
         self._experiment = experiment
         self._sampler: BaseSampler | None = None
@@ -69,23 +70,23 @@ class OneStudy:
         return dict(self.study.get_trials(deepcopy=False)[self.asked.number].user_attrs)
 
     def tell(
-        self, cost: float, rows: NDArray[np.void], attributes: dict[str, Any] | None = None
+        self, values: list[float], rows: NDArray[np.void], attributes: dict[str, Any] | None = None
     ) -> FrozenTrial:
-        """Finish the trial that was asked for: a finite cost, and the simulator's row of it, [1].
+        """Finish the trial that was asked for: finite costs [k], and the simulator's row, [1].
 
         Attributes are further ones, for readers of the study.
         """
-        return self._tell(cost, shown(self.arm, rows) | (attributes or {}))
+        return self._tell(values, shown(self.arm, rows) | (attributes or {}))
 
     def hand_on(self) -> optuna.Study:
         """The study for another process, which makes its sampler anew: some do not pickle."""
         self._sampler, self.study.sampler = None, RandomSampler(seed=0)
         return self.study
 
-    def restore(self, gains: list[float], cost: float, noted: dict[str, Any]) -> None:
+    def restore(self, gains: list[float], values: list[float], noted: dict[str, Any]) -> None:
         """Add a trial of an earlier session; where the library keeps a state, by asking again.
 
-        It has searched parameters, a cost, and all user attributes that it had.
+        It has searched parameters, costs [k], and all user attributes that it had.
 
         Raises:
             InputError: the sampler now proposes other gains.
@@ -93,12 +94,12 @@ class OneStudy:
         if self.arm.replayed:
             self.require_proposed(gains, self.ask())
             own = self.noted()
-            self._tell(cost, {name: value for name, value in noted.items() if name not in own})
+            self._tell(values, {name: value for name, value in noted.items() if name not in own})
             return
         space: dict[str, BaseDistribution] = dict(self._experiment.space)
         params: dict[str, Any] = dict(zip(space, gains, strict=True))
         self.study.add_trial(
-            create_trial(params=params, distributions=space, value=cost, user_attrs=noted)
+            create_trial(params=params, distributions=space, values=values, user_attrs=noted)
         )
         self.trials += 1
 
@@ -113,11 +114,11 @@ class OneStudy:
             allowed = "the gains that the sampler proposes there; use another --out or --storage"
             raise InputError(where, "other gains", allowed)
 
-    def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
+    def _tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
         for name, value in attributes.items():
             self.asked.set_user_attr(name, value)
         with one_thread():
-            told = self.study.tell(self.asked, cost)
+            told = self.study.tell(self.asked, values)
         self.trials += 1
         return told
 
@@ -151,7 +152,7 @@ class LiveStudy(OneStudy):
         if self._twin is not None:
             for trial in self.finished():
                 gains = [trial.params.get(name, math.nan) for name in experiment.names]
-                self._twin.restore(gains, trial.values[0], {})
+                self._twin.restore(gains, trial.values, {})
 
     def ask(self) -> list[float]:
         """As of any study.
@@ -173,10 +174,10 @@ class LiveStudy(OneStudy):
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             return PartialFixedSampler(self._given, RandomSampler(seed=0))
 
-    def _tell(self, cost: float, attributes: dict[str, Any]) -> FrozenTrial:
+    def _tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
         if self._twin is not None:
-            self._twin._tell(cost, {})
-        return super()._tell(cost, attributes)
+            self._twin._tell(values, {})
+        return super()._tell(values, attributes)
 
 
 def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
@@ -190,7 +191,12 @@ def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
 def worth_of_study(
     experiment: Experiment, arm: Arm, run: int, study: optuna.Study
 ) -> Worth | Likeness | None:
-    """The worth of the arm's feature or worlds in the trials of its study; None: it has none."""
+    """The worth of the arm's feature or worlds in the trials of its study; None: it has none.
+
+    Of several goals there is none: the dashboard draws their front by itself.
+    """
+    if experiment.objective.goals:
+        return None
     sampler = new_sampler(experiment, arm, run) if arm.store else None
     if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
         return None

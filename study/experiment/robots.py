@@ -383,7 +383,7 @@ def candidates(store: Path, objective: Objective) -> FeatureTable:
     Raises:
         InputError: a store without families, or that has not kept the cost in each world.
     """
-    return table_of_worlds(open_store(store), objective.in_worlds)
+    return table_of_worlds(open_store(store), [objective.in_worlds])
 
 
 def _in_order(kept: list[pa.Table]) -> pa.Table:

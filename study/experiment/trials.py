@@ -10,6 +10,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 import taichi_nmm
 from study.experiment.experiment import Experiment
+from study.experiment.objective import Objective
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import searched_parameters, split_points
@@ -103,42 +104,65 @@ def outcome_text(shown: Mapping[str, Any]) -> str:
     return f"{how} {reached} at {shown['mean_speed_mps']:.2f} m/s"
 
 
-def progress_line(study: optuna.Study, trial: FrozenTrial, trials: int) -> str:
+def best_trial(objective: Objective, study: optuna.Study) -> FrozenTrial:
+    """The trial of the least cost; with two goals, that which alone dominates the largest area."""
+    if not objective.goals:
+        return study.best_trial
+    finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return min(finished, key=lambda trial: objective.best(np.array([trial.values])))
+
+
+def best_cost(objective: Objective, study: optuna.Study) -> float:
+    """What the finished trials of a study have reached together: `Objective.best`."""
+    if not objective.goals:
+        return study.best_value
+    finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return objective.best(np.array([trial.values for trial in finished]))
+
+
+def progress_line(
+    objective: Objective, study: optuna.Study, trial: FrozenTrial, trials: int
+) -> str:
     """One finished trial, and the best so far."""
-    known = study_facts(study)
+    known = study_facts(objective, study)
+    names, best = (objective.metrics, "front cost") if objective.goals else (["cost"], "best")
+    costs = "  ".join(f"{name} {cost:8.4f}" for name, cost in zip(names, trial.values, strict=True))
     return (
         f"{known['study']}  {known['trials']:>{len(str(trials))}}/{trials}  "
-        f"cost {trial.values[0]:8.4f}  {outcome_text(trial.user_attrs):<44}  "
-        f"best {known['best_cost']:.4f} (trial {known['best_trial']})"
+        f"{costs}  {outcome_text(trial.user_attrs):<44}  "
+        f"{best} {known['best_cost']:.4f} (trial {known['best_trial']})"
     )
 
 
-def study_line(study: optuna.Study) -> str:
+def study_line(objective: Objective, study: optuna.Study) -> str:
     """A study in one line: how many trials walked, and the best."""
-    known = study_facts(study)
+    known = study_facts(objective, study)
     scored = "" if known["score"] is None else f", score {known['score']:.1f}"
     row = "" if known["row"] is None else f" (row {known['row']}{scored})"
+    costs = "".join(f"{name} {cost:.4f}, " for name, cost in known.get("goals", {}).items())
+    costs += f"{'front cost' if costs else 'cost'} {known['best_cost']:.4f}"
     first = f", the first in trial {known['first_walker']}" if known["walkers"] else ""
     return (
         f"{known['study']}: {known['walkers']} of {known['trials']} trials walked{first}; "
-        f"best trial {known['best_trial']}{row}: cost {known['best_cost']:.4f}, "
-        f"{outcome_text(known)}"
+        f"best trial {known['best_trial']}{row}: {costs}, {outcome_text(known)}"
     )
 
 
-def study_facts(study: optuna.Study) -> dict[str, Any]:
+def study_facts(objective: Objective, study: optuna.Study) -> dict[str, Any]:
     """A study with a finished trial, and its best trial, as plain values."""
     finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     walkers = [trial.number for trial in finished if trial.user_attrs["walked"]]
-    best = study.best_trial
+    best = best_trial(objective, study)
+    goals = dict(zip(objective.metrics, best.values, strict=True)) if objective.goals else {}
     return {
         "study": study.study_name,
         "trials": len(finished),
         "walkers": len(walkers),
         "first_walker": walkers[0] if walkers else None,
         "best_trial": best.number,
-        "best_cost": best.values[0],
+        "best_cost": best_cost(objective, study),
         "row": best.user_attrs.get(ROW_ATTRIBUTE),
         "score": best.user_attrs.get(SCORE_ATTRIBUTE),  # of arms that compare rows by one number
         **{name: best.user_attrs[name] for name in (*MEASURES, "end_reason")},
+        **({"goals": goals} if goals else {}),
     }

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from storage.commit import commit_json, commit_text, together
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM
+from study.experiment.objective import FRONT
 from study.pictures import style
 from study.report.markdown import NO_STORES, condensed_table, count_text, overview_text, report_text
 from study.report.numbers import (
@@ -215,13 +216,15 @@ def write_best_cost(path: Path, results: Results) -> Path:
     axes = style.axes_at(figure, LEFT_IN, 0.5, PANEL_IN, height_in - MARGINS_IN)
     style.tidy(axes)
     trial_axis(axes, results.trials)
-    axes.set_ylabel(f"best {results.cost} cost so far", fontsize=style.TEXT_PT, color=style.INK)
+    area = ": minus the area dominated" if results.cost == FRONT else ""
+    label = f"best {results.cost} cost so far{area}"
+    axes.set_ylabel(label, fontsize=style.TEXT_PT, color=style.INK)
     if results.cost == "smooth":
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_locator(NullLocator())
-    else:
+    elif results.cost != FRONT:
         axes.set_ylim(0.0, 315.0)
         axes.axhline(WALKS_BELOW, color=style.INK, linewidth=0.8, linestyle="--", zorder=2.0)
         axes.annotate(

@@ -14,6 +14,7 @@ import pyarrow as pa
 from study.experiment import robots
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind, saw
 from study.experiment.experiment import study_name
+from study.experiment.objective import FRONT
 from study.report.numbers import (
     COMPARED_AFTER,
     RESAMPLES,
@@ -104,6 +105,7 @@ def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] =
         METHOD,
         table(*_walkers(numbers, sorted(within), _label)),
         "## Best cost",
+        WORDS["front"] if results.cost == FRONT else "",
         _costs(numbers, results.cost),
         WORDS["proposal"] if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
         *_tests(numbers),
@@ -174,7 +176,7 @@ def _saw(numbers: Numbers, stores: Mapping[str, Path]) -> str:
 def facts(results: Results) -> dict[str, str]:
     """How the runs were made, a line a fact; facts that the folder lacks are left out."""
     sessions = results.facts.get("sessions", [])
-    simulation = results.facts.get("simulation", {})
+    simulation, objective = (results.facts.get(name, {}) for name in ("simulation", "objective"))
     how = "alone" if "fixed_gains" in results.facts else "beside the 16 gains"
     found = {
         "date": _days(sessions),
@@ -182,7 +184,7 @@ def facts(results: Results) -> dict[str, str]:
         "wall time": _wall_time(sessions),
         "versions": _words(results.facts.get("versions")),
         "cost": results.cost,
-        "what it weighs": _words(results.facts.get("objective", {}).get("terms")),
+        "what it weighs": _words(objective.get("goals", objective.get("terms"))),
         "a trial": f"{simulation['duration_s']:g} s" if "duration_s" in simulation else "",
         "simulation": _words({k: v for k, v in simulation.items() if k != "duration_s"}),
         "body": _words(results.facts.get("body")),

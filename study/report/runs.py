@@ -30,7 +30,7 @@ from study.experiment.folder import (
     table_files,
     without_gaps,
 )
-from study.experiment.objective import FUNCTION, PRINTED, WEIGHTED
+from study.experiment.objective import FRONT, FUNCTION, PRINTED, WEIGHTED
 from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_folder, json_document, reading
@@ -44,7 +44,7 @@ class ArmRuns:
 
     arm: str
     runs: NDArray[np.int64]  # their numbers, ascending, [r]
-    best: NDArray[np.float64]  # the best cost so far, [r, t]
+    best: NDArray[np.float64]  # the best cost so far, `Objective.best`, [r, t]
     walks: NDArray[np.bool_]  # whether a trial walked, [r, t]
     found: int  # trials in the table
     proposal_ms: float | None = None  # median time of a proposal; None where it is not known
@@ -78,7 +78,7 @@ class Results:
 
     folder: Path
     name: str
-    cost: str  # "smooth" or "walking"
+    cost: str  # of `Objective`
     arms: dict[str, ArmRuns]  # by name, in the order of the table
     facts: dict[str, Any]  # of experiment.json and run.json; empty where there are none
 
@@ -189,7 +189,7 @@ def _proposal_times(folder: Path) -> dict[str, float]:
 
 LARGEST_NUMBER = 1e15  # of seconds or trials
 
-OBJECT, COST = by_name(anything), word(*PRINTED, WEIGHTED)
+OBJECT, COST = by_name(anything), word(*PRINTED, WEIGHTED, FRONT)
 NUMBER = number(-LARGEST_NUMBER, LARGEST_NUMBER, f"a number up to {LARGEST_NUMBER:g}")
 FORM: dict[str, dict[str, Check]] = {
     EXPERIMENT_NAME: {
@@ -197,6 +197,7 @@ FORM: dict[str, dict[str, Check]] = {
         "terrain": OBJECT, "ground": OBJECT, "until_walker": flag,
         "searched": each(text), "stores": by_name(text),
         "objective.cost": lambda name, v: v if FUNCTION.fullmatch(str(v)) else COST(name, v),
+        "objective.terms": OBJECT, "objective.goals": by_name(OBJECT),
         "simulation.duration_s": NUMBER,
     },
     RUN_NAME: {"sessions": each(OBJECT)},

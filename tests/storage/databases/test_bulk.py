@@ -45,7 +45,7 @@ def finished(number: int, value: float) -> FrozenTrial:
 
 
 TRIALS = [finished(*both) for both in enumerate([3.5, math.inf, -math.inf, 1 / 3, 300.25])]
-STUDY = FinishedStudy("e/dog/run-000", TRIALS, user_attrs={"arm": "dog", "run": 0}, metric="metres")
+STUDY = FinishedStudy("e/dog/run-000", TRIALS, user_attrs={"arm": "dog", "run": 0}, metrics=["m"])
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_what_is_loaded_equals_what_optuna_adds(storage) -> None:
     failed = create_trial(state=TrialState.FAIL, params={}, distributions={})
     trials = [*TRIALS, failed]
     theirs = optuna.create_study(storage=storage, study_name="theirs")
-    theirs.set_metric_names(["metres"])
+    theirs.set_metric_names(["m"])
     for key, value in STUDY.user_attrs.items():
         theirs.set_user_attr(key, value)
     for trial in trials:
@@ -74,7 +74,7 @@ def test_what_is_loaded_equals_what_optuna_adds(storage) -> None:
     assert write_studies(storage, [replace(STUDY, trials=trials)]) == len(trials)
     ours = load(storage, STUDY.name)
     assert ours.direction == theirs.direction and ours.user_attrs == theirs.user_attrs
-    assert ours.metric_names == theirs.metric_names == ["metres"]
+    assert ours.metric_names == theirs.metric_names == ["m"]
     assert ours.best_trial.number == theirs.best_trial.number == 2
     assert len(ours.trials) == len(theirs.trials)
     for mine, other in zip(ours.trials, theirs.trials, strict=True):
