@@ -17,6 +17,10 @@ from storage.store import open_store
 from study import pictures
 from study.commands import quickstart
 from study.experiment import artifacts
+from study.experiment.experiment import read_experiment
+from study.experiment.gains import gains_at
+from study.explore import walk as walking
+from study.explore.trials import open_rows
 from study.options import config_path, shipped_configs
 from study.pictures import trajectory_files
 from taichi_nmm.parameters import DEVICE, GAIN_NAMES
@@ -157,7 +161,7 @@ ARMS = ("dog", "cmaes-cold", "cmaes-warm")
 TRIALS = 4
 
 
-SEARCHED = ("theta_ref", "exo_torque")
+SEARCHED = ("theta_ref", "exo_torque", "K_SOL_asymmetry")
 GOAL = """cost = "weighted"
 fell_cost = 50.0
 terms = {cost_of_transport_jpkgpm = 1.0, mean_speed_mps = {weight = 9.0, target = 1.2}}"""
@@ -224,6 +228,7 @@ def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str, tmp_path: Pat
         assert known["body"]["mass"]["shank_left"] == 1.1 == known["body"]["mass"]["shank_right"]
         assert known["world"]["muscles"] == {"SOL_left": 0.9}
         assert known["world"]["prosthesis"]["stiffness_nmprad"] == 350.0
+        assert known["world"]["exoskeleton"]["motion"] == "hip_extension"
     paid = row["cost_of_transport_jpkgpm"] + 9.0 * abs(row["mean_speed_mps"] - 1.2)
     lasted = row["survived_fraction"]
     assert row["cost"] == pytest.approx(paid if lasted >= 1.0 else 50.0 * (2.0 - lasted))
@@ -249,3 +254,27 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
     report = walk("--store", real.store, "--row", row, "--duration", 5, "--config", level)
     for name in (*GAIN_NAMES, "duration_s", "phi_printed", "phi_corrected"):
         assert (report["gains"] | report)[name] == table[name][row].as_py(), name
+
+
+BENCH = (
+    'name = "own"\ncandidates = {{store = "{}", features = ["phi_printed"]}}\ngoal.value = "cost"\n'
+)
+
+
+@pytest.mark.slow
+def test_the_bench_takes_the_store_and_the_explorer_the_study(
+    real: Real, tool: Tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.toml").write_text(BENCH.format(real.store))
+    assert tool("bench", "new", "own.toml") == 0
+    assert tool("bench", "next", "--json", "next.json") == 0, tool.err
+    (proposed,) = json.loads(Path("next.json").read_text())
+    rows = open_store(real.store).table((*GAIN_NAMES, *SEARCHED)).to_pylist()
+    assert proposed["params"] in rows
+    study = open_rows(real.compared, "rough8-smooth/dog/run-001")
+    own, seed = walking.OWN, read_experiment(real.config).seed
+    setting = walking.chosen_setting(own, own, seed, own, "taichi", 5.0, study.document)
+    again = walking.walk(gains_at(study, 2, 2), setting)
+    for name in ("distance_m", "phi_printed"):
+        assert again.row[name] == study.table()[name][2].as_py()
