@@ -89,8 +89,17 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     assert opened.body_mass[1:].tolist() == body.mass_kg[0].tolist()
     assert opened.nkey == 1 and opened.nu == 6
     assert opened.opt.timestep == 0.5e-3 and (opened.geom_solref[:, 0] == 0.005).all()
-    assert tool.json(*words, "--engine", "taichi")["distance_m"] != report["distance_m"]
+    own = tool.json(*words, "--engine", "taichi")
+    assert own["distance_m"] != report["distance_m"]
     assert model.read_text() == text
+    assert tool(*words, "--engine", "both") == 0
+    own_end, end, engines, muscles, powered = tool.out.splitlines()[:5]
+    for line, engine, walk in ((own_end, "taichi", own), (end, "mujoco", report)):
+        assert f"{engine}: " in line and f" {walk['distance_m']:.1f} m at " in line
+    assert engines.split() == ["taichi", "mujoco"]
+    for line, kind in ((muscles, "jpkgpm"), (powered, "powered_jpkgpm")):
+        both = [f"{walk[f'cost_of_transport_{kind}']:.2f}" for walk in (own, report)]
+        assert line.split()[-2:] == both
 
 
 @pytest.fixture
