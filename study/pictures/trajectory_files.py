@@ -19,7 +19,7 @@ from study.pictures.stick_figure import NOT_SAMPLED, down, finite, forward, leg
 from taichi_nmm import __version__
 from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.result import MUSCLES, Trajectory
+from taichi_nmm.result import DELAYED, MUSCLES, Trajectory
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
@@ -205,6 +205,7 @@ def own_columns(trajectory: Trajectory) -> Columns:
         ([f"{side}_device_torque_nm" for side in SIDES], trajectory.device_torque_nm),
         ([f"{side}_{muscle}_fibre_m" for side, muscle in SIDED], trajectory.fibre_length_m),
         ([f"{side}_{muscle}_fibre_mps" for side, muscle in SIDED], trajectory.fibre_velocity_mps),
+        (DELAYED, trajectory.delayed),
     ])  # fmt: skip
 
 

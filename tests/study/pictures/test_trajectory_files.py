@@ -58,7 +58,7 @@ def test_csv_has_all_samples_by_names_with_units() -> None:
     wide = [WALK.time_s[:, None], WALK.q, WALK.qdot, WALK.joint_rad, WALK.activation,
             WALK.muscle_force_n, WALK.ground_force_n, WALK.stance,
             WALK.joint_torque_nm, WALK.swing_torque_nm, WALK.device_torque_nm,
-            WALK.fibre_length_m, WALK.fibre_velocity_mps]  # fmt: skip
+            WALK.fibre_length_m, WALK.fibre_velocity_mps, WALK.delayed]  # fmt: skip
     np.testing.assert_array_equal(table, np.hstack(wide))
     assert len(set(names)) == table.shape[1]
     assert {"time_s", "x_m", "thigh_l_rad", "r_knee_flexion_rad", "l_SOL_force_n"} <= set(names)
