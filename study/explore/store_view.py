@@ -138,6 +138,7 @@ def table(source: models.ColumnDataSource, row: str, words: list[str]) -> models
     columns += [
         models.TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
         for slot, name in enumerate(words)
+        if name != row  # as of a study's trials
     ]
     return models.DataTable(source=source, columns=columns, height=240, sizing_mode="stretch_width",
                      index_position=None)  # fmt: skip
@@ -169,8 +170,9 @@ def first_columns(store: Store) -> list[str]:
     known = numeric_columns(store)
     if set(first) <= set(known):
         return first
-    own = [name for name in known if name != "row" and name not in store.gain_names]
-    found = [*own[1:3], *(survived or own)[:1], *own[3:], *store.gain_names, *known]
+    gains = [name for name in store.gain_names if name in known]  # a parameter may be a word
+    own = [name for name in known if name != "row" and name not in gains]
+    found = [*own[1:3], *(survived or own)[:1], *own[3:], *gains, *known]
     different = list(dict.fromkeys(own + found if store.ROW == TRIAL else found))
     return (different * len(FIRST))[: len(FIRST)]
 
@@ -236,6 +238,7 @@ class StoreView:
         self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
         message.watch(self.row, "value", self._picked)
+        message.watch(self.row, "tags", self._picked)  # a click on the row that is shown
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
 

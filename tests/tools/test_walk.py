@@ -93,13 +93,11 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     assert own["distance_m"] != report["distance_m"]
     assert model.read_text() == text
     assert tool(*words, "--engine", "both") == 0
-    own_end, end, engines, muscles, powered = tool.out.splitlines()[:5]
-    for line, engine, walk in ((own_end, "taichi", own), (end, "mujoco", report)):
-        assert f"{engine}: " in line and f" {walk['distance_m']:.1f} m at " in line
-    assert engines.split() == ["taichi", "mujoco"]
-    for line, kind in ((muscles, "jpkgpm"), (powered, "powered_jpkgpm")):
-        both = [f"{walk[f'cost_of_transport_{kind}']:.2f}" for walk in (own, report)]
-        assert line.split()[-2:] == both
+    end, other_end, *lines = tool.out.splitlines()[:5]
+    assert "taichi: walked 3.0 s" in end and "mujoco: walked 3.0 s" in other_end
+    costs = [[f"{walk[f'cost_of_transport_{kind}jpkgpm']:.2f}" for walk in (own, report)]
+             for kind in ("", "powered_")]  # fmt: skip
+    assert [line.split()[-2:] for line in lines] == [["taichi", "mujoco"], *costs]
 
 
 @pytest.fixture

@@ -15,25 +15,40 @@ const MARGIN = 0.02 // around all points, of the axes
 let state = null
 
 export default (args, event) => {
-  state ??= {inside: null, ms: 0, refreshed: 0, ends: [], values: []}
+  state ??= begin(args)
   window.store_view = state // for tests
   if (event.geometry) {
     if (event.final) brush(args, event)
   } else if (event.event_name === "tap") {
     const place = nearest(args, event)
-    if (place >= 0) args.row.value = args.source.data.row[place]
+    if (place >= 0) pick(args, args.source.data.row[place])
   } else if (event.event_name === "mousemove" || event.event_name === "mouseleave") {
     point_at(args, event.event_name === "mousemove" ? nearest(args, event) : -1)
   } else if (event === args.row) {
     mark(args)
   } else if (event === args.table.selected) {
     const [place] = event.indices
-    if (place !== undefined) args.row.value = args.table.data.row[place]
+    if (place !== undefined) pick(args, args.table.data.row[place])
   } else if (event === args.plot.x_range || event === args.plot.y_range) {
     if (!state.turning) paint(args)
   } else {
     refresh(args)
   }
+}
+
+function begin({table}) {
+  // A click on the row that is selected would change no selection, and so tell nothing.
+  document.addEventListener("click", (event) => {
+    const in_table = event.composedPath().some((part) => part.classList?.contains("slick-row"))
+    if (in_table) table.selected.setv({indices: []}, HERE)
+  }, {capture: true})
+  return {inside: null, ms: 0, refreshed: 0, ends: [], values: []}
+}
+
+// Lets a row walk, again if it is the one that is shown.
+function pick({row}, number) {
+  if (row.value === number) row.tags = [performance.now()]
+  else row.value = number
 }
 
 // Ranges by the names of their columns, of the five and of others.
@@ -89,7 +104,7 @@ function refresh(args) {
   count(args)
   list(args, first)
   mark(args)
-  tell(args.count, `${chosen.toLocaleString("en")} of ${rows.toLocaleString("en")} ${args.word}s`)
+  tell(args.count, `${chosen.toLocaleString("en")} of ${rows.toLocaleString("en")} ${args.word}${rows === 1 ? "" : "s"}`)
   state.ms = performance.now() - began
   state.refreshed += 1
 }
