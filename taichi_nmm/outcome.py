@@ -12,11 +12,13 @@ from taichi_nmm.errors import InputError
 from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.layout import (
     COORDINATES,
+    FIRST_DELAY,
     FIRST_EVENT,
     FIRST_FIBRE,
     FIRST_SUM,
     LEGS,
     MUSCLE_COUNT,
+    RINGS,
     WALKER_ROWS,
     Gait,
     Muscle,
@@ -158,9 +160,20 @@ class Recorder:
             device_torque_nm=rows[:, State.device_torque :][:, : 3 * LEGS],
             fibre_length_m=length * OPTIMAL_M,
             fibre_velocity_mps=velocity * OPTIMAL_M * FASTEST_PER_S,
+            delayed=_delayed(rows, np.array(list(samples), dtype=np.int64)),
             stance=np.any(touching > 0.5, axis=2),
             events=_events(rows),
         )
+
+
+def _delayed(rows: Array, ticks: NDArray[np.int64]) -> Array:
+    """What the next tick takes out of the delay rings after so many ticks, [t, Signal.count]."""
+    slots = [
+        FIRST_DELAY + row + signal * delay_ticks + ticks % delay_ticks
+        for _, signals, delay_ticks, row in RINGS
+        for signal in range(signals)
+    ]
+    return np.take_along_axis(rows, np.stack(slots, axis=1), axis=1)
 
 
 def _mean_forces(rows: Array, interval: int) -> Array:

@@ -23,6 +23,15 @@ HUMAN_SPEED_MPS = 1.3  # Winter; the paper's v_human and target speed
 
 MUSCLES = ("SOL", "TA", "GAS", "VAS", "HAM", "GLU", "HFL")
 
+DELAYED_BY_LEG = (
+    "SOL_force_fmax", "GAS_force_fmax", "TA_stretch_lopt", "VAS_force_fmax", "knee_flexion_rad",
+    "knee_flexion_radps", "stance", "HAM_force_fmax", "GLU_force_fmax", "load_hat_weight",
+)  # fmt: skip
+DELAYED = (*(f"{side}_delayed_{signal}" for signal in DELAYED_BY_LEG for side in "lr"),
+           "delayed_hat_rad", "delayed_hat_radps")  # fmt: skip
+"""Signals of the nerves, with units: forces over the nominal Fmax, load over the weight of head,
+arms and trunk, stretch of TA beyond its reflex's offset in optimal lengths."""
+
 Fields = tuple[tuple[str, str], ...]
 
 
@@ -59,6 +68,8 @@ class Trajectory:
         device_torque_nm: of an exoskeleton, in the order of `joint_torque_nm`, [t, 6].
         fibre_length_m: of the contractile elements, in the order of `activation`, [t, 14].
         fibre_velocity_mps: their rates, lengthening positive, [t, 14].
+        delayed: signals that reach the controller, 20, 10 or 5 ms old, in the order of `DELAYED`,
+            [t, 22]; without the lag and the noise of a world.
         stance: foot on the ground, left and right, bool [t, 2].
         events: strikes and take-offs, `EVENT_DTYPE`, at the controller's tick.
     """
@@ -76,6 +87,7 @@ class Trajectory:
     device_torque_nm: NDArray[np.float64]
     fibre_length_m: NDArray[np.float64]
     fibre_velocity_mps: NDArray[np.float64]
+    delayed: NDArray[np.float64]
     stance: NDArray[np.bool_]
     events: NDArray[np.void]
 

@@ -38,13 +38,15 @@ from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import ENGINES
+from taichi_nmm.terrain import Terrain
 from taichi_nmm.walker_simulator import require_engine
 
 ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad")
 LONGEST_MOVIE_S = 120.0
 CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name the controller
 REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected")
-WORDS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+COLUMN = 10  # characters
 
 
 def find_gains(args: Namespace) -> NamedGains:
@@ -103,20 +105,17 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
 
 
 def write_engines(
-    gains: NamedGains, result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path
+    walks: dict[str, taichi_nmm.Result], terrain: Terrain, folder: Path, title: str
 ) -> dict[str, str]:
-    """Simulate the same gains on MuJoCo, and draw both walks one above the other."""
+    """Draw the walks of the engines one above the other."""
     from study.pictures.strip import Shown, strips_figure
     from study.pictures.style import save_png
 
-    other = simulate(gains, experiment.with_settings(engine="mujoco"), run)
-    first, second = (
+    shown = [
         Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])
-        for engine, walk in zip(ENGINES, (result, other), strict=True)
-    )
-    terrain = experiment.terrain(run)
-    title = f"{gains.name} on {terrain.name}, run {run}: two engines"
-    figure = strips_figure((first, second), terrain, title)
+        for engine, walk in walks.items()
+    ]
+    figure = strips_figure(shown, terrain, title)
     return {"strips": str(save_png(figure, folder / "strips.png"))}
 
 
@@ -145,12 +144,23 @@ def powered_cost(result: taichi_nmm.Result, experiment: Experiment, run: int) ->
     return float(row["cost_of_transport_jpkgpm"] + (work_j / burden if burden > 0.0 else 0.0))
 
 
-def summary(title: str, row: np.void, powered: float) -> str:
-    """For people, a line each."""
-    degrees = {field: float(np.rad2deg(row[field])) for field in ANGLES}
-    values = {name: row[name].item() for name in row.dtype.names or ()} | degrees
-    values["double_support_percent"] = 100 * values["double_support_fraction"]
-    return str(WORDS["summary"]).format(title=title, powered=powered, **values)
+def summary(
+    name: str, walks: dict[str, taichi_nmm.Result], experiment: Experiment, run: int
+) -> str:
+    """For people: how the walk of each engine ended, then a line each number and a column each."""
+    ends = [f"{name}, {engine}: {row_text(walk.rows[0])}" for engine, walk in walks.items()]
+    columns = [["", *FIGURES]]
+    for engine, walk in walks.items():
+        row = walk.rows[0]
+        values = {field: row[field].item() for field in row.dtype.names or ()}
+        values |= {field: float(np.rad2deg(row[field])) for field in ANGLES}
+        values["double_support_percent"] = 100 * values["double_support_fraction"]
+        values["powered"] = powered_cost(walk, experiment, run)
+        columns.append([engine, *(text.format(**values) for text in FIGURES.values())])
+    wide = max(map(len, FIGURES))
+    lines = [label.ljust(wide) + "".join(each.rjust(COLUMN) for each in numbers)
+             for label, *numbers in zip(*columns, strict=True)]  # fmt: skip
+    return "\n".join([*ends, *lines])
 
 
 def report(
@@ -191,12 +201,14 @@ def main(args: Namespace) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     result = simulate(gains, experiment, args.run)
-    row, end_reason = result.rows[0], str(result.end_reason[0])
-    powered = powered_cost(result, experiment, args.run)
-    title = f"{gains.name} on {experiment.terrain(args.run).name}: {row_text(row)}"
+    row, terrain = result.rows[0], experiment.terrain(args.run)
+    name = f"{gains.name} on {terrain.name}"
+    title = f"{name}: {row_text(row)}"
     paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
+    walks = {experiment.conditions.settings.engine: result}
     if args.engine == BOTH_ENGINES:
-        paths |= write_engines(gains, result, experiment, args.run, folder)
+        walks[ENGINES[1]] = simulate(gains, experiment.with_settings(engine=ENGINES[1]), args.run)
+        paths |= write_engines(walks, terrain, folder, f"{name}, run {args.run}: two engines")
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
     for file in args.trajectory:
@@ -206,8 +218,9 @@ def main(args: Namespace) -> None:
         write_opensim(args.opensim, result.trajectories[0], experiment.body(args.run), gains.name)
         paths["opensim"] = str(args.opensim)
     if args.json:
-        print(json.dumps(report(gains, row, powered, end_reason, paths)))
+        powered = powered_cost(result, experiment, args.run)
+        print(json.dumps(report(gains, row, powered, str(result.end_reason[0]), paths)))
         return
-    print(summary(title, row, powered))
+    print(summary(name, walks, experiment, args.run))
     for shows, path in paths.items():
         print(f"{shows.replace('_', ' '):<19} {path}")

@@ -134,7 +134,8 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
             of, own = store.simulator, dict[str, Any]()
             if isinstance(store, Trials):
                 of, own = store.path.name, store.document
-            title = f"{path}: {len(store):,} {store.ROW}s{'' if of == WALKER else f' of {of}'}"
+            rows = f"{len(store):,} {store.ROW}{'' if len(store) == 1 else 's'}"
+            title = f"{path}: {rows}{'' if of == WALKER else f' of {of}'}"
             view: WalkView | RobotView
             if store.simulator == WALKER:
                 view = WalkView(document, walkers, makers, message, own)

@@ -118,7 +118,9 @@ class Player:
             models.ColumnDataSource({"x": [], "y": [], "words": []}, name=name)
             for name in ("fall-0", "fall-1")
         ]
-        self._cursor = models.Span(dimension="height", location=0.0, line_color=style.FAINT)
+        self._cursor = models.Span(
+            dimension="height", location=0.0, line_color=style.FAINT, level="overlay"
+        )  # which moves with each frame: Bokeh paints an overlay without the axes
         self._timeline = self._time_plot()
         script = models.CustomJS.from_file(
             SCRIPTS / "play.mjs",

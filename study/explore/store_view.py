@@ -105,11 +105,9 @@ def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
     return plot, image, rings
 
 
-def histograms() -> Iterator[tuple[Any, models.ColumnDataSource, models.Span]]:
+def histograms() -> Iterator[tuple[Any, list[models.ColumnDataSource], models.Span]]:
     """A small figure for each column; its bars, of all rows and of those selected; and a line."""
     for slot in range(len(ROLES)):
-        sides = ("left", "right", "all", "chosen")
-        bars = models.ColumnDataSource({name: np.zeros(BINS) for name in sides})
         plot = figure(
             name=f"histogram-{slot}", height=HISTOGRAM_PX, tools="", toolbar_location=None,
             title=" ", x_range=models.Range1d(0.0, 1.0),
@@ -119,11 +117,15 @@ def histograms() -> Iterator[tuple[Any, models.ColumnDataSource, models.Span]]:
         plot.xaxis.ticker.desired_num_ticks = 3
         plot.grid.visible = False
         plot.add_tools(BoxSelectTool(renderers=[], dimensions="width"))
-        for name, colour in (("all", BESIDES), ("chosen", style.MODEL)):
-            plot.quad(left="left", right="right", bottom=0, top=name, source=bars,
-                      fill_color=colour, line_color=None)  # fmt: skip
+        bars = []
+        # Those selected are an overlay, which Bokeh paints anew without the axes.
+        for colour, level in ((BESIDES, "glyph"), (style.MODEL, "overlay")):
+            sides = {name: np.zeros(BINS) for name in ("left", "right", "count")}
+            bars.append(models.ColumnDataSource(sides))
+            plot.quad(left="left", right="right", bottom=0, top="count", source=bars[-1],
+                      fill_color=colour, line_color=None, level=level)  # fmt: skip
         span = models.Span(dimension="height", line_color=style.VERMILION, line_width=2)
-        span.name = f"at-{slot}"
+        span.update(name=f"at-{slot}", level="overlay")
         plot.add_layout(span)
         yield plot, bars, span
 
@@ -136,6 +138,7 @@ def table(source: models.ColumnDataSource, row: str, words: list[str]) -> models
     columns += [
         models.TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
         for slot, name in enumerate(words)
+        if name != row  # as of a study's trials
     ]
     return models.DataTable(source=source, columns=columns, height=240, sizing_mode="stretch_width",
                      index_position=None)  # fmt: skip
@@ -167,8 +170,9 @@ def first_columns(store: Store) -> list[str]:
     known = numeric_columns(store)
     if set(first) <= set(known):
         return first
-    own = [name for name in known if name != "row" and name not in store.gain_names]
-    found = [*own[1:3], *(survived or own)[:1], *own[3:], *store.gain_names, *known]
+    gains = [name for name in store.gain_names if name in known]  # a parameter may be a word
+    own = [name for name in known if name != "row" and name not in gains]
+    found = [*own[1:3], *(survived or own)[:1], *own[3:], *gains, *known]
     different = list(dict.fromkeys(own + found if store.ROW == TRIAL else found))
     return (different * len(FIRST))[: len(FIRST)]
 
@@ -234,6 +238,7 @@ class StoreView:
         self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
         message.watch(self.row, "value", self._picked)
+        message.watch(self.row, "tags", self._picked)  # a click on the row that is shown
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
 

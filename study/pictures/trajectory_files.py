@@ -1,4 +1,5 @@
-"""A recorded walk as files for other programs: CSV by our own names, and all that OpenSim 4 takes.
+"""A recorded walk as files for other programs: CSV by our own names, markers as motion capture has
+them, and all that OpenSim 4 takes.
 
 OpenSim gets the model of its body, motion, states, and the ground's forces. The model has our seven
 links and planar joints, by the names of OpenSim's gait10dof18musc: its pelvis is head, arms and
@@ -9,17 +10,19 @@ negative. Numbers have as many digits as needed to read the same float64 back.
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
+from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.commit import commit_text, require_writable, together
-from study.pictures.stick_figure import NOT_SAMPLED, down, finite, forward, leg
+from storage.commit import commit, commit_text, require_writable, together
+from study.pictures.stick_figure import LEFT, NOT_SAMPLED, RIGHT, down, finite, forward, leg, trunk
 from taichi_nmm import __version__
 from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.result import MUSCLES, Trajectory
+from taichi_nmm.result import DELAYED, MUSCLES, Trajectory
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
@@ -162,7 +165,34 @@ def model_text(body: Bodies, name: str = "walk") -> str:
     return text.format(name=name, version=__version__, **numbers)
 
 
-FORMATS = (".csv", ".mot", ".sto")
+MARKERS = ["SHOULDER", "HIP"]
+MARKERS += [f"{side}_{point}" for side in "LR" for point in ("KNEE", "ANKLE", "HEEL", "BALL")]
+MOST_FRAMES = 65535  # that a C3D file can count
+
+
+def write_c3d(path: Path, trajectory: Trajectory) -> None:
+    """Write the markers in mm: forwards, to the left (all in one plane, at 0), and up."""
+    import ezc3d
+
+    shown, file = finite(trajectory), ezc3d.c3d()
+    if len(shown.time_s) > MOST_FRAMES:
+        raise InputError("trajectory", path.name, f"a walk of at most {MOST_FRAMES} samples")
+    left, right = (leg(shown.q, side).chain() for side in (LEFT, RIGHT))
+    places_m = np.concatenate([trunk(shown.q)[0][:, None], left, right[:, 1:]], axis=1)
+    points = np.ones((4, *places_m.T.shape[1:]), np.float32)  # the last is not used
+    points[0], points[1], points[2] = 1e3 * places_m[..., 0].T, 0.0, 1e3 * places_m[..., 1].T
+    rate_hz = 1.0 / float(shown.time_s[0])
+    for name, value in (("RATE", [rate_hz]), ("UNITS", ["mm"]), ("LABELS", MARKERS)):
+        file["parameters"]["POINT"][name]["value"] = value
+    file["data"]["points"] = points
+    with TemporaryDirectory() as folder:  # ezc3d insists on the ending, and tells of no full disk
+        made = Path(folder) / "walk.c3d"
+        file.write(str(made))
+        content = made.read_bytes()
+    commit(path, lambda new: new.write_bytes(content), lambda new: ezc3d.c3d(str(new)))
+
+
+FORMATS = (".csv", ".c3d", ".mot", ".sto")
 RECORD_RATE_HZ = 1000.0  # of walks that are kept: loads of every tick
 KEPT_RATE_HZ = 200.0
 MEANS = ("ground_force_n", "joint_torque_nm", "swing_torque_nm", "device_torque_nm")
@@ -205,24 +235,8 @@ def own_columns(trajectory: Trajectory) -> Columns:
         ([f"{name}_device_torque_nm" for name in TORQUES], trajectory.device_torque_nm),
         ([f"{side}_{muscle}_fibre_m" for side, muscle in SIDED], trajectory.fibre_length_m),
         ([f"{side}_{muscle}_fibre_mps" for side, muscle in SIDED], trajectory.fibre_velocity_mps),
+        (DELAYED, trajectory.delayed),
     ])  # fmt: skip
-
-
-def trajectory_text(trajectory: Trajectory, suffix: str, name: str = "walk") -> str:
-    """A walk as the text of a file: .csv everything, .mot coordinates, .sto states.
-
-    The name is a line of .mot and .sto.
-
-    Raises:
-        InputError: another suffix.
-    """
-    _require_format(suffix)
-    if suffix == ".csv":
-        columns = own_columns(trajectory)
-        return ",".join(columns) + "\n" + table_lines(columns, ",")
-    if suffix == ".mot":
-        return storage_text(motion(trajectory), "coordinates", name)
-    return storage_text(states(trajectory), "states", name)
 
 
 def require_trajectory_file(path: Path) -> None:
@@ -231,19 +245,28 @@ def require_trajectory_file(path: Path) -> None:
     Raises:
         InputError: another ending, or a place that cannot be written.
     """
-    _require_format(path.suffix)
+    if path.suffix not in FORMATS:
+        raise InputError("trajectory", path.suffix, f"a file that ends in {', '.join(FORMATS)}")
+    if path.suffix == ".c3d" and find_spec("ezc3d") is None:
+        raise InputError("trajectory", ".c3d", "with ezc3d: pip install 'taichi-nmm[c3d]'")
     require_writable(path, "trajectory")
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, name: str = "walk") -> None:
-    """Write a walk as a file whose name ends in .csv, .mot or .sto.
+    """Write a walk as a file: .csv all samples, .c3d markers, .mot coordinates, .sto states.
+
+    The name is a line of .mot and .sto.
 
     Raises:
         InputError: another ending, or the file cannot be written.
     """
-    commit_text(path, trajectory_text(trajectory, path.suffix, name))
-
-
-def _require_format(suffix: str) -> None:
-    if suffix not in FORMATS:
-        raise InputError("trajectory", suffix, f"a file that ends in {', '.join(FORMATS)}")
+    require_trajectory_file(path)
+    if path.suffix == ".csv":
+        columns = own_columns(trajectory)
+        commit_text(path, ",".join(columns) + "\n" + table_lines(columns, ","))
+    elif path.suffix == ".c3d":
+        write_c3d(path, trajectory)
+    elif path.suffix == ".mot":
+        commit_text(path, storage_text(motion(trajectory), "coordinates", name))
+    else:
+        commit_text(path, storage_text(states(trajectory), "states", name))

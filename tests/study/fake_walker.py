@@ -32,7 +32,7 @@ from tests.storage.fake import stopping
 TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who want to kill it
 SIGNAL = os.environ.get("FAKE_SIGNAL", "")  # "5:SIGKILL": sent to this process in its fifth call
 WALKS_FROM = 0.7  # quality
-WIDTHS = (9, 9, 6, 14, 14, 4, 6, 4, 6, 14, 14, 2, 3)  # of a trajectory's arrays
+WIDTHS = (9, 9, 6, 14, 14, 4, 6, 4, 6, 14, 14, 22, 2, 3)  # of a trajectory's arrays
 EMPTY = Trajectory(0, np.empty(0), *(np.empty((0, n)) for n in WIDTHS))  # that cannot be drawn
 STORE_ROWS = 150
 KINDS = ("rough", "blocks", "up", "down", "stairs")  # of families, each with one of longer walks

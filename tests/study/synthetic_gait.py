@@ -33,7 +33,7 @@ def walk(duration_s: float = 8.0, rate_hz: float = 100.0) -> Trajectory:
         joint_torque_nm=np.zeros((len(time_s), 6)), swing_torque_nm=np.zeros((len(time_s), 4)),
         device_torque_nm=np.zeros((len(time_s), 6)),
         fibre_length_m=np.full((len(time_s), 14), 0.05),
-        fibre_velocity_mps=np.zeros((len(time_s), 14)),
+        fibre_velocity_mps=np.zeros((len(time_s), 14)), delayed=np.zeros((len(time_s), 22)),
         stance=stance, events=_events(duration_s),
     )  # fmt: skip
 

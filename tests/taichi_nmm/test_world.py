@@ -10,6 +10,8 @@ import pytest
 from study.pictures.stick_figure import leg
 from taichi_nmm import PUBLISHED_GAINS, InputError, Settings, Worlds, simulate, terrain
 from taichi_nmm.config import Table
+from taichi_nmm.kernel.muscle_table import FMAX_N
+from taichi_nmm.result import DELAYED
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 from tests.cases import cases
 
@@ -244,6 +246,20 @@ def test_half_the_muscle_pulls_and_burns_half() -> None:
     np.testing.assert_allclose(forces[1], 0.5 * forces[0], rtol=1e-5)
     burnt = [float(row["cost_of_transport_jpkgpm"]) for _, row in (full, half)]
     assert burnt[1] == pytest.approx(0.5 * burnt[0], rel=1e-3)
+
+
+def test_delayed_signals_were_recorded_earlier() -> None:
+    walked, _ = recorded(1.5)
+    forces = walked.muscle_force_n / np.tile(FMAX_N, 2)
+    delayed = dict(zip(DELAYED, walked.delayed.T, strict=True))
+    for ms, name, earlier in (
+        (20, "r_delayed_SOL_force_fmax", forces[:, 7]),
+        (10, "r_delayed_knee_flexion_rad", walked.joint_rad[:, 4]),
+        (9, "l_delayed_stance", walked.stance[:, 0]),  # found a tick after its pose is recorded
+        (5, "l_delayed_GLU_force_fmax", forces[:, 5]), (5, "delayed_hat_rad", walked.q[:, 2]),
+    ):  # fmt: skip
+        assert earlier.max() > earlier.min()
+        np.testing.assert_allclose(delayed[name][ms:], earlier[:-ms], atol=1e-6)
 
 
 @pytest.mark.parametrize("change", [{"sensing_noise": 0.01}, {"catch_ns": 4.0}])

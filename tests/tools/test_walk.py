@@ -90,8 +90,15 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     assert opened.body_mass[1:].tolist() == body.mass_kg[0].tolist()
     assert opened.nkey == 1 and opened.nu == 6
     assert opened.opt.timestep == 0.5e-3 and (opened.geom_solref[:, 0] == 0.005).all()
-    assert tool.json(*words, "--engine", "taichi")["distance_m"] != report["distance_m"]
+    own = tool.json(*words, "--engine", "taichi")
+    assert own["distance_m"] != report["distance_m"]
     assert model.read_text() == text
+    assert tool(*words, "--engine", "both") == 0
+    end, other_end, *lines = tool.out.splitlines()[:5]
+    assert "taichi: walked 3.0 s" in end and "mujoco: walked 3.0 s" in other_end
+    costs = [[f"{walk[f'cost_of_transport_{kind}jpkgpm']:.2f}" for walk in (own, report)]
+             for kind in ("", "powered_")]  # fmt: skip
+    assert [line.split()[-2:] for line in lines] == [["taichi", "mujoco"], *costs]
 
 
 @pytest.fixture

@@ -15,25 +15,40 @@ const MARGIN = 0.02 // around all points, of the axes
 let state = null
 
 export default (args, event) => {
-  state ??= {inside: null, ms: 0, refreshed: 0, ends: [], values: []}
+  state ??= begin(args)
   window.store_view = state // for tests
   if (event.geometry) {
     if (event.final) brush(args, event)
   } else if (event.event_name === "tap") {
     const place = nearest(args, event)
-    if (place >= 0) args.row.value = args.source.data.row[place]
+    if (place >= 0) pick(args, args.source.data.row[place])
   } else if (event.event_name === "mousemove" || event.event_name === "mouseleave") {
     point_at(args, event.event_name === "mousemove" ? nearest(args, event) : -1)
   } else if (event === args.row) {
     mark(args)
   } else if (event === args.table.selected) {
     const [place] = event.indices
-    if (place !== undefined) args.row.value = args.table.data.row[place]
+    if (place !== undefined) pick(args, args.table.data.row[place])
   } else if (event === args.plot.x_range || event === args.plot.y_range) {
     if (!state.turning) paint(args)
   } else {
     refresh(args)
   }
+}
+
+function begin({table}) {
+  // A click on the row that is selected would change no selection, and so tell nothing.
+  document.addEventListener("click", (event) => {
+    const in_table = event.composedPath().some((part) => part.classList?.contains("slick-row"))
+    if (in_table) table.selected.setv({indices: []}, HERE)
+  }, {capture: true})
+  return {inside: null, ms: 0, refreshed: 0, ends: [], values: []}
+}
+
+// Lets a row walk, again if it is the one that is shown.
+function pick({row}, number) {
+  if (row.value === number) row.tags = [performance.now()]
+  else row.value = number
 }
 
 // Ranges by the names of their columns, of the five and of others.
@@ -76,17 +91,29 @@ function refresh(args) {
     const values = data[`c${slot}`]
     for (let i = 0; i < rows; i++) if (!(values[i] >= low && values[i] <= high)) inside[i] = 0
   }
-  const chosen = []
-  for (let i = 0; i < rows; i++) if (inside[i]) chosen.push(i)
-  Object.assign(state, {inside, all: chosen.length === rows, chosen: chosen.length})
+  const first = []
+  let chosen = 0
+  for (let i = 0; i < rows; i++) {
+    if (!inside[i]) continue
+    if (chosen < MOST_ROWS) first.push(i)
+    chosen += 1
+  }
+  Object.assign(state, {inside, all: chosen === rows, chosen})
   args.columns.forEach((_, slot) => { if (data[`c${slot}`] !== state.values[slot]) turn(args, slot) })
   paint(args)
-  count(args, chosen)
-  list(args, chosen.slice(0, MOST_ROWS))
+  count(args)
+  list(args, first)
   mark(args)
-  args.count.setv({text: `${chosen.length.toLocaleString("en")} of ${rows.toLocaleString("en")} ${args.word}s`}, HERE)
+  tell(args.count, `${chosen.toLocaleString("en")} of ${rows.toLocaleString("en")} ${args.word}${rows === 1 ? "" : "s"}`)
   state.ms = performance.now() - began
   state.refreshed += 1
+}
+
+// Words of a Div; a change that its view sees would lay out the whole page anew.
+function tell(div, text) {
+  div.setv({text}, {silent: true})
+  const [view] = Bokeh.index.query((view) => view.model === div)
+  if (view?.markup_el) view.markup_el.textContent = text
 }
 
 // All views to another column: bounds of most of its numbers, for a few outliers would press all others together.
@@ -97,12 +124,15 @@ function turn({source, plot, histograms, bars, mapper}, slot) {
   let [low, high] = finite.length ? SHOWN_PERCENT.map(at) : [0, 1]
   if (!(high > low)) [low, high] = [low - 0.5, low + 0.5]
   state.ends[slot] = [low, high]
-  const {left, right, all} = bars[slot].data
-  left.forEach((_, i) => {
-    left[i] = low + (high - low) * i / left.length
-    right[i] = low + (high - low) * (i + 1) / left.length
-  })
-  tally(all, finite, state.ends[slot])
+  for (const {data: {left, right}} of bars[slot]) {
+    left.forEach((_, i) => {
+      left[i] = low + (high - low) * i / left.length
+      right[i] = low + (high - low) * (i + 1) / left.length
+    })
+  }
+  const [every] = bars[slot]
+  tally(every.data.count, finite, state.ends[slot])
+  every.change.emit()
   histograms[slot].x_range.setv({start: low, end: high}, HERE)
   if (slot === 2) mapper.setv({low, high}, HERE)
   if (slot > 1) return
@@ -112,12 +142,13 @@ function turn({source, plot, histograms, bars, mapper}, slot) {
   state.turning = false
 }
 
-// How many of some numbers are in each bar; those beyond the ends are in the first and the last.
-function tally(counts, values, [low, high]) {
+// How many numbers, of all or of rows inside, are in each bar; those beyond the ends are in the first and the last.
+function tally(counts, values, [low, high], inside = null) {
   counts.fill(0)
   const scale = counts.length / (high - low)
-  for (const value of values) {
-    const place = Math.floor((value - low) * scale)
+  for (let i = 0; i < values.length; i++) {
+    if (inside && !inside[i]) continue
+    const place = Math.floor((values[i] - low) * scale)
     if (!isNaN(place)) counts[Math.max(0, Math.min(place, counts.length - 1))] += 1
   }
 }
@@ -159,11 +190,10 @@ function paint({source, image, plot, palette}) {
   image.change.emit()
 }
 
-function count({source, bars}, chosen) {
-  bars.forEach((bar, slot) => {
-    const values = source.data[`c${slot}`]
-    tally(bar.data.chosen, chosen.map((i) => values[i]), state.ends[slot])
-    bar.change.emit()
+function count({source, bars}) {
+  bars.forEach(([, chosen], slot) => {
+    tally(chosen.data.count, source.data[`c${slot}`], state.ends[slot], state.inside)
+    chosen.change.emit()
   })
 }
 
@@ -207,7 +237,9 @@ function mark({source, rings, spans, row, table}) {
 
 function ring(rings, which, {c0, c1}, place) {
   const {x, y} = rings.data
-  x[which] = place < 0 ? NaN : c0[place]
-  y[which] = place < 0 ? NaN : c1[place]
+  const [across, up] = place < 0 ? [NaN, NaN] : [c0[place], c1[place]]
+  if (Object.is(across, x[which]) && Object.is(up, y[which])) return
+  x[which] = across
+  y[which] = up
   rings.change.emit()
 }

@@ -1,10 +1,12 @@
 """A study as rows of a store: anybody's, and the walker's, whose trials walk as they did."""
 
+from concurrent.futures import Executor
 from pathlib import Path
 
 import numpy as np
 import optuna
 import pytest
+from bokeh.document import Document
 from optuna.distributions import CategoricalDistribution, FloatDistribution
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
@@ -14,6 +16,7 @@ from study.experiment.arms import check_arms
 from study.experiment.experiment import read_experiment
 from study.experiment.gains import gains_at
 from study.experiment.live_study import run_study
+from study.explore.page import page_of
 from study.explore.store_view import first_columns
 from study.explore.trials import Trials, open_rows
 from study.explore.walk import OWN, chosen_setting, walk
@@ -46,6 +49,10 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
         table = rows.table()
         assert table["state"].to_pylist() == ["complete"] * 3 + ["fail"]
         np.testing.assert_equal(table["value"].to_numpy(), [0.0, 1.0, 2.0, np.nan])
+    one, document = optuna.create_study(storage=f"sqlite:///{tmp_path / 'one.db'}"), Document()
+    one.tell(one.ask(space), 0.5)
+    page_of(tmp_path / "one.db")(Executor(), Executor(), document)
+    assert document.title.endswith(f"one.db: 1 trial of {one.study_name}")
 
 
 def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
@@ -79,3 +86,4 @@ def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(tmp_path: Pa
             page.get_by_text(f"prosthesis-random-run-001-trial-{number}").wait_for()
             page.evaluate(f"{MODEL}('row').value = {1 - number}")
         assert page.evaluate(f"{MODEL}('world').value") == OWN
+        assert page.locator(".slick-column-name").all_inner_texts().count("trial") == 1

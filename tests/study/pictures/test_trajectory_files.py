@@ -1,12 +1,15 @@
 """A walk as a file: read back, every number is the recorded one, and the header says what it is."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from study.pictures import trajectory_files
-from study.pictures.trajectory_files import require_trajectory_file, trajectory_text
+from study.pictures.stick_figure import leg, trunk
+from study.pictures.trajectory_files import require_trajectory_file, write_trajectory
 from taichi_nmm.result import MUSCLES
 from tests.study import synthetic_gait
 from tests.study.conftest import refused
@@ -25,7 +28,7 @@ def read_storage(text: str) -> tuple[dict[str, str], Columns]:
 
 
 def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
-    trajectory_files.write_trajectory(tmp_path / "walk.mot", WALK, "a walk")
+    write_trajectory(tmp_path / "walk.mot", WALK, "a walk")
     text = (tmp_path / "walk.mot").read_text()
     keys, columns = read_storage(text)
     assert text.startswith("a walk\nversion=1\n") and keys["inDegrees"] == "yes"
@@ -38,8 +41,9 @@ def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
         np.testing.assert_allclose(columns[name], -degrees[:, joint], atol=1e-12)
 
 
-def test_states_by_the_paths_of_opensim_4() -> None:
-    keys, columns = read_storage(trajectory_text(WALK, ".sto"))
+def test_states_by_the_paths_of_opensim_4(tmp_path: Path) -> None:
+    write_trajectory(tmp_path / "walk.sto", WALK)
+    keys, columns = read_storage((tmp_path / "walk.sto").read_text())
     assert keys["inDegrees"] == "no"
     right_vastus = len(MUSCLES) + MUSCLES.index("VAS")
     name = "/forceset/vasti_r/activation"
@@ -52,24 +56,45 @@ def test_states_by_the_paths_of_opensim_4() -> None:
     assert len(columns) == 1 + 2 * 9 + 2 * 2 * len(MUSCLES)
 
 
-def test_csv_has_all_samples_by_names_with_units() -> None:
-    names, *rows = [line.split(",") for line in trajectory_text(WALK, ".csv").splitlines()]
+def test_csv_has_all_samples_by_names_with_units(tmp_path: Path) -> None:
+    write_trajectory(tmp_path / "walk.csv", WALK)
+    names, *rows = [line.split(",") for line in (tmp_path / "walk.csv").read_text().splitlines()]
     table = np.array(rows, dtype=float)
     wide = [WALK.time_s[:, None], WALK.q, WALK.qdot, WALK.joint_rad, WALK.activation,
             WALK.muscle_force_n, WALK.ground_force_n, WALK.stance,
             WALK.joint_torque_nm, WALK.swing_torque_nm, WALK.device_torque_nm,
-            WALK.fibre_length_m, WALK.fibre_velocity_mps]  # fmt: skip
+            WALK.fibre_length_m, WALK.fibre_velocity_mps, WALK.delayed]  # fmt: skip
     np.testing.assert_array_equal(table, np.hstack(wide))
     assert len(set(names)) == table.shape[1]
     assert {"time_s", "x_m", "thigh_l_rad", "r_knee_flexion_rad", "l_SOL_force_n"} <= set(names)
 
 
-def test_a_file_that_cannot_be_written(tmp_path: Path) -> None:
+def test_markers_of_motion_capture_read_back(tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d", reason="no ezc3d: pip install 'taichi-nmm[c3d]'")
+    write_trajectory(tmp_path / "walk.c3d", WALK)
+    read = ezc3d.c3d(str(tmp_path / "walk.c3d"))
+    about, (x, y, z, _) = read["parameters"]["POINT"], read["data"]["points"]
+    assert about["UNITS"]["value"] == ["mm"] and about["RATE"]["value"] == [100.0]
+    assert about["LABELS"]["value"] == trajectory_files.MARKERS and not y.any()
+    found_mm = dict(zip(trajectory_files.MARKERS, np.stack([x, z], axis=2), strict=True))
+    np.testing.assert_allclose(found_mm["SHOULDER"], 1e3 * trunk(WALK.q)[0], atol=1e-3)
+    np.testing.assert_allclose(found_mm["HIP"], 1e3 * WALK.q[:, :2], atol=1e-3)
+    np.testing.assert_allclose(found_mm["L_HEEL"], 1e3 * leg(WALK.q, 0).heel, atol=1e-3)
+    np.testing.assert_allclose(found_mm["R_BALL"], 1e3 * leg(WALK.q, 1).ball, atol=1e-3)
+    long = replace(WALK, q=np.zeros((65536, 9)), time_s=np.arange(1, 65537) / 100.0)
+    with refused("trajectory: 'walk.c3d' .*65535 samples"):
+        write_trajectory(tmp_path / "walk.c3d", long)
+
+
+def test_a_file_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("walk.txt", "walk", "walk.MOT"):
-        with refused(r"trajectory: .*\.csv, \.mot, \.sto"):
+        with refused(r"trajectory: .*\.csv, \.c3d, \.mot, \.sto"):
             require_trajectory_file(tmp_path / name)
     (tmp_path / "file").write_text("")
     with refused("trajectory: "):
         require_trajectory_file(tmp_path / "file" / "walk.mot")
     require_trajectory_file(tmp_path / "new" / "walk.mot")
+    monkeypatch.setattr(trajectory_files, "find_spec", lambda name: None)
+    with refused(r"trajectory: '\.c3d' .*taichi-nmm\[c3d\]"):
+        require_trajectory_file(tmp_path / "walk.c3d")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
