@@ -21,7 +21,14 @@ if TYPE_CHECKING:
         load_all_gains,
         load_gains,
     )
-    from taichi_nmm.result import END_REASONS, Result, Trajectory, smooth_cost, walking_cost
+    from taichi_nmm.result import (
+        END_REASONS,
+        MUSCLES,
+        Result,
+        Trajectory,
+        smooth_cost,
+        walking_cost,
+    )
     from taichi_nmm.settings import Settings
     from taichi_nmm.simulator import forward_dynamics, simulate
     from taichi_nmm.terrain import Terrain
@@ -31,7 +38,7 @@ if TYPE_CHECKING:
 __version__ = "0.3.0"
 
 __all__ = [
-    "END_REASONS", "GAINS", "GAIN_NAMES", "LOW_LEVEL_GAINS", "PUBLISHED_GAINS", "Bodies",
+    "END_REASONS", "GAINS", "GAIN_NAMES", "LOW_LEVEL_GAINS", "MUSCLES", "PUBLISHED_GAINS", "Bodies",
     "Controller", "Exoskeleton", "InputError", "Muscles", "Observation", "Prosthesis", "Result",
     "Settings", "Switch", "Terrain", "Trajectory", "WorldRanges", "Worlds", "forward_dynamics",
     "load_all_gains", "load_gains", "simulate", "smooth_cost", "walking_cost",
@@ -44,7 +51,7 @@ _PLACES = {
     "parameters": (
         "GAINS", "GAIN_NAMES", "PUBLISHED_GAINS", "LOW_LEVEL_GAINS", "load_all_gains", "load_gains",
     ),
-    "result": ("END_REASONS", "Result", "Trajectory", "smooth_cost", "walking_cost"),
+    "result": ("END_REASONS", "MUSCLES", "Result", "Trajectory", "smooth_cost", "walking_cost"),
     "observation": ("Observation",),
     "settings": ("Settings",),
     "simulator": ("forward_dynamics", "simulate"),

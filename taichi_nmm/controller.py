@@ -38,7 +38,7 @@ from taichi_nmm.walkers import blends, check_batch, constant_rows
 
 @dataclass(frozen=True, eq=False)
 class Muscles:
-    """State of the muscles of n controllers, [n, 14]: `result.MUSCLES` left leg, then right.
+    """State of the muscles of n controllers, [n, 14]: `MUSCLES` left leg, then right.
 
     Attributes:
         activation: 0.01 to 1.

@@ -22,6 +22,7 @@ FALL_LEAN_RAD = math.radians(60.0)
 HUMAN_SPEED_MPS = 1.3  # Winter; the paper's v_human and target speed
 
 MUSCLES = ("SOL", "TA", "GAS", "VAS", "HAM", "GLU", "HFL")
+"""Names of a leg's muscles, [7]."""
 
 DELAYED_BY_LEG = (
     "SOL_force_fmax", "GAS_force_fmax", "TA_stretch_lopt", "VAS_force_fmax", "knee_flexion_rad",
