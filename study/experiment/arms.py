@@ -150,7 +150,7 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
             raise InputError("arm", arm.name, f"with two goals one of {able}")
         if not arm.store:
             continue
-        store = check_store(experiment, arm.store, arm.feature)
+        store = check_store(experiment, arm.store)
         rows = int(candidates(experiment, arm.store, arm.feature).rows.offered.sum())
         if trials > rows:
             allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"

@@ -17,7 +17,7 @@ from optuna.distributions import FloatDistribution
 from storage.simulator import SURVIVED
 from storage.store import MANIFEST_NAME, Manifest, Store, open_store
 from storage.tables import file_hash
-from study.experiment.features import check_feature, feature_table
+from study.experiment.features import feature_table
 from study.experiment.objective import Objective, read_objective
 from study.sampler.draws import Purpose, stream
 from study.sampler.table import FeatureTable
@@ -249,14 +249,13 @@ def store_path(experiment: Experiment, store: str) -> Path:
     return experiment.stores[store]
 
 
-def check_store(experiment: Experiment, store: str, feature: str) -> Store:
-    """Open a store, and see that it has the experiment's parameters and this feature.
+def check_store(experiment: Experiment, store: str) -> Store:
+    """Open a store, and see that it has the experiment's parameters.
 
     Its rows may lack a device and asymmetries: they are then walkers without.
 
     Raises:
-        InputError: no such store, not a finished store, other parameters or bounds, or no such
-            column.
+        InputError: no such store, not a finished store, or other parameters or bounds.
     """
     opened = open_store(store_path(experiment, store))
     searched = tuple(opened.specification["gains"])
@@ -269,7 +268,6 @@ def check_store(experiment: Experiment, store: str, feature: str) -> Store:
     opened.require_bounds()
     if opened.specification.get("fixed_gains", {}) != experiment.fixed_by_name:
         raise InputError(f"stores.{store}", str(opened.path), "a store of the same fixed gains")
-    check_feature(feature, opened, experiment.objective)
     return opened
 
 
