@@ -4,8 +4,8 @@ import html
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,6 @@ from study.report.numbers import (
 )
 from study.report.runs import ArmRuns, Results, runs_of
 
-NO_STORES: Mapping[str, Path] = MappingProxyType({})
 ABSENT = "-"
 UNKNOWN = "not recorded"
 WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
@@ -61,17 +60,13 @@ def _label(arm: str) -> str:
     return arm if label_of(arm) == arm else f"{arm} ({label_of(arm)})"
 
 
-def _estimate(interval: Interval | None, form: str = ".3g") -> list[str]:
+def _estimate(
+    interval: Interval | None, shown: Callable[[float], str] = "{:.3g}".format
+) -> list[str]:
     """Two cells: an estimate and its interval."""
     if interval is None:
         return [ABSENT, ABSENT]
-    value, low, high = (format(x, form) for x in astuple(interval))
-    return [value, f"{low} to {high}"]
-
-
-def _first_walker(arm: ArmNumbers) -> list[str]:
-    """Two cells: the median trial of the first walker and its interval."""
-    value, low, high = (count_text(x, arm.trials) for x in astuple(arm.first_walker))
+    value, low, high = map(shown, astuple(interval))
     return [value, f"{low} to {high}"]
 
 
@@ -86,7 +81,8 @@ def _walkers(
     rows = [
         [
             name(arm.arm), str(arm.runs), str(arm.walkers),
-            f"{100 * arm.share.low:.0f} to {100 * arm.share.high:.0f}", *_first_walker(arm),
+            f"{100 * arm.share.low:.0f} to {100 * arm.share.high:.0f}",
+            *_estimate(arm.first_walker, partial(count_text, trials=arm.trials)),
             *(str(arm.within.get(limit, ABSENT)) for limit in limits),
         ]
         for arm in numbers.arms
@@ -94,7 +90,7 @@ def _walkers(
     return header, rows
 
 
-def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] = NO_STORES) -> str:
+def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path]) -> str:
     """The document; it links the figures beside it. `stores` as `saw` takes them."""
     within = {limit for arm in numbers.arms for limit in arm.within}
     parts = [
@@ -157,7 +153,7 @@ def _tests(numbers: Numbers) -> list[str]:
         header += [f"{name}: pairs", "differ", "Holm", "p"]
     rows = []
     for each in numbers.comparisons:
-        row = [_label(each.arm), str(each.after), *_estimate(each.difference, "+.3g")]
+        row = [_label(each.arm), str(each.after), *_estimate(each.difference, "{:+.3g}".format)]
         for test, holm in ((each.cost, each.cost_p_holm), (each.walkers, each.walkers_p_holm)):
             row += [str(test.pairs), str(test.unequal), _p_text(holm), _p_text(test.p)]
         rows.append(row)
@@ -222,7 +218,7 @@ OVERVIEW: dict[str, Callable[[ArmNumbers], str]] = {
     "Runs with a walker": lambda arm: str(arm.walkers),
     "Runs whose first trial walks": lambda arm: str(arm.within.get(1, ABSENT)),
     "Runs with a walker within 3 trials": lambda arm: str(arm.within.get(3, ABSENT)),
-    "Median trial of the first walker": lambda arm: _first_walker(arm)[0],
+    "Median trial of the first walker": lambda arm: count_text(arm.first_walker.value, arm.trials),
 }
 
 

@@ -1,5 +1,6 @@
 """Figures: how arms are drawn, dots that are all there, labels within the figure; whole reports."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from study.report.figures import End, Look, looks, spread_out, write_report
 from study.report.runs import Results, read_results
 from taichi_nmm import InputError
 from tests.cases import cases
+from tests.study.conftest import refused
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
 
@@ -91,10 +93,12 @@ def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.Monke
 
 # A report is written whole or not at all.
 
+LONE = counted(arm("random", [np.inf], trials=2))
+
 
 def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
-    write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
-    assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report.md").read_text()
+    write_report(replace(LONE, folder=tmp_path), {})
+    assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report" / "report.md").read_text()
 
 
 def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,8 +107,9 @@ def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.Mon
         raise InputError("disk", "full", "space")
 
     monkeypatch.setattr(figures, "write_best_cost", fails)
-    (tmp_path / "report.md").write_text("an older one")
-    with pytest.raises(InputError, match="disk"):
-        write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["report.md"]
-    assert (tmp_path / "report.md").read_text() == "an older one"
+    older = tmp_path / "report" / "report.md"
+    older.parent.mkdir()
+    older.write_text("an older one")
+    with refused("disk"):
+        write_report(replace(LONE, folder=tmp_path), {})
+    assert [*older.parent.iterdir()] == [older] and older.read_text() == "an older one"
