@@ -131,7 +131,6 @@ def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path)
     Raises:
         InputError: as `open_study`, or a file that cannot be read or written, in `out` as well.
     """
-    experiment.require_run(run)
     require_folder(out)
     require_lockable(url, study_name(experiment.name, arm.name, run))
     with read_studies(url) as storage:
