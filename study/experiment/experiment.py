@@ -90,11 +90,6 @@ class Experiment:
         """The search space as Optuna has it."""
         return search_space(self.parameters)
 
-    @property
-    def success(self) -> float | None:
-        """The cost of a trial that has succeeded; None: there are several goals."""
-        return self.objective.success(self.conditions.duration_s)
-
     def body(self, run: int) -> Bodies:
         """The one body of a run."""
         return self.conditions.build.draw([stream(self.seed, Purpose.BODY, run)])
@@ -143,11 +138,6 @@ def search_space(parameters: Iterable[Parameter]) -> dict[str, FloatDistribution
 def study_name(experiment: str, arm: str, run: int) -> str:
     """The name of an arm's study in a run, live or exported."""
     return f"{experiment}/{arm}/run-{run:03d}"
-
-
-def summary_name(experiment: str) -> str:
-    """The name of the study that compares the arms of an exported experiment."""
-    return f"{experiment}{SUMMARY}"
 
 
 def read_experiment(
