@@ -270,29 +270,22 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None
 @pytest.mark.parametrize(("change", "message"), [
     ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
     ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
+    ({"flat": "other"}, r"run-000: stores\.flat: '\w+' .* allowed: '\w+', with which it was made"),
 ])  # fmt: skip
-def test_another_setting_is_named(change: dict[str, Any], message: str, toy: Experiment) -> None:
+def test_another_setting_is_named(
+    change: dict[str, Any], message: str, toy: Experiment, tmp_path: Path
+) -> None:
     storage = InMemoryStorage()
     run(toy, "dog", 2, storage)
     if "ground" in change:
         change = {"conditions": replace(toy.conditions, **change)}
+    elif "flat" in change:
+        fake_walker.write_store(tmp_path / "other", seed=4)
+        change = {"stores": {**toy.stores, "flat": tmp_path / "other"}}
     with refused(message):
         run(replace(toy, **change), "dog", 3, storage)
     assert len(run(toy, "dog", 2, storage)) == 2  # nothing was added
     assert len(run(replace(toy, **change), "random", 2, storage)) == 2  # another study
-
-
-def test_another_store(toy: Experiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    storage = InMemoryStorage()
-    run(toy, "dog", 2, storage)
-    fake_walker.write_store(tmp_path / "other", seed=4)
-    other = replace(toy, stores=dict(toy.stores) | {"flat": tmp_path / "other"})
-    with refused(r"toy/dog/run-000: stores\.flat: "):
-        run(other, "dog", 3, storage)
-    options = dict(ARMS["dog"].options) | {"kernel": "additive"}
-    monkeypatch.setitem(ARMS, "dog", replace(ARMS["dog"], options=options))
-    with refused(r"arms\.dog\.options\.kernel: 'additive' .* 'rbf'"):
-        run(toy, "dog", 3, storage)
 
 
 def test_a_study_of_another_program_is_refused(toy: Experiment) -> None:
