@@ -12,16 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from study.experiment.experiment import store_digest
-from study.report.markdown import facts
 from study.report.runs import Results, known_stores, read_results, runs_of
 from taichi_nmm.errors import InputError
-from tests.cases import ASSETS, asset
+from tests.cases import asset
 from tests.study.report import synthetic
 
 TWO = {"dog": (0.02, 0.002), "random": (0.01, 0.0)}
 RUNS, TRIALS = 4, 6
 COUNT = len(TWO) * RUNS * TRIALS
-NULLS = json.loads((ASSETS / "null-facts.json").read_text())  # documents, and parts of them
 
 
 @pytest.fixture
@@ -143,21 +141,13 @@ def test_documents_that_are_no_objects(folder: Path, name: str, text: str) -> No
 @pytest.mark.parametrize("part", [
     *asset("bad-facts.toml")["parts"], {"sessions": [None]},
     {"simulation": {"duration_s": 10**400}}, {"sessions": [{"trials": 10**400}]},
+    {"sessions": None}, {"sessions": [{"stores": {"flat": None}}]}, {"terrain": None},
+    {"sessions": [{"wall_s": None}]}, {"simulation": {"duration_s": None}},
 ])  # fmt: skip
 def test_parts_of_another_form(folder: Path, part: dict[str, Any]) -> None:
     name = "run.json" if "sessions" in part else "experiment.json"
     (folder / name).write_text(json.dumps(part))
     assert refusal(folder).startswith(f"{name}: {next(iter(part))}")
-
-
-@pytest.mark.parametrize(("name", "part"), NULLS)
-def test_a_null_is_not_there(folder: Path, name: str, part: dict[str, Any]) -> None:
-    (folder / name).write_text(json.dumps({}))
-    without = facts(read_results(folder))
-    (folder / name).write_text(json.dumps(part))
-    results = read_results(folder)
-    assert known_stores(results) == {}
-    assert {k: value for k, value in facts(results).items() if k != "wall time"} == without
 
 
 @pytest.mark.parametrize(("name", "values"), [
