@@ -25,7 +25,6 @@ from study.experiment.folder import (
     THETA_REF,
     Key,
     by_study,
-    gains_of,
     outcomes_of,
     walkers,
 )
@@ -123,8 +122,9 @@ def advance(block: Block) -> Advanced:
 
 def _restore(experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks) -> None:
     """Give a study its trials of earlier sessions."""
-    gains, rows = gains_of(experiment, table), outcomes_of(table)
+    gains = np.column_stack([table[name].to_numpy() for name in experiment.names])
     costs = np.column_stack([table[name].to_numpy() for name in experiment.objective.columns])
+    rows = outcomes_of(table)
     walks.add([study.run] * len(table), gains, rows, costs)
     for place, notes in enumerate(table[NOTES].to_pylist()):
         noted = json.loads(notes) | shown(study.arm, rows[place : place + 1])

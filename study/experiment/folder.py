@@ -56,7 +56,6 @@ ARMS_NAME = "arms"
 DATABASE_NAME = "studies.db"
 ARTIFACTS_NAME = "artifacts"
 
-Floats = NDArray[np.float64]
 Key = tuple[str, int]  # arm, run: a study of an experiment
 
 THETA_REF = next(parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref")
@@ -138,12 +137,6 @@ def without_gaps(table: pa.Table) -> bool:
     counts = np.unique(run, return_counts=True)[1]
     whole = np.concatenate([np.arange(0), *map(np.arange, counts)])
     return bool((np.diff(run) >= 0).all()) and np.array_equal(trial, whole)
-
-
-def gains_of(experiment: Experiment, table: pa.Table) -> Floats:
-    """The searched parameters of a table's trials, [n, 16 + k]."""
-    columns = [table[name].to_numpy() for name in experiment.names]
-    return np.column_stack(columns).astype(np.float64)
 
 
 def outcomes_of(table: pa.Table) -> NDArray[np.void]:

@@ -32,7 +32,6 @@ from study.report.runs import ArmRuns, Results, runs_of
 ABSENT = "-"
 UNKNOWN = "not recorded"
 WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
-METHOD = WORDS["method"].format(resamples=RESAMPLES)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:") -> str:
@@ -98,7 +97,7 @@ def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path]) 
         _state(results),
         "\n".join(f"- {key}: {value}" for key, value in facts(results).items()),
         "## What the arms reached",
-        METHOD,
+        WORDS["method"].format(resamples=RESAMPLES),
         table(*_walkers(numbers, sorted(within), _label)),
         "## Best cost",
         WORDS["front"] if results.cost == FRONT else "",
@@ -266,7 +265,7 @@ HEADER = "arm                runs  with a walker  first (median)  best cost (med
 def arms_text(numbers: Numbers) -> str:
     """A table of the arms, in the order of their names."""
     lines = [HEADER]
-    for arm in _by_name(numbers):
+    for arm in sorted(numbers.arms, key=lambda arm: arm.arm):
         first = count_text(arm.first_walker.value, arm.trials)
         time = ABSENT if arm.proposal_ms is None else f"{arm.proposal_ms:.1f}"
         best = f"{arm.best_cost.value:>18.4f}  {time:>10}"
@@ -287,12 +286,8 @@ def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[st
             "best_cost": arm.best_cost.value,
             "proposal_ms": arm.proposal_ms,
         }
-        for arm in _by_name(numbers)
+        for arm in sorted(numbers.arms, key=lambda arm: arm.arm)
     ]
-
-
-def _by_name(numbers: Numbers) -> list[ArmNumbers]:
-    return sorted(numbers.arms, key=lambda arm: arm.arm)
 
 
 DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages
