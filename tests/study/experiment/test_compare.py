@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,17 +171,6 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
     assert exports == [(2, False), (4, False), (6, False), (8, False), (8, True)]
     comparisons.run("out", arms=("tpe",), runs=1, trials=2)
     assert exports[-1] == (10, True)  # all arms of the folder
-
-
-def test_progress_counts_studies_that_walked(comparisons: Comparisons) -> None:
-    told: list[Progress] = []
-    request = Request(comparisons.folder / "out")
-    compare(comparisons.experiment, request, told.append)
-    table = comparisons.table("out").to_pandas()
-    walkers = table.groupby(["arm", "run"]).walked.any().sum()
-    assert (told[0], told[-1]) == (Progress(0, 72, 9, 0), Progress(72, 72, 9, walkers))
-    compare(comparisons.experiment, replace(request, runs=1, trials=2), told.append)
-    assert (told[-1].trials, told[-1].total, told[-1].studies) == (24, 24, 3)
 
 
 def test_sessions_say_what_they_did(comparisons: Comparisons) -> None:
