@@ -62,7 +62,7 @@ THETA_REF = next(parameter for parameter in LOW_LEVEL_GAINS if parameter.name ==
 PROPOSAL_TIME = "proposal_s"
 NOTES = "notes"
 
-_FIELDS = [  # none has gaps
+STATE_SCHEMA = pa.schema(  # of columns without gaps
     pa.field(name, kind, nullable=False)
     for name, kind in (
         ("experiment", pa.string()), ("arm", pa.string()), ("run", pa.int32()),
@@ -73,8 +73,7 @@ _FIELDS = [  # none has gaps
         *((name, pa.from_numpy_dtype(kind)) for name, kind in SCORE_FIELDS),
         (PROPOSAL_TIME, pa.float64()), (NOTES, pa.string()),
     )
-]  # fmt: skip
-STATE_SCHEMA = pa.schema(_FIELDS)
+)  # fmt: skip
 
 
 def state_schema(searched: Iterable[str], goals: Iterable[str] = ()) -> pa.Schema:

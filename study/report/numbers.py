@@ -44,7 +44,6 @@ class PairedTest:
     p: float  # two-sided; 1 where no pair differs
 
 
-@cache
 def wilson(successes: int, count: int) -> Interval:
     """A proportion with Wilson's score interval; of a run or more."""
     test = scipy.stats.binomtest(successes, count)
