@@ -84,17 +84,6 @@ def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> 
     assert list(read_results(folder).arms) == ["dog"]
 
 
-def test_facts_of_the_run_are_kept(folder: Path) -> None:
-    (folder / "run.json").write_text(json.dumps({"machine": "two cores"}))
-    known = read_results(folder).facts
-    assert known["machine"] == "two cores" and known["seed"] == 1
-    assert read_results(folder).arms["dog"].proposal_ms is None
-    times = {"arm": ["dog", "dog", "dog", "random"], "proposal_s": [0.01, 0.02, 0.9, 0.001]}
-    pq.write_table(pa.table(times), folder / "proposal_times.parquet")
-    arms = read_results(folder).arms
-    assert (arms["dog"].proposal_ms, arms["random"].proposal_ms) == (20.0, 1.0)
-
-
 def test_stores_that_still_are_what_the_results_were_made_with_are_known(tmp_path: Path) -> None:
     paths = {name: tmp_path / f"{name}.parquet" for name in ("flat", "mild", "ramps")}
     for name in ("flat", "mild"):
