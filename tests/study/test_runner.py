@@ -83,9 +83,6 @@ def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:
         study = optuna.load_study(study_name=name, storage=storage)
         assert study.metric_names == [metric]
         study.set_metric_names(["mine"])
-    paper = replace(toy, objective=Objective("walking"))
-    walking = run_study(paper, find_arm("random"), 0, 1, InMemoryStorage())
-    assert walking.metric_names == ["walking_cost"]
 
 
 def assert_same(trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[str, ...]) -> None:
