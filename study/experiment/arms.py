@@ -68,7 +68,9 @@ def _worlds_arm(name: str, label: str, summary: str, store: str) -> Arm:
     """Our sampler over what a store's rows cost in each world, which aims at the first success."""
 
     def new_sampler(task: Task) -> BaseSampler:
-        return FeatureKernelSampler(task.table, seed=task.seed, success=task.experiment.success)
+        of = task.experiment
+        success = of.objective.success(of.conditions.duration_s)
+        return FeatureKernelSampler(task.table, seed=task.seed, success=success)
 
     options = {"success_speed_mps": SUCCESS_SPEED_MPS}
     return Arm(name, label, "ours", summary, new_sampler, store, WORLDS, takes_goals=True,
@@ -150,7 +152,7 @@ def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tup
             raise InputError("arm", arm.name, f"with two goals one of {able}")
         if not arm.store:
             continue
-        store = check_store(experiment, arm.store, arm.feature)
+        store = check_store(experiment, arm.store)
         rows = int(candidates(experiment, arm.store, arm.feature).rows.offered.sum())
         if trials > rows:
             allowed = f"at most {rows}, the rows that {arm.name} may take of the store {store.path}"

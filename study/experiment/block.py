@@ -25,9 +25,7 @@ from study.experiment.folder import (
     THETA_REF,
     Key,
     by_study,
-    gains_of,
     outcomes_of,
-    state_schema,
     walkers,
 )
 from study.experiment.one_study import OneStudy, shown
@@ -109,13 +107,13 @@ def advance(block: Block) -> Advanced:
         for arm, run, table in by_study(block.known):
             _restore(experiment, studies[arm, run], table, walks)
         ended = walkers(block.known) if experiment.until_walker else set()
-        tables = [schema_of(experiment).empty_table()]
+        tables = [block.known.schema.empty_table()]
         while open_studies := [
             study
             for key, study in studies.items()
             if study.trials < block.trials and key not in ended
         ]:
-            tables.append(_round(experiment, open_studies, walks))
+            tables.append(_round(experiment, open_studies, walks, block.known.schema))
             if experiment.until_walker:
                 ended |= walkers(tables[-1])
         handed_on = tuple(study.hand_on() for study in studies.values())
@@ -124,15 +122,18 @@ def advance(block: Block) -> Advanced:
 
 def _restore(experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks) -> None:
     """Give a study its trials of earlier sessions."""
-    gains, rows = gains_of(experiment, table), outcomes_of(table)
+    gains = np.column_stack([table[name].to_numpy() for name in experiment.names])
     costs = np.column_stack([table[name].to_numpy() for name in experiment.objective.columns])
+    rows = outcomes_of(table)
     walks.add([study.run] * len(table), gains, rows, costs)
     for place, notes in enumerate(table[NOTES].to_pylist()):
         noted = json.loads(notes) | shown(study.arm, rows[place : place + 1])
         study.restore(gains[place].tolist(), costs[place].tolist(), noted)
 
 
-def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.Table:
+def _round(
+    experiment: Experiment, studies: list[OneStudy], walks: Walks, schema: pa.Schema
+) -> pa.Table:
     """One trial of each study: proposed, simulated together, told, and written down."""
     asked, notes, seconds = [], [], []
     trials = [study.trials for study in studies]
@@ -144,7 +145,7 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
     runs, gains = [study.run for study in studies], np.array(asked, dtype=np.float64)
     rows, costs = walks.walk(experiment, runs, gains)
     for place, study in enumerate(studies):
-        study.tell(costs[place].tolist(), rows[place : place + 1])
+        study.tell(costs[place].tolist(), shown(study.arm, rows[place : place + 1]))
     objective = experiment.objective
     columns = {
         "experiment": [experiment.name] * len(gains),
@@ -164,12 +165,7 @@ def _round(experiment: Experiment, studies: list[OneStudy], walks: Walks) -> pa.
         PROPOSAL_TIME: seconds,
         NOTES: [json.dumps(noted) for noted in notes],
     }
-    return pa.table(columns, schema=schema_of(experiment))
-
-
-def schema_of(experiment: Experiment) -> pa.Schema:
-    """Of the finished trials of an experiment."""
-    return state_schema(experiment.searched, [goal.name for goal in experiment.objective.goals])
+    return pa.table(columns, schema=schema)
 
 
 @contextmanager

@@ -29,7 +29,6 @@ from study.experiment.folder import (
     results_of,
     walkers,
 )
-from taichi_nmm import checks
 from taichi_nmm.walker_simulator import Walker
 
 Unit = TypeVar("Unit")
@@ -158,11 +157,7 @@ def compare(
             `check_database`; later: see `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
-    count = experiment.runs if request.runs is None else request.runs
-    trials = experiment.trials if request.trials is None else request.trials
-    for name, value in (("runs", count), ("trials", trials), ("workers", request.workers)):
-        checks.whole(1)(name, value)
-    runs = range(count)
+    runs, trials = range(request.runs or experiment.runs), request.trials or experiment.trials
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
     identity = document(experiment, arms)
     url = request.storage or file_url(request.out / DATABASE_NAME)

@@ -29,7 +29,7 @@ from storage.databases.studies import (
     study_of_costs,
 )
 from study.experiment.arms import Arm
-from study.experiment.experiment import Experiment, study_name, summary_name
+from study.experiment.experiment import SUMMARY, Experiment, study_name
 from study.experiment.folder import LIVE_ATTRIBUTE, as_if_gone_on, by_study, fingerprint
 from study.experiment.live_study import require_notes, require_written
 from study.experiment.one_study import note_worth
@@ -64,9 +64,9 @@ def export(
         note = summarise(experiment.name, shown, final, study_ids(storage))
         from optuna_dashboard import save_note  # a second, once a minute
 
-        name, metrics = summary_name(experiment.name), experiment.objective.metrics
+        name = f"{experiment.name}{SUMMARY}"
         with read_errors(url):
-            study = study_of_costs(storage, name, metrics)
+            study = study_of_costs(storage, name, experiment.objective.metrics)
             known = study.user_attrs
         if CONFIG_ATTRIBUTE not in known:
             study.set_user_attr(CONFIG_ATTRIBUTE, fingerprint(experiment))
@@ -98,7 +98,7 @@ def check_database(
         if storage is None:
             return
         _check(experiment, storage, url)
-        if (name := summary_name(experiment.name)) in study_ids(storage):
+        if (name := f"{experiment.name}{SUMMARY}") in study_ids(storage):
             load_whole(storage, name)
             require_notes(name, storage)
         for _, _, name in _noted(storage, experiment, arms, runs):

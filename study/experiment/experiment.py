@@ -17,7 +17,7 @@ from optuna.distributions import FloatDistribution
 from storage.simulator import SURVIVED
 from storage.store import MANIFEST_NAME, Manifest, Store, open_store
 from storage.tables import file_hash
-from study.experiment.features import check_feature, feature_table
+from study.experiment.features import feature_table
 from study.experiment.objective import Objective, read_objective
 from study.sampler.draws import Purpose, stream
 from study.sampler.table import FeatureTable
@@ -90,11 +90,6 @@ class Experiment:
         """The search space as Optuna has it."""
         return search_space(self.parameters)
 
-    @property
-    def success(self) -> float | None:
-        """The cost of a trial that has succeeded; None: there are several goals."""
-        return self.objective.success(self.conditions.duration_s)
-
     def body(self, run: int) -> Bodies:
         """The one body of a run."""
         return self.conditions.build.draw([stream(self.seed, Purpose.BODY, run)])
@@ -143,11 +138,6 @@ def search_space(parameters: Iterable[Parameter]) -> dict[str, FloatDistribution
 def study_name(experiment: str, arm: str, run: int) -> str:
     """The name of an arm's study in a run, live or exported."""
     return f"{experiment}/{arm}/run-{run:03d}"
-
-
-def summary_name(experiment: str) -> str:
-    """The name of the study that compares the arms of an exported experiment."""
-    return f"{experiment}{SUMMARY}"
 
 
 def read_experiment(
@@ -249,14 +239,13 @@ def store_path(experiment: Experiment, store: str) -> Path:
     return experiment.stores[store]
 
 
-def check_store(experiment: Experiment, store: str, feature: str) -> Store:
-    """Open a store, and see that it has the experiment's parameters and this feature.
+def check_store(experiment: Experiment, store: str) -> Store:
+    """Open a store, and see that it has the experiment's parameters.
 
     Its rows may lack a device and asymmetries: they are then walkers without.
 
     Raises:
-        InputError: no such store, not a finished store, other parameters or bounds, or no such
-            column.
+        InputError: no such store, not a finished store, or other parameters or bounds.
     """
     opened = open_store(store_path(experiment, store))
     searched = tuple(opened.specification["gains"])
@@ -269,7 +258,6 @@ def check_store(experiment: Experiment, store: str, feature: str) -> Store:
     opened.require_bounds()
     if opened.specification.get("fixed_gains", {}) != experiment.fixed_by_name:
         raise InputError(f"stores.{store}", str(opened.path), "a store of the same fixed gains")
-    check_feature(feature, opened, experiment.objective)
     return opened
 
 

@@ -26,15 +26,6 @@ WORLDS, RANKING = "worlds", "mean_over_worlds"
 IN_WORLDS = (WORLDS, RANKING)
 
 
-def check_feature(feature: str, store: Store, objective: Objective) -> None:
-    """Refuse a store without a column of the feature by an InputError that names both."""
-    if feature in IN_WORLDS:
-        for cost in objective.each:
-            outcomes_of(store, cost.in_worlds)
-    elif feature not in store.columns:
-        raise InputError("store", str(store.path), f"a store with the column {feature}")
-
-
 def feature_table(
     store: Store, feature: str, space: Mapping[str, BaseDistribution], objective: Objective
 ) -> FeatureTable:
@@ -42,6 +33,9 @@ def feature_table(
 
     `space` has the columns that studies suggest, with distributions; low-level gains that the store
     lacks have their defaults.
+
+    Raises:
+        InputError: the store has no such feature.
     """
     costs = [one.in_worlds for one in objective.each]
     if feature == WORLDS:
@@ -50,6 +44,8 @@ def feature_table(
         rows = table_of_worlds(store, costs).rows
         values = np.full(len(rows), np.nan)
         values[rows.numbers] = -rows.ensemble(np.ones(1)).columns[:, -1]
+    elif feature not in store.columns:
+        raise InputError("store", str(store.path), f"a store with the column {feature}")
     else:
         values = store.table([feature])[feature].to_numpy().astype(np.float64)
     return _table(store, space, features=values[:, None], feature_names=[feature])

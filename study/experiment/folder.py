@@ -56,14 +56,13 @@ ARMS_NAME = "arms"
 DATABASE_NAME = "studies.db"
 ARTIFACTS_NAME = "artifacts"
 
-Floats = NDArray[np.float64]
 Key = tuple[str, int]  # arm, run: a study of an experiment
 
 THETA_REF = next(parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref")
 PROPOSAL_TIME = "proposal_s"
 NOTES = "notes"
 
-_FIELDS = [  # none has gaps
+STATE_SCHEMA = pa.schema(  # of columns without gaps
     pa.field(name, kind, nullable=False)
     for name, kind in (
         ("experiment", pa.string()), ("arm", pa.string()), ("run", pa.int32()),
@@ -74,8 +73,7 @@ _FIELDS = [  # none has gaps
         *((name, pa.from_numpy_dtype(kind)) for name, kind in SCORE_FIELDS),
         (PROPOSAL_TIME, pa.float64()), (NOTES, pa.string()),
     )
-]  # fmt: skip
-STATE_SCHEMA = pa.schema(_FIELDS)
+)  # fmt: skip
 
 
 def state_schema(searched: Iterable[str], goals: Iterable[str] = ()) -> pa.Schema:
@@ -138,12 +136,6 @@ def without_gaps(table: pa.Table) -> bool:
     counts = np.unique(run, return_counts=True)[1]
     whole = np.concatenate([np.arange(0), *map(np.arange, counts)])
     return bool((np.diff(run) >= 0).all()) and np.array_equal(trial, whole)
-
-
-def gains_of(experiment: Experiment, table: pa.Table) -> Floats:
-    """The searched parameters of a table's trials, [n, 16 + k]."""
-    columns = [table[name].to_numpy() for name in experiment.names]
-    return np.column_stack(columns).astype(np.float64)
 
 
 def outcomes_of(table: pa.Table) -> NDArray[np.void]:

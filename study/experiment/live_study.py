@@ -28,12 +28,8 @@ from storage.tables import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.folder import LIVE_ATTRIBUTE, document
-from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStudy, note_worth
-from study.experiment.trials import (
-    ATTRIBUTES,
-    attributes,
-    simulate_trials,
-)
+from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStudy, note_worth, shown
+from study.experiment.trials import ATTRIBUTES, attributes, simulate_trials
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
@@ -135,7 +131,6 @@ def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path)
     Raises:
         InputError: as `open_study`, or a file that cannot be read or written, in `out` as well.
     """
-    experiment.require_run(run)
     require_folder(out)
     require_lockable(url, study_name(experiment.name, arm.name, run))
     with read_studies(url) as storage:
@@ -183,7 +178,8 @@ def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
 def _simulated(experiment: Experiment, one: LiveStudy, gains: list[float]) -> FrozenTrial:
     """Try what was asked for, and tell."""
     rows = simulate_trials(experiment, [one.run], np.array([gains]))
-    return one.tell(experiment.objective.values(rows)[0].tolist(), rows, attributes(rows))
+    values = experiment.objective.values(rows)[0].tolist()
+    return one.tell(values, shown(one.arm, rows) | attributes(rows))
 
 
 def running(study: optuna.Study) -> list[FrozenTrial]:

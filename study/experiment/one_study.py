@@ -69,14 +69,17 @@ class OneStudy:
         # Not the trial's own: it does not hold what samplers write into the storage.
         return dict(self.study.get_trials(deepcopy=False)[self.asked.number].user_attrs)
 
-    def tell(
-        self, values: list[float], rows: NDArray[np.void], attributes: dict[str, Any] | None = None
-    ) -> FrozenTrial:
-        """Finish the trial that was asked for: finite costs [k], and the simulator's row, [1].
+    def tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
+        """Finish the trial that was asked for: finite costs [k], and what is `shown` of it.
 
-        Attributes are further ones, for readers of the study.
+        Attributes may be more, for readers of the study.
         """
-        return self._tell(values, shown(self.arm, rows) | (attributes or {}))
+        for name, value in attributes.items():
+            self.asked.set_user_attr(name, value)
+        with one_thread():
+            told = self.study.tell(self.asked, values)
+        self.trials += 1
+        return told
 
     def hand_on(self) -> optuna.Study:
         """The study for another process, which makes its sampler anew: some do not pickle."""
@@ -94,7 +97,7 @@ class OneStudy:
         if self.arm.replayed:
             self.require_proposed(gains, self.ask())
             own = self.noted()
-            self._tell(values, {name: value for name, value in noted.items() if name not in own})
+            self.tell(values, {name: value for name, value in noted.items() if name not in own})
             return
         space: dict[str, BaseDistribution] = dict(self._experiment.space)
         params: dict[str, Any] = dict(zip(space, gains, strict=True))
@@ -113,14 +116,6 @@ class OneStudy:
             where = f"{self.arm.name}, run {self.run}, trial {self.trials}"
             allowed = "the gains that the sampler proposes there; use another --out or --storage"
             raise InputError(where, "other gains", allowed)
-
-    def _tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
-        for name, value in attributes.items():
-            self.asked.set_user_attr(name, value)
-        with one_thread():
-            told = self.study.tell(self.asked, values)
-        self.trials += 1
-        return told
 
     def _sampler_of_turn(self) -> BaseSampler:
         if self._sampler is None or self.arm.fresh:
@@ -174,10 +169,11 @@ class LiveStudy(OneStudy):
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             return PartialFixedSampler(self._given, RandomSampler(seed=0))
 
-    def _tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
+    def tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
+        """As of any study."""
         if self._twin is not None:
-            self._twin._tell(values, {})
-        return super()._tell(values, attributes)
+            self._twin.tell(values, {})
+        return super().tell(values, attributes)
 
 
 def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:

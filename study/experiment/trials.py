@@ -106,8 +106,6 @@ def outcome_text(shown: Mapping[str, Any]) -> str:
 
 def best_trial(objective: Objective, study: optuna.Study) -> FrozenTrial:
     """The trial of the least cost; with two goals, that which alone dominates the largest area."""
-    if not objective.goals:
-        return study.best_trial
     finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     return min(finished, key=lambda trial: objective.best(np.array([trial.values])))
 

@@ -20,7 +20,7 @@ from storage.commit import commit_json, commit_text, together
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM
 from study.experiment.objective import FRONT
 from study.pictures import style
-from study.report.markdown import NO_STORES, condensed_table, count_text, overview_text, report_text
+from study.report.markdown import condensed_table, count_text, overview_text, report_text
 from study.report.numbers import (
     Interval,
     Numbers,
@@ -38,12 +38,10 @@ Floats = NDArray[np.float64]
 REPORT_NAME = "report"
 
 
-def write_report(
-    results: Results, folder: Path | None = None, stores: Mapping[str, Path] = NO_STORES
-) -> Numbers:
+def write_report(results: Results, stores: Mapping[str, Path]) -> Numbers:
     """Write report.md, summary.json and the figures of one experiment, all of them or none.
 
-    The folder is by default `report` in the experiment's own; `stores` as `saw` takes them.
+    They go to `report` in the experiment's own folder; `stores` as `saw` takes them.
 
     Raises:
         InputError: the folder cannot be written.
@@ -56,7 +54,7 @@ def write_report(
         "cost": results.cost,
         **found.as_dict(),
     }
-    with together(folder or results.folder / REPORT_NAME) as new:
+    with together(results.folder / REPORT_NAME) as new:
         write_best_cost(new / "best-cost.png", results)
         write_first_walker(new / "first-walker.png", results)
         commit_json(new / "summary.json", document)
@@ -187,8 +185,6 @@ def spread_out(places: Sequence[float], apart: float, low: float, high: float) -
 
     Places that push each other form a group about the mean of their own places.
     """
-    if not len(places):
-        return []
     from scipy.optimize import isotonic_regression  # 0.3 s
 
     steps = apart * np.arange(len(places))

@@ -4,8 +4,8 @@ import html
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,11 +29,9 @@ from study.report.numbers import (
 )
 from study.report.runs import ArmRuns, Results, runs_of
 
-NO_STORES: Mapping[str, Path] = MappingProxyType({})
 ABSENT = "-"
 UNKNOWN = "not recorded"
 WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
-METHOD = WORDS["method"].format(resamples=RESAMPLES)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:") -> str:
@@ -61,17 +59,13 @@ def _label(arm: str) -> str:
     return arm if label_of(arm) == arm else f"{arm} ({label_of(arm)})"
 
 
-def _estimate(interval: Interval | None, form: str = ".3g") -> list[str]:
+def _estimate(
+    interval: Interval | None, shown: Callable[[float], str] = "{:.3g}".format
+) -> list[str]:
     """Two cells: an estimate and its interval."""
     if interval is None:
         return [ABSENT, ABSENT]
-    value, low, high = (format(x, form) for x in astuple(interval))
-    return [value, f"{low} to {high}"]
-
-
-def _first_walker(arm: ArmNumbers) -> list[str]:
-    """Two cells: the median trial of the first walker and its interval."""
-    value, low, high = (count_text(x, arm.trials) for x in astuple(arm.first_walker))
+    value, low, high = map(shown, astuple(interval))
     return [value, f"{low} to {high}"]
 
 
@@ -86,7 +80,8 @@ def _walkers(
     rows = [
         [
             name(arm.arm), str(arm.runs), str(arm.walkers),
-            f"{100 * arm.share.low:.0f} to {100 * arm.share.high:.0f}", *_first_walker(arm),
+            f"{100 * arm.share.low:.0f} to {100 * arm.share.high:.0f}",
+            *_estimate(arm.first_walker, partial(count_text, trials=arm.trials)),
             *(str(arm.within.get(limit, ABSENT)) for limit in limits),
         ]
         for arm in numbers.arms
@@ -94,7 +89,7 @@ def _walkers(
     return header, rows
 
 
-def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] = NO_STORES) -> str:
+def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path]) -> str:
     """The document; it links the figures beside it. `stores` as `saw` takes them."""
     within = {limit for arm in numbers.arms for limit in arm.within}
     parts = [
@@ -102,7 +97,7 @@ def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path] =
         _state(results),
         "\n".join(f"- {key}: {value}" for key, value in facts(results).items()),
         "## What the arms reached",
-        METHOD,
+        WORDS["method"].format(resamples=RESAMPLES),
         table(*_walkers(numbers, sorted(within), _label)),
         "## Best cost",
         WORDS["front"] if results.cost == FRONT else "",
@@ -157,7 +152,7 @@ def _tests(numbers: Numbers) -> list[str]:
         header += [f"{name}: pairs", "differ", "Holm", "p"]
     rows = []
     for each in numbers.comparisons:
-        row = [_label(each.arm), str(each.after), *_estimate(each.difference, "+.3g")]
+        row = [_label(each.arm), str(each.after), *_estimate(each.difference, "{:+.3g}".format)]
         for test, holm in ((each.cost, each.cost_p_holm), (each.walkers, each.walkers_p_holm)):
             row += [str(test.pairs), str(test.unequal), _p_text(holm), _p_text(test.p)]
         rows.append(row)
@@ -222,7 +217,7 @@ OVERVIEW: dict[str, Callable[[ArmNumbers], str]] = {
     "Runs with a walker": lambda arm: str(arm.walkers),
     "Runs whose first trial walks": lambda arm: str(arm.within.get(1, ABSENT)),
     "Runs with a walker within 3 trials": lambda arm: str(arm.within.get(3, ABSENT)),
-    "Median trial of the first walker": lambda arm: _first_walker(arm)[0],
+    "Median trial of the first walker": lambda arm: count_text(arm.first_walker.value, arm.trials),
 }
 
 
@@ -270,7 +265,7 @@ HEADER = "arm                runs  with a walker  first (median)  best cost (med
 def arms_text(numbers: Numbers) -> str:
     """A table of the arms, in the order of their names."""
     lines = [HEADER]
-    for arm in _by_name(numbers):
+    for arm in sorted(numbers.arms, key=lambda arm: arm.arm):
         first = count_text(arm.first_walker.value, arm.trials)
         time = ABSENT if arm.proposal_ms is None else f"{arm.proposal_ms:.1f}"
         best = f"{arm.best_cost.value:>18.4f}  {time:>10}"
@@ -291,12 +286,8 @@ def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[st
             "best_cost": arm.best_cost.value,
             "proposal_ms": arm.proposal_ms,
         }
-        for arm in _by_name(numbers)
+        for arm in sorted(numbers.arms, key=lambda arm: arm.arm)
     ]
-
-
-def _by_name(numbers: Numbers) -> list[ArmNumbers]:
-    return sorted(numbers.arms, key=lambda arm: arm.arm)
 
 
 DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages

@@ -44,11 +44,8 @@ class PairedTest:
     p: float  # two-sided; 1 where no pair differs
 
 
-@cache
 def wilson(successes: int, count: int) -> Interval:
-    """A proportion with Wilson's score interval; (nan, 0, 1) of 0 runs."""
-    if count == 0:
-        return Interval(float("nan"), 0.0, 1.0)
+    """A proportion with Wilson's score interval; of a run or more."""
     test = scipy.stats.binomtest(successes, count)
     ends = test.proportion_ci(confidence_level=CONFIDENCE, method="wilson")
     return Interval(successes / count, float(ends.low), float(ends.high))

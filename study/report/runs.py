@@ -218,7 +218,7 @@ def read_facts(folder: Path) -> dict[str, Any]:
         return facts
     for name, form in FORM.items():
         if (folder / name).exists():
-            document = _without_nulls(json_document(name, folder / name, "a readable JSON object"))
+            document = json_document(name, folder / name, "a readable JSON object")
             _require_form(document, form, name)
             facts |= document
     for place, session in enumerate(facts.get("sessions", [])):
@@ -226,21 +226,15 @@ def read_facts(folder: Path) -> dict[str, Any]:
     return facts
 
 
-def _without_nulls(value: Any) -> Any:
-    """A JSON value without the nulls of its objects: a null is the same as a missing key."""
-    if isinstance(value, dict):
-        return {key: _without_nulls(part) for key, part in value.items() if part is not None}
-    return [_without_nulls(part) for part in value] if isinstance(value, list) else value
-
-
 def _require_form(document: dict[str, Any], form: dict[str, Check], name: str) -> None:
     """Check the parts that are there; "a.b" is part b of part a."""
     for key, check in form.items():
+        *parents, last = key.split(".")
         part: Any = document
-        for step in key.split("."):
-            part = None if part is None else part.get(step)
-        if part is not None:
-            check(f"{name}: {key}", part)
+        for step in parents:
+            part = part.get(step, {})
+        if last in part:
+            check(f"{name}: {key}", part[last])
 
 
 Kind = tuple[Callable[[pa.DataType], bool], str]  # whether a type is of the kind; allowed values

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,9 +16,9 @@ from study.experiment.compare import Request, compare
 from study.experiment.experiment import Experiment
 from study.experiment.gains import gains_of_trial
 from study.experiment.live_study import check_study, run_study
-from taichi_nmm.errors import InputError
 from tests.cases import cases
 from tests.study import fake_walker
+from tests.study.conftest import refused
 
 Refuses = Callable[[str, Callable[[str], bytes], str], None]
 OF_DOG = r"^(storage|study toy/dog/run-000)"
@@ -65,24 +64,20 @@ def edit(url: str, *commands: str) -> bytes:
     return file.read_bytes()
 
 
-def assert_refused(call: Callable[[], Any], message: str) -> None:
-    """In one line that can be printed."""
-    with pytest.raises(InputError, match=message):
-        call()
-
-
 @cases("unreadable-studies.toml", "command")
 def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], command: str) -> None:
     before = edit(url, command)
     for read in (check, lambda: gains_of_trial("toy/dog/run-000/1", url)):
-        assert_refused(read, OF_DOG)
+        with refused(OF_DOG):
+            read()
     assert edit(url) == before
 
 
 @cases("unwritten-studies.toml", "command", "message")
 def test_unwritten_parts(url: str, check: Callable[[], None], command: str, message: str) -> None:
     before = edit(url, command)
-    assert_refused(check, f"study toy/dog/run-000{message}")
+    with refused(f"study toy/dog/run-000{message}"):
+        check()
     assert edit(url) == before
 
 
@@ -90,13 +85,14 @@ def test_a_schema_that_is_no_text_is_one_line(url: str, check: Callable[[], None
     file = Path(url.removeprefix("sqlite:///"))
     content = edit(url).replace(b"CREATE TABLE trials", b"CREATE \xc5ABLE trials")
     file.write_bytes(content)
-    assert_refused(check, r"(?i)^storage: .*utf-8")
+    with refused(r"(?i)^storage: .*utf-8"):
+        check()
     assert file.read_bytes() == content
 
 
 def test_a_name_too_long_for_a_lock_is_refused_at_once(toy: Experiment, tmp_path: Path) -> None:
     long = replace(toy, name="x" * 240)
-    with pytest.raises(InputError, match=r"^storage: .*File name too long"):
+    with refused(r"^storage: .*File name too long"):
         check_study(long, find_arm("dog"), 0, f"sqlite:///{tmp_path}/new.db", tmp_path / "out")
     assert not list(tmp_path.glob("new.db*"))
 
@@ -117,7 +113,8 @@ def refuses_before_it_works(toy: Experiment, made: Path, tmp_path: Path) -> Refu
         out = Path(shutil.copytree(made / arm, tmp_path / "out"))
         (out / "trials.parquet").unlink()
         before = damage(f"sqlite:///{out}/studies.db")
-        assert_refused(lambda: compared(toy, out, arm), message)
+        with refused(message):
+            compared(toy, out, arm)
         assert not (out / "trials.parquet").exists()
         assert (out / "studies.db").read_bytes() == before
 

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import optuna
@@ -14,7 +15,7 @@ from storage.databases.studies import open_studies
 from study.experiment import artifacts
 from study.experiment.artifacts import draw_best
 from study.experiment.database import export
-from study.experiment.gains import NamedGains, named_gains, recorded_walk
+from study.experiment.gains import named_gains, recorded_walk
 from taichi_nmm.result import Result
 from tests.study import synthetic_gait
 from tests.study.conftest import refused
@@ -26,21 +27,10 @@ TINY = experiment()
 NAME, BEST = "tiny/dog/run-000", 1
 
 
-class Fake:
-    """Stands for the simulator, and remembers what it was asked for."""
-
-    def __init__(self) -> None:
-        self.asked: list[tuple[list[float], float, int, float]] = []
-        self.walk = synthetic_gait.walk(0.3, 50.0)
-
-    def __call__(self, gains: NamedGains, of: Any, run: int, rate_hz: float) -> Result:
-        self.asked.append((gains.gains.tolist(), of.conditions.duration_s, run, rate_hz))
-        return Result(np.zeros(0), (self.walk,))
-
-
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> Fake:
-    fake = Fake()
+def fake(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """Stands for the simulator, and remembers what it was asked for."""
+    fake = Mock(return_value=Result(np.zeros(0), (synthetic_gait.walk(0.3, 50.0),)))
     monkeypatch.setattr(artifacts, "recorded_walk", fake)
     return fake
 
@@ -67,11 +57,11 @@ def best_note(study: optuna.Study) -> str:
     return str(get_note(optuna.trial.Trial(study, study.best_trial._trial_id)))
 
 
-def test_the_best_trial_is_simulated_and_registered(tmp_path: Path, url: str, fake: Fake) -> None:
+def test_the_best_trial_is_simulated_and_registered(tmp_path: Path, url: str, fake: Mock) -> None:
     study = make(url, tmp_path)
-    (asked,) = fake.asked
-    gains = [study.best_params[name] for name in TINY.names]
-    assert asked == (gains, TINY.conditions.duration_s, 0, 50.0)
+    ((gains, simulated, *asked),) = (call.args for call in fake.call_args_list)
+    assert gains.gains.tolist() == [study.best_params[name] for name in TINY.names]
+    assert (simulated, *asked) == (TINY, 0, 50.0)
     (file,) = (tmp_path / "artifacts").iterdir()
     assert file.read_bytes().startswith(b"\x89PNG")
     found = [get_all_artifact_meta(each, storage=study._storage) for each in study.trials]
@@ -91,20 +81,20 @@ def test_the_best_trial_is_simulated_and_registered(tmp_path: Path, url: str, fa
     assert json.loads(ours)["encoding"] == json.loads(theirs)["encoding"]
 
 
-def test_what_is_there_is_kept(tmp_path: Path, url: str, fake: Fake) -> None:
+def test_what_is_there_is_kept(tmp_path: Path, url: str, fake: Mock) -> None:
     make(url, tmp_path)
     (file,) = (tmp_path / "artifacts").iterdir()
     written = file.stat().st_mtime_ns
     (tmp_path / "artifacts" / ".x.1.tmp").touch()  # of a call that was killed
     make(url, tmp_path)
-    assert [*(tmp_path / "artifacts").iterdir()] == [file] and len(fake.asked) == 1
+    assert [*(tmp_path / "artifacts").iterdir()] == [file] and fake.call_count == 1
     assert file.stat().st_mtime_ns == written
     file.unlink()
     make(url, tmp_path)
     assert file.exists()
 
 
-def test_a_lost_note(tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_note(tmp_path: Path, url: str, fake: Mock, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -117,19 +107,19 @@ def test_a_lost_note(tmp_path: Path, url: str, fake: Fake, monkeypatch: pytest.M
     assert len(get_all_artifact_meta(study.best_trial, storage=study._storage)) == 1
 
 
-def test_a_note_of_the_users_stays(tmp_path: Path, url: str, fake: Fake) -> None:
+def test_a_note_of_the_users_stays(tmp_path: Path, url: str, fake: Mock) -> None:
     study = load(url)
     save_note(optuna.trial.Trial(study, study.best_trial._trial_id), "mine")
     assert best_note(make(url, tmp_path)) == "mine"
 
 
-def test_whoever_diverged_at_once_has_no_picture(tmp_path: Path, url: str, fake: Fake) -> None:
-    fake.walk.q[:] = np.nan
+def test_whoever_diverged_at_once_has_no_picture(tmp_path: Path, url: str, fake: Mock) -> None:
+    fake.return_value.trajectories[0].q[:] = np.nan
     assert not make(url, tmp_path).best_trial.system_attrs
     assert not list((tmp_path / "artifacts").iterdir())
 
 
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, url: str, fake: Fake) -> None:
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, url: str, fake: Mock) -> None:
     (tmp_path / "artifacts").touch()
     with refused("out: .* a place that can be written"):
         make(url, tmp_path)

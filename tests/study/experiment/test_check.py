@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from study.experiment.arms import ARMS, check_arms, find_arm, with_store
-from study.experiment.experiment import Experiment, candidates, check_store, store_path
+from study.experiment.experiment import Experiment, candidates, store_path
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -36,7 +36,7 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
     experiment = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "plain"))
     assert check_arms(experiment, ("dog", "cmaes-warm"), 3)
     with refused("plain.*a store with the column phi_reprinted"):
-        check_store(experiment, "flat", "phi_reprinted")
+        candidates(experiment, "flat", "phi_reprinted")
     for arm in ("ranking", "worlds"):
         with refused("plain.*a store with families of worlds"):
             check_arms(experiment, (arm,), 3)

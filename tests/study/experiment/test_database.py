@@ -111,14 +111,6 @@ def test_studies_that_ended_with_a_walker(url: str) -> None:
     assert get_note(load(url, "tiny/summary")) == wanted
 
 
-def test_a_long_note_comes_back_whole(url: str) -> None:
-    table = results(TINY, arms=[f"arm-number-{n:02d}-with-a-long-name" for n in range(30)])
-    put(url, table)
-    summary, ids = load(url, "tiny/summary"), study_ids(open_studies(url))
-    wanted = dashboard_summary("tiny", table, True, ids)
-    assert get_note(summary) == wanted
-
-
 @pytest.mark.slow
 def test_another_configuration_is_refused_and_nothing_written(url: str) -> None:
     put(url, results(TINY, trials=1), final=False)

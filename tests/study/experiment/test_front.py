@@ -57,7 +57,8 @@ def test_a_comparison_has_each_goal_and_the_front(comparisons: Comparisons) -> N
         assert_allclose(study.cost, [-area(one) for one in values[:, None]], atol=1e-9)
         so_far = [-area(values[:n]) for n in range(1, len(values) + 1)]
         assert_allclose(study.best_cost, so_far, atol=1e-9)
-    found = {arm.arm: arm for arm in write_report(read_results(comparisons.folder / "whole")).arms}
+    reported = write_report(read_results(comparisons.folder / "whole"), {})
+    found = {arm.arm: arm for arm in reported.arms}
     assert found["worlds"].best_cost.value == table.best_cost[table.arm == "worlds"].min() < 0.0
     report = (comparisons.folder / "whole" / "report" / "report.md").read_text()
     assert "median best front cost after" in report and "minus the area" in report

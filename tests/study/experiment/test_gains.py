@@ -183,9 +183,9 @@ def test_where_gains_are_fixed_rows_and_trials_have_them(
     assert stored.gains.tolist() == PUBLISHED_GAINS.tolist() and stored.low_level[8] > 0.0
     other = replace(toy, fixed=(), searched=("exo_torque", "exo_peak"))
     with refused(r"stores\.worlds: .*store without K_GAS"):
-        check_store(other, "worlds", "worlds")
+        check_store(other, "worlds")
     with refused(r"stores\.worlds: .* a store of the same fixed gains"):
-        check_store(replace(toy, fixed=(1.0, *toy.fixed[1:])), "worlds", "worlds")
+        check_store(replace(toy, fixed=(1.0, *toy.fixed[1:])), "worlds")
 
 
 def test_a_store_of_equal_legs_serves_a_search_of_gains_by_side(

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from storage.store import open_store
 from study.bench.plan import Goal
 from study.experiment.arms import ARMS
-from study.experiment.experiment import PAID, as_written, candidates, check_store, experiment_of
+from study.experiment.experiment import PAID, as_written, candidates, experiment_of
 from study.experiment.objective import Objective, Term, read_objective
 from taichi_nmm.config import Table
 from taichi_nmm.result import RESULT_DTYPE
@@ -48,7 +49,8 @@ def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
     assert_allclose(AT_08.costs(rows), expected)
     given = {name: rows[name][:, None] for name in rows.dtype.names or ()}
     assert_allclose(AT_08.in_worlds(given, 5.0)[:, 0], expected)
-    assert AT_08.success(100.0) == 50.0 and AT_08.metric == "weighted_cost"
+    assert AT_08.success(100.0) == 50.0
+    assert (AT_08.metric, Objective("walking").metric) == ("weighted_cost", "walking_cost")
 
 
 def test_it_is_read_back_from_what_it_writes(tmp_path: Path, fake_simulator: None) -> None:
@@ -115,11 +117,11 @@ def test_worlds_count_in_the_units_of_the_objective(fake_simulator: None, tmp_pa
     costs, rows = {}, None
     for name, objective in objectives.items():
         one = replace(experiment, objective=objective)
-        store = check_store(one, "worlds", feature)
         rows = candidates(one, "worlds", feature).rows
         assert rows.worlds is not None
         costs[name] = rows.worlds.costs
     assert np.nanmax(costs["smooth"]) < 2.0 < 200.0 < np.nanmax(costs["walking"]) <= 300.0
     assert 50.0 < np.nanmax(costs["at"]) <= 100.0
-    own, lasting = store.numpy(["activation_sol_mean"])["activation_sol_mean"], costs["sol"] < 30.0
+    store, lasting = open_store(experiment.stores["worlds"]), costs["sol"] < 30.0
+    own = store.numpy(["activation_sol_mean"])["activation_sol_mean"]
     assert lasting.any() and (costs["sol"] == own[:, None])[lasting].all()

@@ -28,7 +28,7 @@ def test_samplers_see_that_a_trial_fell_and_what_it_showed(toy: Experiment) -> N
     rows = fake_walker.simulate(gains).rows
     rows["phi_printed"] = 17.0
     assert set(study.noted()) == {"row", "score"}
-    study.tell([1.0], rows, {"mood": "good"})
+    study.tell([1.0], shown(study.arm, rows) | {"mood": "good"})
     (told,) = study.finished()
     assert study.trials == told.value == 1 and list(told.params.values()) == gains
     assert told.user_attrs["fell"] == bool(rows["end_reason"][0] != COMPLETED)

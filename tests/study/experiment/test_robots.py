@@ -22,8 +22,9 @@ from study.options import parser_of
 from study.report.markdown import RobotResults
 from study.report.runs import read_results
 from study.sampler.draws import Purpose, stream
-from taichi_nmm.errors import InputError
 from tests.storage import robot
+from tests.storage.fake import stopping
+from tests.study.conftest import refused
 
 GALE = {"settings": 3, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0]}}
 TOML = """
@@ -91,19 +92,9 @@ def test_the_ranking_is_by_the_mean_over_worlds(experiment: RobotExperiment, tri
 def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
     config: Path, trials: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calls = []
-
-    def stops(unit: Any) -> Any:
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        calls.append(unit)
-        return ran(unit)
-
-    ran = robots.try_robot
-    monkeypatch.setattr(robots, "try_robot", stops)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(robots, "try_robot", stopping(2, robots.try_robot))
         compare_robots(read_robots(config), tmp_path, IN_PROCESS, SILENT)
-    monkeypatch.setattr(robots, "try_robot", ran)
     shown: list[tuple[int, int]] = []
     again = compare_robots(
         read_robots(config, arms="random,worlds"), tmp_path, IN_PROCESS,
@@ -117,7 +108,7 @@ def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
     kept = longer.filter(pa.compute.less(longer["trial"], 6))
     assert len(longer) == len(trials) + 4
     assert kept.select(["arm", "run"]).equals(trials.select(["arm", "run"]))
-    with pytest.raises(InputError, match=r"^seed: 6 .* 5, as .*robots\.json says; or another"):
+    with refused(r"^seed: 6 .* 5, as .*robots\.json says; or another"):
         compare_robots(read_robots(config, seed=6), tmp_path, IN_PROCESS, SILENT)
 
 
@@ -133,10 +124,10 @@ def test_the_command_writes_a_report(
     assert results.arms["ranking"].walkers == lasted["run"].nunique()
     at_once = results.arms["ranking"].has_walker[:, 0].sum()
     assert f"| ranking | the ranking | {at_once} |" in printed
-    with pytest.raises(InputError, match=r"^folder: .* a comparison of the walker; on robots"):
+    with refused(r"^folder: .* a comparison of the walker; on robots"):
         read_results(tmp_path / "out")
     for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
-        with pytest.raises(InputError, match=f"^{option[2:]}: .* none: "):
+        with refused(f"^{option[2:]}: .* none: "):
             main(parser_of("compare").parse_args([*words, option, value]))
 
 
@@ -153,7 +144,7 @@ def test_a_live_study_has_these_trials(arm: str, config: Path, trials: Any, tmp_
     for more, match in (("--arm cmaes", "^arm: "), ("--run 9", "^run: 9 .* 0 to 3"),
                         ("--seed 7", "^seed: 7 .* 5, as the study carts/")):  # fmt: skip
         asked = [*words, "--arm", arm, *more.split()]
-        with pytest.raises(InputError, match=match):
+        with refused(match):
             study_command(parser_of("study").parse_args(asked))
 
 
@@ -169,7 +160,7 @@ def test_a_live_study_has_these_trials(arm: str, config: Path, trials: Any, tmp_
 def test_configurations_that_are_refused(config: Path, old: str, new: str, match: str) -> None:
     bad = config.with_name("bad.toml")
     bad.write_text(config.read_text().replace(old, new, 1))
-    with pytest.raises(InputError, match=match):
+    with refused(match):
         read_robots(bad)
 
 
@@ -181,5 +172,5 @@ def test_arms_that_need_pytorch_are_left_out_where_it_is_missing(
     every.write_text(re.sub("arms = .*", "", config.read_text()))
     assert {*robots.ARMS} - {*read_robots(every).arms} == {*robots.NEED_TORCH}
     assert capsys.readouterr().err.startswith("GPSampler is left out: it needs PyTorch")
-    with pytest.raises(InputError, match=r"^arm: 'gp' .* PyTorch installed"):
+    with refused(r"^arm: 'gp' .* PyTorch installed"):
         read_robots(config, arms="gp")

@@ -1,7 +1,5 @@
 """Trials as a batch on the body and ground of their run, and their outcome in numbers and words."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ from study.experiment.trials import simulate_trials
 from study.sampler.draws import Purpose, stream
 from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
-from taichi_nmm.parameters import LOW_LEVEL_GAINS, PUBLISHED_GAINS
+from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
 from tests.study import fake_walker
 
@@ -67,14 +65,3 @@ def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> No
     assert len(call["terrains"]) == 2
     assert (call["duration_s"], call["record"], call["low_level_gains"]) == (20.0, (), None)
     assert rows[0] == rows[2] != rows[1]
-
-
-def test_searched_low_level_gains_replace_defaults(fake_simulator: None, tmp_path: Path) -> None:
-    experiment = fake_walker.experiment(tmp_path, 'searched = ["theta_ref"]')
-    assert experiment.names[-1] == "theta_ref"
-    fake_walker.calls.clear()
-    gains = np.column_stack([np.tile(PUBLISHED_GAINS, (2, 1)), [0.1, 0.2]])
-    simulate_trials(experiment, [0, 1], gains)
-    low_level = fake_walker.calls[0]["low_level_gains"]
-    np.testing.assert_array_equal(low_level[:, 7], [0.1, 0.2])
-    np.testing.assert_array_equal(low_level[0, :7], [p.default for p in LOW_LEVEL_GAINS[:7]])

@@ -68,6 +68,8 @@ def test_progress_counts_what_there_is_to_do_and_the_report_reads(until: Compari
     done, walkers = len(until.table("out")), int(frame(until.table("out")).walked.sum())
     assert told[-1] == Progress(done, done, 3 * len(ARMS), walkers)
     assert all(one.total >= two.total for one, two in pairwise(told))
+    compare(until.experiment, replace(request, arms=ARMS[:2], runs=1, trials=1), told.append)
+    assert told[-1].trials == told[-1].total > told[-1].studies == 2  # of a smaller request
     results = read_results(until.folder / "out")
     assert results.complete and results.trials == TRIALS and results.runs == 3
     rows = frame(until.table("out"))

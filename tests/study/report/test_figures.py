@@ -1,19 +1,20 @@
 """Figures: how arms are drawn, dots that are all there, labels within the figure; whole reports."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from matplotlib.text import Annotation
 
 from study.experiment.arms import ARMS
 from study.pictures import style
 from study.report import figures
-from study.report.figures import End, Look, looks, spread_out, write_report
+from study.report.figures import looks, spread_out, write_report
 from study.report.runs import Results, read_results
 from taichi_nmm import InputError
 from tests.cases import cases
+from tests.study.conftest import refused
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
 
@@ -39,21 +40,6 @@ def test_places_that_do_not_fit_stay_apart_all_the_same() -> None:
     assert np.diff(places).min() >= 4.0 - 1e-9
 
 
-@pytest.mark.slow
-def test_labels_of_lines_with_one_end_do_not_overlap() -> None:
-    figure = style.new_figure(6.0, 4.0)
-    axes = figure.add_axes((0.1, 0.1, 0.6, 0.8))
-    figures.trial_axis(axes, 100)
-    look = Look("x", "#000000", "solid", "o", False)
-    figures.label_ends(axes, [End(1.0, look, f"arm {rank}", rank) for rank in range(14)], 100.0)
-    figure.canvas.draw()
-    labels = [text for text in axes.texts if isinstance(text, Annotation)]
-    assert len(labels) == 14
-    boxes = sorted((label.get_window_extent().y0, label.get_text()) for label in labels)
-    assert [text for _, text in boxes] == [f"arm {rank}" for rank in range(14)]
-    assert np.diff([y for y, _ in boxes]).min() >= figures.LABEL_SPACING_PT * figure.dpi / 72 - 0.5
-
-
 def test_every_run_has_a_dot_of_its_own() -> None:
     places = np.sort(np.random.default_rng(1).choice([0.0, 0.15, 0.151, 0.8], 50))
     x, y = figures.piles(places)
@@ -76,7 +62,7 @@ def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.Mon
 
 @pytest.mark.slow
 def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Names and numbers of all arms fit right of the lines."""
+    """Those of all arms fit right of the lines; of lines with one end they stay apart, by rank."""
     results = counted(*(arm(name, [3, 17, np.inf]) for name in ARMS))
     seen: list[Figure] = []
     monkeypatch.setattr(style, "save_png", lambda figure, *_: seen.append(figure))
@@ -87,14 +73,20 @@ def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.Monke
     for figure, text in texts:
         box = text.get_window_extent()
         assert box.x0 >= 0 and box.x1 <= figure.bbox.width, text.get_text()
+    labels = [text for figure, text in texts if figure is seen[0]]
+    boxes = sorted((label.get_window_extent().y0, label.get_text()) for label in labels)
+    assert [text.rpartition(" ")[0] for _, text in boxes] == [arm.label for arm in ARMS.values()]
+    assert np.diff([y for y, _ in boxes]).min() >= figures.LABEL_SPACING_PT * seen[0].dpi / 72 - 0.5
 
 
 # A report is written whole or not at all.
 
+LONE = counted(arm("random", [np.inf], trials=2))
+
 
 def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
-    write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
-    assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report.md").read_text()
+    write_report(replace(LONE, folder=tmp_path), {})
+    assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report" / "report.md").read_text()
 
 
 def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,8 +95,9 @@ def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.Mon
         raise InputError("disk", "full", "space")
 
     monkeypatch.setattr(figures, "write_best_cost", fails)
-    (tmp_path / "report.md").write_text("an older one")
-    with pytest.raises(InputError, match="disk"):
-        write_report(counted(arm("random", [np.inf], trials=2)), folder=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["report.md"]
-    assert (tmp_path / "report.md").read_text() == "an older one"
+    older = tmp_path / "report" / "report.md"
+    older.parent.mkdir()
+    older.write_text("an older one")
+    with refused("disk"):
+        write_report(replace(LONE, folder=tmp_path), {})
+    assert [*older.parent.iterdir()] == [older] and older.read_text() == "an older one"

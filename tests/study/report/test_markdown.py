@@ -27,7 +27,7 @@ def rows(text: str) -> dict[str, list[str]]:
 
 def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
     found = numbers(results)
-    text = report_text(results, found)
+    text = report_text(results, found, {})
     reached = rows(text[text.index("| arm | runs") :])["random"]
     count = int(np.isfinite(results.arms["random"].first_walker).sum())
     assert reached[1:3] == ["50", str(count)] and reached[5].endswith("> 100")
@@ -48,16 +48,16 @@ def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
 
 def test_few_trials_a_missing_paper_and_an_unfinished_experiment() -> None:
     results = counted(arm("dog", [1, 2], trials=4), arm("random", [np.inf, 3], trials=4))
-    text = report_text(results, numbers(results))
+    text = report_text(results, numbers(results), {})
     costs = rows(text.partition("## Best cost\n\n")[2])
     assert costs["arm"][1:] == ["median best smooth cost after the last trial", "interval", "ms"]
     assert len(costs["dog (DoG, as printed)"]) == 4
     results = counted(arm("tpe", [3, 4]))
     found = numbers(results)
     assert found.comparisons == () and found.peer == "tpe"
-    assert "## Against" not in report_text(results, found)
+    assert "## Against" not in report_text(results, found, {})
     results = counted(arm("dog", [1, 2]), arm("tpe", [1], trials=10))
-    text = report_text(results, numbers(results))
+    text = report_text(results, numbers(results), {})
     assert "Unfinished: 90 of 160 trials" in text and "tpe 1 x 10" in text
 
 

@@ -1,4 +1,4 @@
-"""Counts by hand; intervals and tests against closed forms, SciPy's, and their own coverage."""
+"""Counts by hand; intervals and tests against closed forms and SciPy's."""
 
 import numpy as np
 import pytest
@@ -68,8 +68,7 @@ def test_wilson_has_the_closed_form(successes: int, count: int) -> None:
 
 
 def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_certain() -> None:
-    nothing, same = wilson(0, 0), median(np.full(20, 3.0))
-    assert np.isnan(nothing.value) and (nothing.low, nothing.high) == (0.0, 1.0)
+    same = median(np.full(20, 3.0))
     assert (same.value, same.low, same.high) == (3.0, 3.0, 3.0)
     most = median([1.0, 2.0, 5.0, np.inf, np.inf, np.inf, np.inf])
     assert np.isinf(most.value) and np.isinf(most.high) and np.isfinite(most.low)
@@ -79,19 +78,13 @@ def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_cert
     assert np.isinf(none.low)
 
 
-def test_medians_interval_agrees_with_scipys_bootstrap_and_covers_the_truth() -> None:
+def test_medians_interval_agrees_with_scipys_bootstrap() -> None:
     sample = np.random.default_rng(5).exponential(10.0, 50)
     how = {"method": "percentile", "n_resamples": 10_000, "rng": np.random.default_rng(0)}
     theirs = stats.bootstrap((sample,), np.median, **how).confidence_interval
     ours = median(sample)
     assert ours.value == np.median(sample)
     assert (ours.low, ours.high) == pytest.approx((theirs.low, theirs.high), rel=0.08)
-    rng = np.random.default_rng(6)
-    hits = 0
-    for _ in range(80):
-        found = median(rng.exponential(10.0, 50))
-        hits += found.low <= 10.0 * np.log(2.0) <= found.high
-    assert 0.88 <= hits / 80 <= 1.0
 
 
 def test_curves_are_within_their_bands_and_the_same_twice() -> None:

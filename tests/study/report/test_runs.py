@@ -12,16 +12,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from study.experiment.experiment import store_digest
-from study.report.markdown import facts
 from study.report.runs import Results, known_stores, read_results, runs_of
 from taichi_nmm.errors import InputError
-from tests.cases import ASSETS, asset
+from tests.cases import asset
 from tests.study.report import synthetic
 
 TWO = {"dog": (0.02, 0.002), "random": (0.01, 0.0)}
 RUNS, TRIALS = 4, 6
 COUNT = len(TWO) * RUNS * TRIALS
-NULLS = json.loads((ASSETS / "null-facts.json").read_text())  # documents, and parts of them
 
 
 @pytest.fixture
@@ -86,17 +84,6 @@ def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> 
     assert list(read_results(folder).arms) == ["dog"]
 
 
-def test_facts_of_the_run_are_kept(folder: Path) -> None:
-    (folder / "run.json").write_text(json.dumps({"machine": "two cores"}))
-    known = read_results(folder).facts
-    assert known["machine"] == "two cores" and known["seed"] == 1
-    assert read_results(folder).arms["dog"].proposal_ms is None
-    times = {"arm": ["dog", "dog", "dog", "random"], "proposal_s": [0.01, 0.02, 0.9, 0.001]}
-    pq.write_table(pa.table(times), folder / "proposal_times.parquet")
-    arms = read_results(folder).arms
-    assert (arms["dog"].proposal_ms, arms["random"].proposal_ms) == (20.0, 1.0)
-
-
 def test_stores_that_still_are_what_the_results_were_made_with_are_known(tmp_path: Path) -> None:
     paths = {name: tmp_path / f"{name}.parquet" for name in ("flat", "mild", "ramps")}
     for name in ("flat", "mild"):
@@ -143,21 +130,13 @@ def test_documents_that_are_no_objects(folder: Path, name: str, text: str) -> No
 @pytest.mark.parametrize("part", [
     *asset("bad-facts.toml")["parts"], {"sessions": [None]},
     {"simulation": {"duration_s": 10**400}}, {"sessions": [{"trials": 10**400}]},
+    {"sessions": None}, {"sessions": [{"stores": {"flat": None}}]}, {"terrain": None},
+    {"sessions": [{"wall_s": None}]}, {"simulation": {"duration_s": None}},
 ])  # fmt: skip
 def test_parts_of_another_form(folder: Path, part: dict[str, Any]) -> None:
     name = "run.json" if "sessions" in part else "experiment.json"
     (folder / name).write_text(json.dumps(part))
     assert refusal(folder).startswith(f"{name}: {next(iter(part))}")
-
-
-@pytest.mark.parametrize(("name", "part"), NULLS)
-def test_a_null_is_not_there(folder: Path, name: str, part: dict[str, Any]) -> None:
-    (folder / name).write_text(json.dumps({}))
-    without = facts(read_results(folder))
-    (folder / name).write_text(json.dumps(part))
-    results = read_results(folder)
-    assert known_stores(results) == {}
-    assert {k: value for k, value in facts(results).items() if k != "wall time"} == without
 
 
 @pytest.mark.parametrize(("name", "values"), [
