@@ -107,6 +107,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
                                  "low_level_gains": None, "settings": cpu}),
         (taichi_nmm.Prosthesis, {"side": "left", "stiffness_nmprad": 300.0,
                                  "damping_nmsprad": 1.0, "rest_rad": 0.0}),
+        (taichi_nmm.Exoskeleton, dict(vars(taichi_nmm.Exoskeleton()))),
         (taichi_nmm.Result(rows).__getitem__, {"name": "duration_s"}),
         (taichi_nmm.Observation(**observation).checked, {"count": 1}),
         (taichi_nmm.Settings, dict(vars(cpu))),

@@ -65,7 +65,10 @@ def test_an_experiment_pickles_and_hashes_and_writes_what_decides_trials() -> No
     copy = pickle.loads(pickle.dumps(experiment))
     assert copy == experiment and hash(copy) == hash(experiment)
     names = {"name", "seed", "searched", "objective", "simulation", "body", "terrain"}
-    assert set(as_written(experiment)) == names
+    written = as_written(experiment)
+    assert set(written) == names
+    one_thread = experiment.on_one_thread()  # for one of several processes
+    assert one_thread.conditions.settings.threads == 1 and as_written(one_thread) == written
 
 
 @cases("bad-experiments.toml", "old", "new", "message")

@@ -72,7 +72,7 @@ def test_another_store_or_arm(comparisons: Comparisons, monkeypatch: pytest.Monk
         comparisons.run("out", arms=("dog",), trials=2)
 
 
-def test_a_folder_in_use_or_of_something_else(comparisons: Comparisons) -> None:
+def test_a_folder_in_use_of_something_else_or_damaged(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("random",), trials=1)
     with (
         ExperimentFolder.claim(comparisons.folder / "out", document(comparisons)),
@@ -83,6 +83,10 @@ def test_a_folder_in_use_or_of_something_else(comparisons: Comparisons) -> None:
     (comparisons.folder / "thesis" / "thesis.tex").touch()
     with refused(r"thesis\.tex"):
         comparisons.run("thesis")
+    file = arm_file(comparisons)
+    file.write_bytes(file.read_bytes()[:-100])
+    with refused(r"random\.parquet"):
+        comparisons.run("out", arms=("random",))
 
 
 Edit = Callable[[pa.Table, dict[str, Any]], tuple[pa.Table, dict[str, Any]]]

@@ -78,13 +78,19 @@ def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_cert
     assert np.isinf(none.low)
 
 
-def test_medians_interval_agrees_with_scipys_bootstrap() -> None:
+def test_medians_interval_agrees_with_scipys_bootstrap_and_covers_the_truth() -> None:
     sample = np.random.default_rng(5).exponential(10.0, 50)
     how = {"method": "percentile", "n_resamples": 10_000, "rng": np.random.default_rng(0)}
     theirs = stats.bootstrap((sample,), np.median, **how).confidence_interval
     ours = median(sample)
     assert ours.value == np.median(sample)
     assert (ours.low, ours.high) == pytest.approx((theirs.low, theirs.high), rel=0.08)
+    rng = np.random.default_rng(6)
+    hits = 0
+    for _ in range(80):
+        found = median(rng.exponential(10.0, 50))
+        hits += found.low <= 10.0 * np.log(2.0) <= found.high
+    assert 0.88 <= hits / 80 <= 1.0
 
 
 def test_curves_are_within_their_bands_and_the_same_twice() -> None:
