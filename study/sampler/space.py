@@ -83,15 +83,11 @@ class Space:
         pairs = zip(self.names, self.distributions, row.tolist(), strict=True)
         return {name: _external(distribution, value) for name, distribution, value in pairs}
 
-    def unit(self, rows: Floats, *, beyond: bool = False) -> Floats:
-        """Rows [n, d] in the unit cube, [n, e].
-
-        Values outside the ranges are moved to the edge or, with `beyond`, lie outside the cube.
-        """
+    def unit(self, rows: Floats) -> Floats:
+        """Rows [n, d] in the unit cube, [n, e]; values outside the ranges are moved to the edge."""
         columns = zip(self.distributions, rows.T, strict=True)
-        parts = [_to_unit(distribution, values, beyond) for distribution, values in columns]
-        cube = np.hstack(parts) if parts else np.zeros((len(rows), 0))
-        return cube if beyond else np.clip(cube, 0.0, 1.0)
+        parts = [_to_unit(distribution, values) for distribution, values in columns]
+        return np.hstack(parts) if parts else np.zeros((len(rows), 0))
 
     def from_fractions(self, fractions: Floats) -> Floats:
         """Rows [n, d] from numbers between 0 and 1, [n, d]: steps and integers are rounded."""
@@ -110,7 +106,7 @@ class Space:
             if isinstance(distribution, CategoricalDistribution):
                 fractions[:, column] = (values + 0.5) / len(distribution.choices)
             else:
-                fractions[:, column] = np.clip(_to_unit(distribution, values)[:, 0], 0.0, 1.0)
+                fractions[:, column] = _to_unit(distribution, values)[:, 0]
         return fractions
 
 
@@ -197,21 +193,18 @@ def _external(distribution: BaseDistribution, value: float) -> Any:
     return distribution.to_external_repr(value)
 
 
-def _to_unit(distribution: BaseDistribution, values: Floats, beyond: bool = False) -> Floats:
-    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices].
-
-    Numbers outside the range are moved to its ends, unless they may lie `beyond`.
-    """
+def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
+    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices]."""
     if isinstance(distribution, CategoricalDistribution):
         choices = np.arange(len(distribution.choices))
         return np.asarray(CHOICE_LENGTH * (values[:, None] == choices).astype(np.float64))
     assert isinstance(distribution, Number)
     low, high = _ends(distribution)
-    values = values if beyond else np.clip(values, distribution.low, distribution.high)
-    if high <= low:  # a range of one value: any other is as far away as can be
-        return np.where(values == distribution.low, 0.0, np.inf)[:, None]
-    values = np.log(np.maximum(values, np.finfo(float).tiny)) if distribution.log else values
-    return np.asarray((values - low) / (high - low))[:, None]
+    if high <= low:  # a range of one value
+        return np.zeros((len(values), 1))
+    values = np.clip(values, distribution.low, distribution.high)
+    values = np.log(values) if distribution.log else values
+    return np.clip((values - low) / (high - low), 0.0, 1.0)[:, None]
 
 
 def _from_fraction(distribution: BaseDistribution, fractions: Floats) -> Floats:
