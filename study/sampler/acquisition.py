@@ -27,8 +27,8 @@ WORK = 1e10  # multiplications for the variance of all candidates; beyond, a par
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 CACHED_CONSTANTS = 8
-REFITS = ((32, 1), (128, 4))  # up to so many trials, constants are learned anew after so many
-LAST_EVERY = 16
+# Up to so many trials, constants are learned anew after so many: they change ever more slowly.
+REFITS = ((32, 1), (128, 4), (np.inf, 16))
 
 
 Learned = dict[tuple[Covariance, bytes], Floats]
@@ -131,7 +131,8 @@ class Model:
         covariance = new_covariance(
             self.kernel, *sizes, self.parameters, worlds, standardised=standardised
         )
-        first = last_refit(len(x))
+        every = next(every for most, every in REFITS if len(x) <= most)
+        first = len(x) - len(x) % every
         theta = self._learned(covariance, x[:first], y(slice(first)))
         # Over features alone, noise is the spread of alike candidates: the next one shows it too.
         noisy = not self.kernel.of_parameters
@@ -206,14 +207,6 @@ class Model:
                 return chance
         best = float(cost[feasible].min())
         return log_expected_improvement(mean, np.sqrt(variance), best) + kept
-
-
-def last_refit(trials: int) -> int:
-    """How many of the first trials constants are learned from: they change ever more slowly."""
-    for most, every in REFITS:
-        if trials <= most:
-            return trials - trials % every
-    return trials - trials % LAST_EVERY
 
 
 def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
