@@ -8,7 +8,7 @@ make a `FeatureTable`; `Rows` is its content, with derived arrays; `columns` rea
 import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -42,8 +42,6 @@ NEAR_ROWS = 8  # whose mean a point off the table has
 NEAR_POWER = 4  # of the distance, by which their weights fall
 BLOCK = 2**13  # rows at a time, to stay in the cache
 NEAR_POOL = 128  # rows near each centre, among which these are looked for
-# Does not depend on the distributions: rows with others share it.
-SHARED = ("standard", "scores", "offered", "numbers", "_known", "_index", "_first")
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
 
 
@@ -199,14 +197,6 @@ class Rows:
             return first_not_taken(own, self.parameters[:, column], suggested)
 
         return None if suggested == own else self._once((column, suggested), made)
-
-    def with_distributions(self, distributions: tuple[BaseDistribution, ...]) -> "Rows":
-        """The same rows with other distributions of the same values."""
-        if distributions == self.space.distributions:
-            return self
-        rows, known = replace(self, space=Space(self.names, distributions)), self.__dict__
-        rows.__dict__.update({name: known[name] for name in SHARED if name in known})
-        return rows
 
     def digest(self) -> str:
         """SHA-256 of names, distributions, parameters, features and worlds."""
