@@ -103,11 +103,10 @@ def runnable(names: list[str]) -> list[str]:
 
 
 class Versus(NamedTuple):
-    """One of our arms against another, seeds in pairs, after so many trials of ours."""
+    """One of our arms against another, seeds in pairs."""
 
     problem: str
     other: str
-    trial: int
     wins: int  # seeds on which ours had found a lower cost
     losses: int  # seeds on which the other had
     p: float  # Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests
@@ -155,7 +154,7 @@ class Comparison:
         more = (mine - theirs)[mine != theirs]
         leads = bool((scipy.stats.rankdata(np.abs(more)) * np.sign(more)).sum() <= 0)
         wins, losses = int((more < 0).sum()), int((more > 0).sum())
-        return Versus(problem, other, trial, wins, losses, wilcoxon(mine, theirs).p, leads)
+        return Versus(problem, other, wins, losses, wilcoxon(mine, theirs).p, leads)
 
     def bars(self) -> dict[str, list[Versus]]:
         """Where each bar of our arms fails; only bars that the runs allow to check."""
