@@ -27,9 +27,6 @@ def test_a_file_has_the_pool_that_figures_were_made_with(name: str) -> None:
     purposes = ("tuning", "reported", "measured")
     (purpose,) = (each for each in purposes if name in outside.GROUPS[each])
     assert problem.purpose == purpose
-    assert 1000 <= len(problem) <= 4000 and 4 <= len(problem.space) <= 8
-    assert problem.features.shape == (len(problem), len(problem.feature_meanings))
-    assert np.isfinite(problem.cost).all()
     assert outside.file_of(name).stat().st_size < 150_000
     found = hashlib.sha256(repr((name, [*problem.columns], (*problem.feature_meanings,))).encode())
     for column in problem.columns.values():

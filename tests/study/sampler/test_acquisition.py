@@ -6,7 +6,6 @@ import numpy as np
 import optuna
 import pytest
 from numpy.testing import assert_allclose
-from optuna.trial import TrialState
 from scipy.integrate import quad
 from scipy.stats import norm
 
@@ -145,21 +144,3 @@ def test_before_any_candidate_holds_the_likeliest_is_sought():
     table = FeatureTable.from_arrays({"a": a}, a)
     study = study_of(table, objective, 12, seed=0, enqueued=enqueued)
     assert min(trial.params["a"] for trial in study.trials) <= 0.02
-
-
-def test_limits_of_pruned_and_failed_trials_do_no_harm():
-    a = np.linspace(0, 1, 60)
-    study = study_of(FeatureTable.from_arrays({"a": a}, a))
-
-    def told(trial):
-        value = trial.suggest_float("a", 0, 1)
-        trial.set_constraint("0", value - 0.6)
-        trial.set_constraint("1", -1.0)
-        return -value
-
-    for state in (TrialState.FAIL, TrialState.PRUNED):
-        trial = study.ask()
-        told(trial)
-        study.tell(trial, state=state)
-    study.optimize(told, n_trials=3)
-    assert len(study.get_trials(states=(TrialState.COMPLETE,))) == 3

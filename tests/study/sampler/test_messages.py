@@ -228,15 +228,6 @@ def test_rows_without_features_or_repeated_are_never_proposed():
         study.optimize(lambda t: t.suggest_float("a", 0, 1), n_trials=1)
 
 
-@pytest.mark.parametrize("value", [float("nan"), None])
-def test_a_trial_without_a_cost_fails_and_teaches_nothing(table, value):
-    study = study_of(table, bowl, 4)
-    study.optimize(lambda trial: value if bowl(trial) >= 0.0 else 1.0, n_trials=2)
-    study.optimize(bowl, n_trials=2)
-    assert [trial.state for trial in study.trials].count(TrialState.FAIL) == 2
-    assert len({trial.user_attrs["row"] for trial in study.trials}) == 8
-
-
 @pytest.mark.parametrize(("function", "message"), [
     (lambda params: 1 / 0, "ZeroDivisionError: division by zero"),
     (lambda params: params[:-1], "shape"), (lambda params: params[:, :, None], "shape"),

@@ -284,9 +284,11 @@ def test_trials_are_rows_with_plain_notes_and_no_row_comes_twice_running_or_not(
 
 
 @pytest.mark.parametrize("state", [TrialState.FAIL, TrialState.PRUNED])
-def test_failed_and_pruned_trials_teach_nothing(table, state):
+def test_failed_and_pruned_trials_teach_nothing_nor_do_their_limits(table, state):
     lost, clean = (study_of(table, bowl, 6, kernel="rbf") for _ in range(2))
-    lost.tell(lost.ask(SPACE), state=state)
+    trial = lost.ask(SPACE)
+    trial.set_constraint("limit", trial.params["a"])
+    lost.tell(trial, state=state)
     for each in (lost, clean):
         each.optimize(bowl, n_trials=1)
     rows, expected = rows_of(lost), rows_of(clean)
