@@ -231,8 +231,8 @@ def test_rows_without_features_or_repeated_are_never_proposed():
 @pytest.mark.parametrize(("function", "message"), [
     (lambda params: 1 / 0, "ZeroDivisionError: division by zero"),
     (lambda params: params[:-1], "shape"), (lambda params: params[:, :, None], "shape"),
-    (lambda params: params[:, :0], "at least one feature"),
-    (lambda params: "no", "an array of numbers"),
+    (lambda params: params[:, :0], "n and k at least 1"),
+    (lambda params: "no", r"features\(params\): 'str' .* numbers, \[n, k\]"),
     (lambda params: np.hstack([params, params]), r"shape: \(20, 4\) .* \[20, 1\]"),
     (lambda params: np.full((len(params), 2), np.nan), "no row without NaN"),
 ])  # fmt: skip
