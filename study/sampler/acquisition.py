@@ -148,8 +148,12 @@ class Model:
         return self.known[key]
 
     def visible(self, points: Points) -> Points:
-        """Points with the columns that the kernel uses."""
-        return points.only(features=self.kernel.of_features, coordinates=self.kernel.of_parameters)
+        """Points with the columns that the kernel uses; the same points where these are all."""
+        k = points.features.shape[1] if self.kernel.of_features else 0
+        e = points.coordinates.shape[1] if self.kernel.of_parameters else 0
+        if k + e == points.features.shape[1] + points.coordinates.shape[1]:
+            return points
+        return Points(points.features[:, :k], points.coordinates[:, :e])
 
     def _looked_at(
         self, points: Points, offered: Mask, rng: np.random.Generator

@@ -45,15 +45,6 @@ class Points:
         """Some of them, by number or by mask."""
         return Points(self.features[index], self.coordinates[index])
 
-    def only(self, *, features: bool, coordinates: bool) -> "Points":
-        """Points with the columns that a kernel uses."""
-        if (features or not self.features.size) and (coordinates or not self.coordinates.size):
-            return self
-        return Points(
-            self.features if features else self.features[:, :0],
-            self.coordinates if coordinates else self.coordinates[:, :0],
-        )
-
 
 def log_excess(values: Floats, cost: Floats) -> Floats:
     """log(1 + (value - least) / typical) of values [m], by costs [n], typical the median excess.

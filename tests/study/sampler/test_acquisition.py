@@ -74,8 +74,7 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
     seen = Points(np.zeros((40, 1)), np.full((40, 2), 0.5))
     cost = np.random.default_rng(0).uniform(1.0, 2.0, 40)
     model = model_of(seen, cost, KERNELS[kernel])
-    visible = {"features": model.kernel.of_features, "coordinates": model.kernel.of_parameters}
-    _, variance = model.posterior.predict(seen.take(np.arange(1)).only(**visible))
+    _, variance = model.posterior.predict(model.visible(seen.take(np.arange(1))))
     share = float(variance[0]) / float(np.var(model.cost()))
     assert share > 0.9 if kernel in ("rbf", "rbf_ard") else share < 0.1
 
