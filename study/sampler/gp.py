@@ -18,7 +18,7 @@ A kernel is a sum of terms, each a variance times a shape:
 | term | formula | kernels |
 |---|---|---|
 | slopes | v phi . phi' | additive, worlds |
-| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | these, rbf_ard; rbf: l shared |
+| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | these; rbf: l shared |
 | nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | euclidean; additive, worlds: L shared |
 | worlds | a^2 d . d', d being what each world adds to the mean over the worlds | worlds |
 | mean | v m m', m being the mean over the worlds | worlds |
@@ -108,7 +108,6 @@ SIMILARITY = Kernel(False, None, None, by_order=True, worlds=True)
 KERNELS = {
     "additive": ADDITIVE,
     "rbf": Kernel(False, "shared", None, by_order=False),
-    "rbf_ard": Kernel(False, "each", None, by_order=False),
     "euclidean": Kernel(False, None, "each", by_order=False),
 }
 

@@ -76,7 +76,7 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
     model = model_of(seen, cost, KERNELS[kernel])
     _, variance = model.posterior.predict(model.visible(seen.take(np.arange(1))))
     share = float(variance[0]) / float(np.var(model.cost()))
-    assert share > 0.9 if kernel in ("rbf", "rbf_ard") else share < 0.1
+    assert share > 0.9 if kernel == "rbf" else share < 0.1
 
 
 def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():

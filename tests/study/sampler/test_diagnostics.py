@@ -26,7 +26,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:FeatureTable")  # features that 
 ROWS = 200
 NAMES = ("error", "nothing", "constant")
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
-KERNELS = ("additive", "rbf", "rbf_ard")
+KERNELS = ("additive", "rbf")
 
 
 def cost_of(a: Any, b: Any) -> Any:
@@ -230,7 +230,7 @@ FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
         lambda: FeatureKernelSampler(BY_HAND, seed=1, feature_function=by_hand, off_grid=20),
     "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
     "function, found": lambda: FeatureKernelSampler(by_hand, seed=1),
-    "function, rbf": lambda: FeatureKernelSampler(by_hand, seed=1, kernel="rbf_ard"),
+    "function, rbf": lambda: FeatureKernelSampler(by_hand, seed=1, kernel="rbf"),
 }  # fmt: skip
 
 

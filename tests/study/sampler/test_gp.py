@@ -70,7 +70,7 @@ def test_a_pull_weighs_the_derivatives_of_all_entries(form):
 
 
 @pytest.mark.parametrize(("form", "same_features", "same_parameters"), [
-    ("rbf", 1, 0), ("rbf_ard", 1, 0), ("euclidean", 0, 1), ("nearness", 0, 1), ("additive", 1, 1),
+    ("rbf", 1, 0), ("euclidean", 0, 1), ("nearness", 0, 1), ("additive", 1, 1),
 ])  # fmt: skip
 def test_kernels_see_their_columns(form, same_features, same_parameters):
     built = covariance_of(form)
@@ -94,7 +94,7 @@ def test_the_additive_one_is_its_formula():
 
 
 def test_length_scales_are_shared_or_one_a_feature_and_scaled_by_the_dimension():
-    counts = {"rbf": 3, "rbf_ard": 5, "euclidean": 6, "nearness": 3, "additive": 8}
+    counts = {"rbf": 3, "euclidean": 6, "nearness": 3, "additive": 8}
     assert {form: len(covariance_of(form).start) for form in counts} == counts
     for d in (1, 16, 100):
         mu, sigma = np.sqrt(2) + np.log(d) / 2, np.sqrt(3)  # Hvarfner et al. 2024
@@ -237,5 +237,5 @@ def test_slopes_carry_beyond_the_trials():
         posterior = learned(covariance_of(form, (1, 1, 1)), x, 3.0 * x[:, 0])
         return float(posterior.predict(beyond)[0][0])
 
-    assert abs(predicted("additive") - 18.0) < abs(predicted("rbf_ard") - 18.0)
+    assert abs(predicted("additive") - 18.0) < abs(predicted("rbf") - 18.0)
     assert abs(predicted("additive") - 18.0) < 4.0
