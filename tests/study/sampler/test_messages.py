@@ -261,16 +261,6 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
         study_of(None, only_a, 3, space=SPACE)
 
 
-@pytest.mark.parametrize(("features", "options", "message"), [
-    (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
-    (None, {"off_grid": 3}, "off_grid"),
-    (None, {"feature_function": len}, "feature_function"),
-])  # fmt: skip
-def test_options_that_cannot_be_used(features, options, message):
-    with pytest.raises(InputError, match=message):
-        FeatureKernelSampler(new_table() if features is FEATURES else features, **options)
-
-
 def test_a_trial_that_could_not_be_asked_for_is_ended_as_documented(table):
     """Optuna keeps the trial of an `ask` that raises RUNNING, whichever sampler raised."""
     study = study_of(table, enqueued=[{"a": 0.123}])
