@@ -441,7 +441,9 @@ class Posterior:
         mean, variance = np.empty(len(points)), np.empty(len(points))
         weights = (self._inverse @ self.y).astype(self.precision)
         ones = np.ones_like(weights)
-        for block, x in blocks(points):
+        for start in range(0, len(points), BLOCK):
+            block = slice(start, start + BLOCK)
+            x = points.matrix[block]
             whitened = self._whitened(x)
             mean[block] = weights @ whitened
             variance[block] = self.covariance.variance(self.theta, x)
@@ -451,12 +453,9 @@ class Posterior:
         return self.cost_mean + self.cost_sd * mean, self.cost_sd**2 * variance
 
     def mean(self, points: Points) -> Floats:
-        """The mean alone, [m]."""
-        mean = np.empty(len(points))
+        """The mean alone, of few candidates, [m]."""
         alpha = self._inverse.T @ (self._inverse @ self.y)
-        for block, x in blocks(points):
-            mean[block] = self._cross(x).T @ alpha
-        return self.cost_mean + self.cost_sd * mean
+        return self.cost_mean + self.cost_sd * (self._cross(points.matrix).T @ alpha)
 
     def believing(self, points: Points) -> "Posterior":
         """The posterior after further trials with their expected costs; constants are kept."""
@@ -487,10 +486,3 @@ class Posterior:
         # BLAS counts along columns: to it, k is its transpose, and is multiplied from the right.
         options = {"side": 1, "lower": 1, "trans_a": 1, "overwrite_b": 1}
         return np.asarray(times(1.0, self._whitener, self._cross(x).T, **options).T)
-
-
-def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:
-    """Candidates block by block: which ones, and their rows [b, p]."""
-    for start in range(0, len(points), BLOCK):
-        block = slice(start, min(start + BLOCK, len(points)))
-        yield block, points.matrix[block]
