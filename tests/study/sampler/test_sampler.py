@@ -24,6 +24,7 @@ from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
 from study.sampler.worlds import Worlds
 from tests.study.sampler.studies import bowl, params_of, resumed, rows_of, run_code, study_of
+from tests.study.sampler.test_goals import studied
 
 Floats = NDArray[np.float64]
 
@@ -67,18 +68,23 @@ def test_the_state_is_in_the_trials_also_after_reseeding(form):
     assert params_of(study) == params_of(pieces) == run(form)
 
 
+def proposals() -> dict[str, Any]:
+    """Of all forms, and of a study with two goals."""
+    return {form: run(form) for form in FORMS} | {"goals": params_of(studied("worlds", 6))}
+
+
 ELSEWHERE = """
 import json, optuna
-from tests.study.sampler.test_sampler import FORMS, run
+from tests.study.sampler.test_sampler import proposals
 optuna.logging.set_verbosity(optuna.logging.ERROR)
-print(json.dumps({form: run(form) for form in FORMS}))
+print(json.dumps(proposals()))
 """
 
 
 @pytest.mark.slow
 def test_another_process_proposes_the_same():
     there = run_code(ELSEWHERE)
-    assert json.loads(there.stdout) == {form: run(form) for form in FORMS}, there.stderr
+    assert json.loads(there.stdout) == proposals(), there.stderr
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
