@@ -191,10 +191,7 @@ class Rows:
     def outside(self, column: int, suggested: BaseDistribution) -> int | None:
         """The first row whose value of one parameter a distribution has not; None: it has all."""
         own = self.space.distributions[column]
-
-        def made() -> int | None:
-            return first_not_taken(own, self.parameters[:, column], suggested)
-
+        made = partial(first_not_taken, own, self.parameters[:, column], suggested)
         return None if suggested == own else _once(self, (column, suggested), made)
 
     def digest(self) -> str:
