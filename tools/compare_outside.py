@@ -103,25 +103,15 @@ def runnable(names: list[str]) -> list[str]:
 
 
 class Versus(NamedTuple):
-    """One of our arms against another, seeds in pairs, after so many trials of ours."""
+    """One of our arms against another, seeds in pairs."""
 
     problem: str
     other: str
-    trial: int
     wins: int  # seeds on which ours had found a lower cost
     losses: int  # seeds on which the other had
     p: float  # Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests
-    leads: bool  # ours, by the test's sum of signed ranks; also where neither does
-
-    @property
-    def is_behind(self) -> bool:
-        """Whether the other leads, beyond chance."""
-        return not self.leads and self.p < BEHIND_P
-
-    @property
-    def is_ahead(self) -> bool:
-        """Whether ours leads, well beyond chance."""
-        return self.leads and self.p < AHEAD_P
+    is_behind: bool  # the other leads by the test's sum of signed ranks, beyond chance
+    is_ahead: bool  # ours leads, well beyond chance
 
 
 class Comparison:
@@ -155,7 +145,9 @@ class Comparison:
         more = (mine - theirs)[mine != theirs]
         leads = bool((scipy.stats.rankdata(np.abs(more)) * np.sign(more)).sum() <= 0)
         wins, losses = int((more < 0).sum()), int((more > 0).sum())
-        return Versus(problem, other, trial, wins, losses, wilcoxon(mine, theirs).p, leads)
+        p = wilcoxon(mine, theirs).p
+        behind, ahead = not leads and p < BEHIND_P, leads and p < AHEAD_P
+        return Versus(problem, other, wins, losses, p, behind, ahead)
 
     def bars(self) -> dict[str, list[Versus]]:
         """Where each bar of our arms fails; only bars that the runs allow to check."""

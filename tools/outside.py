@@ -89,7 +89,6 @@ class OutsideProblem:
     feature_meanings: dict[str, Feature]  # of k features by name
     features: Floats  # as they came, [n, k]; infinite or NaN where the cheap run failed
     cost: Floats  # [n], finite; less is better
-    made_by: str  # the command that computed the file
 
     def __len__(self) -> int:
         return len(self.cost)
@@ -148,25 +147,20 @@ class OutsideProblem:
         return np.column_stack([_cube(self.space[name], columns[name]) for name in self.space])
 
 
-@cache
-def outside_problem(name: str) -> OutsideProblem:
-    """One of `PROBLEMS` with all its candidates; read once a process, and not to be written to."""
-    return read(file_of(name))
-
-
 def file_of(name: str) -> Path:
     return DATA / f"{name}.parquet"
 
 
-def read(path: Path) -> OutsideProblem:
-    """A problem from its file.
+@cache
+def outside_problem(name: str) -> OutsideProblem:
+    """One of `PROBLEMS` with all its candidates; read once a process, and not to be written to.
 
     Raises:
         InputError: the file is missing, broken or of another kind.
     """
     import pyarrow.parquet as pq  # slow to load
 
-    with reading("problem", path, "a file of tools/data") as file:
+    with reading("problem", file_of(name), "a file of tools/data") as file:
         table = pq.read_table(file)
         document = parse_json(table.schema.metadata[METADATA_KEY])
     column = {name: np.array(table[name].to_pylist()) for name in table.column_names}
@@ -179,7 +173,6 @@ def read(path: Path) -> OutsideProblem:
         feature_meanings=meanings,
         features=np.column_stack([column[FEATURE_PREFIX + name] for name in meanings]).astype("f8"),
         cost=column[COST].astype("f8"),
-        made_by=document["command"],
     )
 
 

@@ -74,14 +74,12 @@ def checked_columns(
                 allowed = "none: the parameter is categorical"
                 raise InputError(f"table.bounds.{name}", bounds[name], allowed)
             distribution = type(distribution)(*bounds[name])  # type: ignore[call-arg]
-        distributions[name] = distribution
-    for (name, own), values in zip(distributions.items(), raw.T, strict=True):
-        if not isinstance(own, Number) or (row := first_not_taken(own, values, own)) is None:
-            continue
-        value = float(values[row])
-        is_inside = own.low <= value <= own.high
-        allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
-        raise InputError(f"table.{name}[{row}]", value, allowed)
+        own = distributions[name] = distribution
+        if isinstance(own, Number) and (row := first_not_taken(own, column, own)) is not None:
+            value = float(column[row])
+            is_inside = own.low <= value <= own.high
+            allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
+            raise InputError(f"table.{name}[{row}]", value, allowed)
     return Space.of(distributions), raw, names, matrix, worlds
 
 

@@ -18,7 +18,7 @@ A kernel is a sum of terms, each a variance times a shape:
 | term | formula | kernels |
 |---|---|---|
 | slopes | v phi . phi' | additive, worlds |
-| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | these, rbf_ard; rbf: l shared |
+| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | these; rbf: l shared |
 | nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | euclidean; additive, worlds: L shared |
 | worlds | a^2 d . d', d being what each world adds to the mean over the worlds | worlds |
 | mean | v m m', m being the mean over the worlds | worlds |
@@ -108,7 +108,6 @@ SIMILARITY = Kernel(False, None, None, by_order=True, worlds=True)
 KERNELS = {
     "additive": ADDITIVE,
     "rbf": Kernel(False, "shared", None, by_order=False),
-    "rbf_ard": Kernel(False, "each", None, by_order=False),
     "euclidean": Kernel(False, None, "each", by_order=False),
 }
 
@@ -381,11 +380,11 @@ def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
 
 
 def condition(
-    covariance: Covariance, theta: Floats, x: Floats, y: Floats, *, noisy: bool, fast: bool = True
+    covariance: Covariance, theta: Floats, x: Floats, y: Floats, *, noisy: bool
 ) -> "Posterior":
     """The posterior under given constants, after trials x [n, p] with costs y [n]."""
     scaled, mean, sd = _standard(y) if covariance.standardised else (y, 0.0, 1.0)
-    return Posterior(covariance, theta, x, scaled, mean, sd, noisy, fast)
+    return Posterior(covariance, theta, x, scaled, mean, sd, noisy)
 
 
 def _standard(y: Floats) -> tuple[Floats, float, float]:
@@ -410,8 +409,8 @@ def _informative(y: Floats) -> NDArray[np.int64]:
 class Posterior:
     """The distribution of the cost, in its own unit, after some trials.
 
-    The fast path computes the mean as (L^-1 k)^T (L^-1 y), whose factors are of the size of the
-    costs; those of k^T K^-1 y would cancel in 32 bits.
+    Where 32 bits are enough, the mean is (L^-1 k)^T (L^-1 y), whose factors are of the size of the
+    costs; those of k^T K^-1 y would cancel.
     """
 
     covariance: Covariance  # of the trials
@@ -421,35 +420,30 @@ class Posterior:
     cost_mean: float  # what `y` was centred by
     cost_sd: float  # what `y` was divided by
     noisy: bool  # whether the variance is of the next trial, noise included, or of its expectation
-    fast: bool  # 32 bits, where they are enough
 
     @property
     def noise(self) -> float:
         """Variance of the noise, in standard units."""
         return float(np.exp(self.theta[-1]))
 
-    @property
-    def shortest_scale(self) -> float:
-        """The smallest length scale, in standard units; infinite without any."""
-        values = self.covariance.valued(self.theta)
-        return min((float(scales.min()) for _, _, scales in values if len(scales)), default=np.inf)
-
     def gram(self) -> Floats:
         """K without noise, [n, n]."""
         return self.covariance.gram(self.theta, self.x)[0]
 
     @cached_property
-    def fast_is_right(self) -> bool:
-        """Whether 32 bits are allowed, and enough: rounding grows with the root of this ratio."""
+    def precision(self) -> type[np.floating[Any]]:
+        """Of all that is [n, m]: 32 bits where rounding, which grows with this ratio, is small."""
         prior = np.max(self.covariance.variance(self.theta, self.x))
-        return self.fast and bool(prior <= LARGEST_RATIO * self.noise)
+        return np.float32 if prior <= LARGEST_RATIO * self.noise else np.float64
 
     def predict(self, points: Points) -> tuple[Floats, Floats]:
         """Mean and variance of the cost at m candidates, [m] each."""
         mean, variance = np.empty(len(points)), np.empty(len(points))
-        weights = (self._inverse @ self.y).astype(self._precision)
+        weights = (self._inverse @ self.y).astype(self.precision)
         ones = np.ones_like(weights)
-        for block, x in blocks(points):
+        for start in range(0, len(points), BLOCK):
+            block = slice(start, start + BLOCK)
+            x = points.matrix[block]
             whitened = self._whitened(x)
             mean[block] = weights @ whitened
             variance[block] = self.covariance.variance(self.theta, x)
@@ -459,12 +453,9 @@ class Posterior:
         return self.cost_mean + self.cost_sd * mean, self.cost_sd**2 * variance
 
     def mean(self, points: Points) -> Floats:
-        """The mean alone, [m]."""
-        mean = np.empty(len(points))
+        """The mean alone, of few candidates, [m]."""
         alpha = self._inverse.T @ (self._inverse @ self.y)
-        for block, x in blocks(points):
-            mean[block] = self._cross(x).T @ alpha
-        return self.cost_mean + self.cost_sd * mean
+        return self.cost_mean + self.cost_sd * (self._cross(points.matrix).T @ alpha)
 
     def believing(self, points: Points) -> "Posterior":
         """The posterior after further trials with their expected costs; constants are kept."""
@@ -472,14 +463,10 @@ class Posterior:
         x = np.vstack([self.x, points.matrix])
         return replace(self, x=x, y=np.concatenate([self.y, y]))
 
-    @property
-    def _precision(self) -> type[np.floating[Any]]:  # of all that is [n, m]
-        return np.float32 if self.fast_is_right else np.float64
-
     @cached_property
     def _cross(self) -> Towards:
         """Covariance of the trials and candidates [m, p]: [n, m]."""
-        return self.covariance.towards(self.theta, self.x, self._precision)
+        return self.covariance.towards(self.theta, self.x, self.precision)
 
     @cached_property
     def _inverse(self) -> Floats:
@@ -491,18 +478,11 @@ class Posterior:
 
     @cached_property
     def _whitener(self) -> AnyFloats:
-        return np.asfortranarray(self._inverse.astype(self._precision))
+        return np.asfortranarray(self._inverse.astype(self.precision))
 
     def _whitened(self, x: Floats) -> AnyFloats:
         """L^-1 k of candidates [b, p], [n, b]: by a triangle, in half the steps of a square."""
-        times = scipy.linalg.blas.strmm if self.fast_is_right else scipy.linalg.blas.dtrmm
+        times = scipy.linalg.get_blas_funcs("trmm", [self._whitener])
         # BLAS counts along columns: to it, k is its transpose, and is multiplied from the right.
         options = {"side": 1, "lower": 1, "trans_a": 1, "overwrite_b": 1}
         return np.asarray(times(1.0, self._whitener, self._cross(x).T, **options).T)
-
-
-def blocks(points: Points) -> Iterator[tuple[slice, Floats]]:
-    """Candidates block by block: which ones, and their rows [b, p]."""
-    for start in range(0, len(points), BLOCK):
-        block = slice(start, min(start + BLOCK, len(points)))
-        yield block, points.matrix[block]

@@ -7,7 +7,7 @@ another way than the table has it: by another kind, scale or range. Its values c
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -232,7 +232,7 @@ def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> 
             distributions[column] = IntDistribution(math.ceil(low), math.floor(high), log=True)
         elif own.step is None:
             distributions[column] = FloatDistribution(low, high, log=True)
-    return rows.with_distributions(tuple(distributions))
+    return replace(rows, space=Space(rows.names, tuple(distributions)))
 
 
 def shown_misfit(

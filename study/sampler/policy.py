@@ -30,7 +30,7 @@ from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, is_doubtful
-from taichi_nmm import checks
+from study.sampler.worlds import matrix_of
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -190,17 +190,10 @@ def call_features(
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
         raise InputError("features(params)", what, "features [n, k], no exception") from error
-    try:
-        features = np.array(checks.unmasked(returned), dtype=np.float64)
-    except (TypeError, ValueError):
-        name = type(returned).__name__
-        raise InputError("features(params)", name, "an array of numbers [n, k]") from None
-    features = features[:, None] if features.ndim == 1 else features
+    features = matrix_of("features(params)", returned, "k")
     shape, expected = features.shape, f"[{len(points)}, {'k' if width is None else width}]"
-    if len(shape) != 2 or shape[0] != len(points) or width not in (None, shape[1]):
+    if shape[0] != len(points) or width not in (None, shape[1]):
         raise InputError("features(params).shape", shape, expected)
-    if not shape[1]:
-        raise InputError("features(params).shape", shape, "at least one feature")
     if to_choose and np.isnan(features).any(axis=1).all():
         raise InputError("features(params)", "no row without NaN", f"finite numbers {expected}")
     return features

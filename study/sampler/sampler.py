@@ -87,8 +87,7 @@ class FeatureKernelSampler(BaseSampler):
         seed: of all draws; None takes one from the machine's entropy.
         kernel: None: the model above with features, "euclidean" without. "additive": the model
             above; a kernel that is named leaves outcomes out. "rbf": f alone, of features as they
-            are (standardised), one length scale for all and the cost as it is, the paper's;
-            "rbf_ard": the same with a length scale a feature.
+            are (standardised), one length scale for all and the cost as it is, the paper's.
             "euclidean": over the parameters alone, a length scale each, as Hvarfner, Hellsten,
             Nardi 2024. All but the first start with three random trials.
         feature_function: for a table, features of points off it, in the table's order and units.

@@ -12,7 +12,6 @@ different choices are 1 apart. New points are drawn anywhere, or near good ones.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,8 @@ from optuna.distributions import (
     FloatDistribution,
     IntDistribution,
 )
+
+from taichi_nmm.checks import is_number
 
 Floats = NDArray[np.float64]
 Number = FloatDistribution | IntDistribution
@@ -65,7 +66,7 @@ class Space:
     def number(self, column: int, value: Any) -> float | None:
         """A value of one parameter as a row has it; None for a choice or a kind it has not."""
         distribution = self.distributions[column]
-        if not isinstance(distribution, CategoricalDistribution) and not _is_number(value):
+        if not isinstance(distribution, CategoricalDistribution) and not is_number(value):
             return None
         try:
             return float(distribution.to_internal_repr(value))  # also outside of the range
@@ -83,15 +84,11 @@ class Space:
         pairs = zip(self.names, self.distributions, row.tolist(), strict=True)
         return {name: _external(distribution, value) for name, distribution, value in pairs}
 
-    def unit(self, rows: Floats, *, beyond: bool = False) -> Floats:
-        """Rows [n, d] in the unit cube, [n, e].
-
-        Values outside the ranges are moved to the edge or, with `beyond`, lie outside the cube.
-        """
+    def unit(self, rows: Floats) -> Floats:
+        """Rows [n, d] in the unit cube, [n, e]; values outside the ranges are moved to the edge."""
         columns = zip(self.distributions, rows.T, strict=True)
-        parts = [_to_unit(distribution, values, beyond) for distribution, values in columns]
-        cube = np.hstack(parts) if parts else np.zeros((len(rows), 0))
-        return cube if beyond else np.clip(cube, 0.0, 1.0)
+        parts = [_to_unit(distribution, values) for distribution, values in columns]
+        return np.hstack(parts) if parts else np.zeros((len(rows), 0))
 
     def from_fractions(self, fractions: Floats) -> Floats:
         """Rows [n, d] from numbers between 0 and 1, [n, d]: steps and integers are rounded."""
@@ -110,7 +107,7 @@ class Space:
             if isinstance(distribution, CategoricalDistribution):
                 fractions[:, column] = (values + 0.5) / len(distribution.choices)
             else:
-                fractions[:, column] = np.clip(_to_unit(distribution, values)[:, 0], 0.0, 1.0)
+                fractions[:, column] = _to_unit(distribution, values)[:, 0]
         return fractions
 
 
@@ -153,7 +150,7 @@ def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
     if isinstance(distribution, CategoricalDistribution):
         return distribution.choices[int(distribution.to_internal_repr(value))]
     assert isinstance(distribution, Number)
-    if not _is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
+    if not is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
         raise ValueError(f"{value!r} is not in {distribution}")
     return round(value) if isinstance(distribution, IntDistribution) else float(value)
 
@@ -185,11 +182,6 @@ def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
     return np.asarray(inside & (np.abs(steps - np.round(steps)) < STEP_TOLERANCE))
 
 
-def _is_number(value: Any) -> bool:
-    """Whether it is a number, and not a flag that counts as one."""
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
 def _external(distribution: BaseDistribution, value: float) -> Any:
     """The value of a number, of Python's own type."""
     if isinstance(distribution, IntDistribution):
@@ -197,21 +189,18 @@ def _external(distribution: BaseDistribution, value: float) -> Any:
     return distribution.to_external_repr(value)
 
 
-def _to_unit(distribution: BaseDistribution, values: Floats, beyond: bool = False) -> Floats:
-    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices].
-
-    Numbers outside the range are moved to its ends, unless they may lie `beyond`.
-    """
+def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
+    """One parameter in the unit cube, [n, 1] or, categorical, [n, choices]."""
     if isinstance(distribution, CategoricalDistribution):
         choices = np.arange(len(distribution.choices))
         return np.asarray(CHOICE_LENGTH * (values[:, None] == choices).astype(np.float64))
     assert isinstance(distribution, Number)
     low, high = _ends(distribution)
-    values = values if beyond else np.clip(values, distribution.low, distribution.high)
-    if high <= low:  # a range of one value: any other is as far away as can be
-        return np.where(values == distribution.low, 0.0, np.inf)[:, None]
-    values = np.log(np.maximum(values, np.finfo(float).tiny)) if distribution.log else values
-    return np.asarray((values - low) / (high - low))[:, None]
+    if high <= low:  # a range of one value
+        return np.zeros((len(values), 1))
+    values = np.clip(values, distribution.low, distribution.high)
+    values = np.log(values) if distribution.log else values
+    return np.clip((values - low) / (high - low), 0.0, 1.0)[:, None]
 
 
 def _from_fraction(distribution: BaseDistribution, fractions: Floats) -> Floats:

@@ -103,7 +103,8 @@ class SpacePolicy(Policy):
         features, shown, _ = self._features(self._candidates(space, history, rng), history)
         seen = _placed(self._scale(features), shown, space, history.parameters)
         model = self.model(history, seen)
-        names, rows, doubts = _names(features), (None,) * len(shown), self.doubts(model)
+        names = tuple(f"feature_{column}" for column in range(features.shape[1]))
+        rows, doubts = (None,) * len(shown), self.doubts(model)
         return Present(history.trials, rows, names, shown, model, doubts)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
@@ -207,8 +208,3 @@ class SpacePolicy(Policy):
 def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:
     """Features [n, k] and parameters [n, d] as the model sees them."""
     return Points(scale.standard(features), space.unit(parameters))
-
-
-def _names(features: Floats) -> tuple[str, ...]:
-    """Names of features [m, k] of a function, which gives none."""
-    return tuple(f"feature_{column}" for column in range(features.shape[1]))

@@ -8,7 +8,7 @@ make a `FeatureTable`; `Rows` is its content, with derived arrays; `columns` rea
 import hashlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -42,8 +42,6 @@ NEAR_ROWS = 8  # whose mean a point off the table has
 NEAR_POWER = 4  # of the distance, by which their weights fall
 BLOCK = 2**13  # rows at a time, to stay in the cache
 NEAR_POOL = 128  # rows near each centre, among which these are looked for
-# Does not depend on the distributions: rows with others share it.
-SHARED = ("standard", "scores", "offered", "numbers", "_known", "_index", "_first")
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
 
 
@@ -117,8 +115,7 @@ class Rows:
                 features = np.hstack([features, ensemble.columns])
             return Points(features, self.unit if coordinates else np.empty((len(features), 0)))
 
-        kept = self._kept if ensemble is None else ensemble.kept
-        return _once(kept, (by_order, coordinates), made)
+        return _once(ensemble or self, (by_order, coordinates), made)
 
     def ensemble(self, signs: Floats, goals: Goals | None = None) -> Relation:
         """Worlds, or likeness, as the model takes them, of rows that may be proposed.
@@ -127,12 +124,12 @@ class Rows:
         """
         worlds, alike = self.worlds, self.alike
         if alike is not None:
-            return self._once("alike", lambda: Alike(self._chosen(alike)))
+            return _once(self, "alike", lambda: Alike(self._chosen(alike)))
         assert worlds is not None
         costs = partial(worlds.of_rows, self.numbers, signs, goals)
         if goals is not None:
             return Ensemble(worlds, costs())
-        return self._once(("ensemble", *signs), lambda: Ensemble(worlds, costs()))
+        return _once(self, ("ensemble", *signs), lambda: Ensemble(worlds, costs()))
 
     def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
         """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
@@ -141,7 +138,7 @@ class Rows:
         many dimensions all but the nearest are about as far). They are looked for among the
         `NEAR_POOL` rows that are nearest to each of the centres [c, e], which points are near to.
         """
-        pools = [self._once(("pool", c.tobytes()), partial(self._pool, c)) for c in centres]
+        pools = [_once(self, ("pool", c.tobytes()), partial(self._pool, c)) for c in centres]
         pool = np.unique(np.concatenate(pools))
         unit = self.unit[pool]
         # |a|^2 + |b|^2 - 2 a . b, with one product of matrices.
@@ -158,7 +155,7 @@ class Rows:
     def mixed_at(self, points: Points, place: Floats) -> Floats:
         """The features of rows that may be proposed, as points, mixed at a place [e]: [k]."""
         made = partial(self.mixed, points.features, place[None], place[None])
-        return np.asarray(_once(points.kept, place.tobytes(), made)[0])
+        return np.asarray(_once(points, place.tobytes(), made)[0])
 
     def _pool(self, centre: Floats) -> NDArray[np.int64]:
         """Places of the rows that are nearest to a point of the unit cube [e]."""
@@ -194,19 +191,8 @@ class Rows:
     def outside(self, column: int, suggested: BaseDistribution) -> int | None:
         """The first row whose value of one parameter a distribution has not; None: it has all."""
         own = self.space.distributions[column]
-
-        def made() -> int | None:
-            return first_not_taken(own, self.parameters[:, column], suggested)
-
-        return None if suggested == own else self._once((column, suggested), made)
-
-    def with_distributions(self, distributions: tuple[BaseDistribution, ...]) -> "Rows":
-        """The same rows with other distributions of the same values."""
-        if distributions == self.space.distributions:
-            return self
-        rows, known = replace(self, space=Space(self.names, distributions)), self.__dict__
-        rows.__dict__.update({name: known[name] for name in SHARED if name in known})
-        return rows
+        made = partial(first_not_taken, own, self.parameters[:, column], suggested)
+        return None if suggested == own else _once(self, (column, suggested), made)
 
     def digest(self) -> str:
         """SHA-256 of names, distributions, parameters, features and worlds."""
@@ -226,12 +212,9 @@ class Rows:
         """Those of rows [n, ...] that may be proposed; a copy only where that leaves some out."""
         return values if len(self.numbers) == len(self) else values[self.numbers]
 
-    def _once(self, key: Any, made: Callable[[], T]) -> T:
-        """A result that each proposal needs, computed in the first one."""
-        return _once(self._kept, key, made)
-
     @cached_property
-    def _kept(self) -> dict[Any, Any]:
+    def kept(self) -> dict[Any, Any]:
+        """What was computed of them, for whoever asks again."""
         return {}
 
     @cached_property
@@ -264,11 +247,11 @@ class Rows:
         return first
 
 
-def _once(kept: dict[Any, Any], key: Any, made: Callable[[], T]) -> T:
-    """What is kept under a key; made where nothing is."""
-    if key not in kept:
-        kept[key] = made()
-    found: T = kept[key]
+def _once(owner: Rows | Points | Relation, key: Any, made: Callable[[], T]) -> T:
+    """What an owner keeps under a key: each proposal needs it, and the first one computes it."""
+    if key not in owner.kept:
+        owner.kept[key] = made()
+    found: T = owner.kept[key]
     return found
 
 

@@ -67,10 +67,9 @@ class Worlds:
                 goal[:] = squarable(clip_infinities(goal))  # infinities as the worst or the best
             if parts and len(part) != len(parts[0]):
                 raise InputError(field, f"{len(part)} rows", f"{len(parts[0])}, as the others")
-            if part.ndim > 2 and (better is not None or not part.shape[2]):
-                raise InputError(
-                    f"{field}.shape", part.shape, "[n, w], or [n, w, k] without better"
-                )
+            if part.ndim > 2 and better is not None:
+                allowed = "[n, w], or [n, w, k] without better"
+                raise InputError(f"{field}.shape", part.shape, allowed)
             if parts and part.shape[2:] != parts[0].shape[2:]:
                 allowed = f"goals as the others: {parts[0].shape[2:]}"
                 raise InputError(f"{field}.shape", part.shape, allowed)

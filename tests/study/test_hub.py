@@ -58,24 +58,18 @@ def test_a_pool_is_a_table_of_that_similarity(optunahub):
         (sampler(graph=ring, hops=3.0, seed=2), study.FeatureTable.from_graph(ring, hops=3.0)),
     ]
     for ours, table in both:
-        column = table.rows.names[0]
-        theirs = study.FeatureKernelSampler(table, seed=2)
-        assert trials_of(ours, column) == trials_of(theirs, column)
+        theirs, space = study.FeatureKernelSampler(table, seed=2), table.rows.space.as_dict()
+        assert trials_of(ours, space) == trials_of(theirs, space)
     for wrong in ({}, {"kernel": gram, "graph": ring}):
         with pytest.raises(ValueError, match=r"one of kernel= and graph="):
             sampler(**wrong)
 
 
-def trials_of(sampler: optuna.samplers.BaseSampler, column: str) -> list[Any]:
+def trials_of(sampler: optuna.samplers.BaseSampler, space: dict[str, Any]) -> list[Any]:
     """What a sampler tries of twelve candidates, six times."""
     found = optuna.create_study(sampler=sampler)
     for value in (3.0, 1.0, 2.0, 5.0, 4.0, 6.0):
-        asked = found.ask()
-        if column == "row":
-            asked.suggest_int(column, 0, 11)
-        else:
-            asked.suggest_categorical(column, [f"n{number}" for number in range(12)])
-        found.tell(asked, value)
+        found.tell(found.ask(space), value)
     return [trial.params for trial in found.trials]
 
 

@@ -110,8 +110,3 @@ def learned(covariance: gp.Covariance, x: Floats, y: Floats) -> Floats:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         return np.asarray(regressor.fit(x, y).kernel_.theta)
-
-
-def of_posterior(posterior: gp.Posterior) -> GaussianProcessRegressor:
-    """The same posterior, in standard units."""
-    return conditioned(posterior.covariance, posterior.theta, posterior.x, posterior.y)

@@ -1,6 +1,5 @@
 """Studies with several goals: the one cost of a trial, and the fronts that are found."""
 
-import json
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.goals import Goals
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import Floats, params_of, run_code
+from tests.study.sampler.studies import Floats
 
 SPACE = {"x": FloatDistribution(0, 1), "y": FloatDistribution(0, 1)}
 ROWS = np.random.default_rng(8).random((400, 2))
@@ -102,19 +101,6 @@ def test_a_trial_of_worlds_begins_at_the_front() -> None:
     """The worlds know it before any trial."""
     (trial,) = studied("worlds", 1).trials
     assert trial.params["y"] == pytest.approx(0.3, abs=0.1)
-
-
-ELSEWHERE = """
-import json
-from tests.study.sampler.test_goals import params_of, studied
-print(json.dumps(params_of(studied("worlds", 6))))
-"""
-
-
-@pytest.mark.slow
-def test_another_process_proposes_the_same() -> None:
-    there = run_code(ELSEWHERE)
-    assert json.loads(there.stdout) == params_of(studied("worlds", 6)), there.stderr
 
 
 @pytest.mark.parametrize(("given", "goals", "message"), [

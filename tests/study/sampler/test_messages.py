@@ -228,20 +228,11 @@ def test_rows_without_features_or_repeated_are_never_proposed():
         study.optimize(lambda t: t.suggest_float("a", 0, 1), n_trials=1)
 
 
-@pytest.mark.parametrize("value", [float("nan"), None])
-def test_a_trial_without_a_cost_fails_and_teaches_nothing(table, value):
-    study = study_of(table, bowl, 4)
-    study.optimize(lambda trial: value if bowl(trial) >= 0.0 else 1.0, n_trials=2)
-    study.optimize(bowl, n_trials=2)
-    assert [trial.state for trial in study.trials].count(TrialState.FAIL) == 2
-    assert len({trial.user_attrs["row"] for trial in study.trials}) == 8
-
-
 @pytest.mark.parametrize(("function", "message"), [
     (lambda params: 1 / 0, "ZeroDivisionError: division by zero"),
     (lambda params: params[:-1], "shape"), (lambda params: params[:, :, None], "shape"),
-    (lambda params: params[:, :0], "at least one feature"),
-    (lambda params: "no", "an array of numbers"),
+    (lambda params: params[:, :0], "n and k at least 1"),
+    (lambda params: "no", r"features\(params\): 'str' .* numbers, \[n, k\]"),
     (lambda params: np.hstack([params, params]), r"shape: \(20, 4\) .* \[20, 1\]"),
     (lambda params: np.full((len(params), 2), np.nan), "no row without NaN"),
 ])  # fmt: skip
@@ -268,16 +259,6 @@ def test_a_fixed_parameter_and_a_declared_one_that_is_never_suggested():
     assert {trial.params["a"] for trial in run(plain, bowl).trials} == {0.5}
     with pytest.raises(InputError, match="b: 'not suggested in trial 0'"):
         study_of(None, only_a, 3, space=SPACE)
-
-
-@pytest.mark.parametrize(("features", "options", "message"), [
-    (FEATURES, {"off_grid": -1}, "off_grid: -1 .* from 0 to 1000000"),
-    (None, {"off_grid": 3}, "off_grid"),
-    (None, {"feature_function": len}, "feature_function"),
-])  # fmt: skip
-def test_options_that_cannot_be_used(features, options, message):
-    with pytest.raises(InputError, match=message):
-        FeatureKernelSampler(new_table() if features is FEATURES else features, **options)
 
 
 def test_a_trial_that_could_not_be_asked_for_is_ended_as_documented(table):

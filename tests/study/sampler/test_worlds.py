@@ -133,12 +133,6 @@ def test_it_begins_with_the_ranking_learns_the_world_and_leaves_the_table() -> N
     assert all(trial.user_attrs["row"] >= 0 for trial in inside.trials)
 
 
-def test_before_any_trial_no_world_is_named() -> None:
-    sampler = FeatureKernelSampler(table(), seed=1)
-    worth = sampler.worth(optuna.create_study(sampler=sampler))
-    assert worth.trials == 0 and "No trial" in str(worth)
-
-
 def test_proposals_depend_on_the_trials_and_the_seed_alone() -> None:
     whole = studied(FeatureKernelSampler(table(), seed=3), 8)
     half = studied(pickle.loads(pickle.dumps(FeatureKernelSampler(table(), seed=3))), 4)
@@ -239,6 +233,9 @@ GAPS = np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0)
      "^table.better: 'higher' .* none without outcomes"),
     (lambda: FeatureKernelSampler(table(), feature_function=np.sin),
      "^feature_function: 'given' .* none beside outcomes"),
+    (lambda: FeatureKernelSampler(table(), off_grid=-1), "^off_grid: -1 .* from 0 to 1000000"),
+    (lambda: FeatureKernelSampler(off_grid=3), "^off_grid: 3"),
+    (lambda: FeatureKernelSampler(feature_function=np.sin), "^feature_function: 'given'"),
     (lambda: FeatureKernelSampler(table(), kernel="rbf"),
      "^kernel: 'rbf' .* the table has no features"),
 ])  # fmt: skip
@@ -365,11 +362,13 @@ def test_the_best_trial_keeps_its_limits_and_pools_its_repeats() -> None:
     assert again.trials == 2 and str(again).startswith(f"Trial {again.number}, row {again.row}: -")
 
 
-def test_a_study_without_trials_has_no_best_one() -> None:
+def test_before_any_trial_no_world_is_named_and_no_trial_is_best() -> None:
     sampler = FeatureKernelSampler(table(), seed=1)
     study = optuna.create_study(study_name="new", sampler=sampler)
     with pytest.raises(InputError, match=r"^study: 'new' .* a finished trial of these parameters"):
         sampler.best(study)
+    worth = sampler.worth(study)
+    assert worth.trials == 0 and "No trial" in str(worth)
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS.values())
