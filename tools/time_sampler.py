@@ -95,12 +95,12 @@ def main() -> None:
 def cases(rows: int) -> list[Case]:
     """What is measured."""
     base = Case("ours", rows, 1, FINISHED)
-    few, many, more = ((("median_cpu_ms", most),) for most in (6.0, 15.0, 100.0))
+    few, some, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 15.0))
     memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
     return [
         replace(base, bars=few),
         replace(base, features=MOST_FEATURES, bars=(*many, memory)),
-        replace(base, sampler="rbf", bars=more),
+        replace(base, sampler="rbf", bars=some),
         replace(base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many),
         replace(
             base,

@@ -23,6 +23,8 @@ SQRT_HALF_PI = np.sqrt(0.5 * np.pi)
 # Of success: below, the likeliest candidate is any that is near the best one, and teaches nothing.
 LEAST_LOG_CHANCE = np.log(0.01)
 FAR_BELOW, FAR_ABOVE = -1e3, 1e1  # standard deviations
+# A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two nodes.
+NODES_A_LENGTH = 100
 WORK = 1e10  # multiplications for the variance of all candidates; beyond, a part of them
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
@@ -68,7 +70,10 @@ class Model:
         seen = self._looked_at(points, offered, rng)
         some = points if len(seen) == len(points) else points.take(seen)
         utility = np.full(len(points), -np.inf)
-        utility[seen] = self._utility(some)
+        if self.one_dimensional:
+            utility[seen] = along_feature(self.posterior, some, self._utility)
+        else:
+            utility[seen] = self._utility(some)
         return np.where(offered, utility, -np.inf)
 
     @cached_property
@@ -93,6 +98,11 @@ class Model:
                 points = self.trials.take(known)
                 posteriors.append(self._after(points, limit[known].__getitem__))
         return posteriors
+
+    @cached_property
+    def one_dimensional(self) -> bool:
+        """Whether candidates differ by one number only."""
+        return not self.kernel.of_parameters and self.trials.features.shape[1] == 1
 
     def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
@@ -163,6 +173,8 @@ class Model:
         Where they are too many, half of them are those that a straight line through the trials
         (`_merit`) ranks first, the others are drawn.
         """
+        if self.one_dimensional:
+            return np.arange(len(points))
         count = len(self.costs) + len(self.running)
         most = max(int(WORK / count**2), LEAST_CANDIDATES)
         if self.kernel.by_order:
@@ -211,6 +223,25 @@ class Model:
                 return chance
         best = float(cost[feasible].min())
         return log_expected_improvement(mean, np.sqrt(variance), best) + kept
+
+
+def along_feature(
+    posterior: Posterior, points: Points, computed: Callable[[Points], Floats]
+) -> Floats:
+    """A function of m candidates that differ by one feature alone, [m].
+
+    It is computed once for each value or, where the posterior may be approximate and nodes are
+    fewer, at evenly spaced nodes, between which it is all but straight.
+    """
+    values, place = points.distinct
+    nodes, span = values, float(values[-1] - values[0])
+    count = int(min(np.ceil(span / posterior.shortest_scale * NODES_A_LENGTH), len(values))) + 1
+    if posterior.precision is np.float32 and count < len(values):
+        nodes = np.linspace(values[0], values[-1], count)
+    found = computed(Points(nodes[:, None], np.empty((len(nodes), 0))))
+    if nodes is not values:
+        found = np.interp(values, nodes, found)
+    return found[place]
 
 
 def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:

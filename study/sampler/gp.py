@@ -426,6 +426,12 @@ class Posterior:
         """Variance of the noise, in standard units."""
         return float(np.exp(self.theta[-1]))
 
+    @property
+    def shortest_scale(self) -> float:
+        """The smallest length scale, in standard units; infinite without any."""
+        values = self.covariance.valued(self.theta)
+        return min((float(scales.min()) for _, _, scales in values if len(scales)), default=np.inf)
+
     def gram(self) -> Floats:
         """K without noise, [n, n]."""
         return self.covariance.gram(self.theta, self.x)[0]

@@ -41,6 +41,12 @@ class Points:
         """What was computed of them, for whoever asks again."""
         return {}
 
+    @cached_property
+    def distinct(self) -> tuple[Floats, NDArray[np.int64]]:
+        """The values of a single feature, ascending, and the place of each row among them, [m]."""
+        values, place = np.unique(self.features[:, 0], return_inverse=True)
+        return values, place
+
     def take(self, index: NDArray[Any]) -> "Points":
         """Some of them, by number or by mask."""
         return Points(self.features[index], self.coordinates[index])

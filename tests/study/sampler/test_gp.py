@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import approx_fprime
 
 from study.sampler import gp
+from study.sampler.acquisition import along_feature
 from study.sampler.transforms import Points
 from tests.study.sampler import reference
 
@@ -186,6 +187,22 @@ def test_in_32_bits_it_is_near_by_the_priors_scale_noise_included(form):
     found, expected = posterior.predict(candidates), oracle(posterior, candidates)
     assert np.max(np.abs(found[0] - expected[0]) / np.sqrt(prior)) < FAST
     assert np.max(np.abs(found[1] - expected[1]) / prior) < FAST
+
+
+@pytest.mark.parametrize(("fast", "tolerance"), [(False, EXACT), (True, FAST)])
+@pytest.mark.parametrize("values", [30, 20_000])
+def test_along_one_feature(fast, tolerance, values):
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 4, (60, 1))
+    y = 5.0 + 2.0 * np.sin(x[:, 0]) + 0.3 * rng.standard_normal(60)
+    posterior = learned(covariance_of("rbf", (1, 0, 2)), x, y, fast=fast)
+    feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[:, None]
+    candidates = Points(feature, np.empty((len(feature), 0)))
+
+    def along(which):
+        return along_feature(posterior, candidates, lambda points: posterior.predict(points)[which])
+
+    assert_near(posterior, candidates, (along(0), along(1)), tolerance)
 
 
 def test_believing_adds_trials_and_keeps_constants():
