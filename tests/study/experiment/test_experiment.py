@@ -113,20 +113,21 @@ def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) ->
 def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file: Path) -> None:
     """More where the paper has more, and up stairs; or of what comes before the first walker."""
     experiment = read_experiment(file)
-    elsewhere = file.stem.startswith(("mujoco-", "outside-")) and not file.stem.endswith("limp")
+    elsewhere = file.stem.startswith(("mujoco-", "outside-")) and "limp" not in file.stem
     hardly_any = file.stem in ("stairs-up-high", "stairs-up-short")
     assert experiment.until_walker == (elsewhere or hardly_any)
     trials = {"rough8-smooth": 100, "rough6-walking": 60}.get(file.stem, 40)
     trials = 100 if file.stem.startswith("stairs-up") else trials
     own = {"speed": (20, 50), "exo": (20, 30), "prosthesis": (20, 30), "half": (20, 40)}
+    own |= {"even": (20, 50)}
     shape = own.get(file.stem.removeprefix("outside-").partition("-")[0], (50, trials))
     assert (experiment.runs, experiment.trials) == shape
     assert experiment.conditions.build.disturbance > 0
 
 
 def test_no_two_experiments_share_a_seed() -> None:
-    """But those that are about the same robots: on another engine's contacts, at other speeds."""
-    contacts = re.compile(r"^(mujoco-.+|speed)-(soft|middle|hard|\d\d|\d\d-rough)$")
+    """But those of the same robots: on another engine's contacts, at other speeds, by side."""
+    contacts = re.compile(r"^(mujoco-.+|speed|outside-even-limp)-(soft|middle|hard|\d\d.*|sides)$")
     seeds = {contacts.sub(r"\1", file.stem): read_experiment(file).seed for file in EXPERIMENTS}
     assert len(set(seeds.values())) == len(seeds) > 0
     for file in EXPERIMENTS:
