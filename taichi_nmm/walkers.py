@@ -19,12 +19,11 @@ from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.muscle_table import T_STRAIN, muscle_table
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.packs import Packs
-from taichi_nmm.parameters import ASYMMETRIES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, gain_rows
+from taichi_nmm.parameters import ASYMMETRIES, GAINS, LOW_LEVEL_GAINS, Parameter, gain_rows
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
 from taichi_nmm.world import MUSCLE_LIMITS, Worlds
 
-W_FILTER = LOW_LEVEL_NAMES.index("w_filter")
 CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
 BLEND_TICKS = 10  # of a switch, for which gains stay the same
 
@@ -59,7 +58,9 @@ def check_batch(
     """
     rows = gain_rows(gains)
     count = len(rows)
-    low_level = _low_level_rows(low_level_gains, count)
+    defaults = [parameter.default for parameter in LOW_LEVEL_GAINS]
+    given = defaults if low_level_gains is None else low_level_gains
+    low_level = _row_each("low_level_gains", given, LOW_LEVEL_GAINS, count)
     bodies = checks.instance(Bodies)("bodies", Bodies.nominal() if bodies is None else bodies)
     worlds = checks.instance(Worlds)("worlds", Worlds.nominal() if worlds is None else worlds)
     for field, one, length in (("bodies", "body", len(bodies)), ("worlds", "world", len(worlds))):
@@ -77,13 +78,13 @@ def check_batch(
     )
 
 
-def _low_level_rows(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
-    """Low-level gains of `count` walkers, [n, gain]; None: the defaults."""
-    if given is None:
-        given = [parameter.default for parameter in LOW_LEVEL_GAINS]
-    rows, size = gain_rows(given, LOW_LEVEL_GAINS, "low_level_gains"), len(LOW_LEVEL_GAINS)
+def _row_each(
+    field: str, given: ArrayLike, group: tuple[Parameter, ...], count: int
+) -> NDArray[np.float64]:
+    """Gains of `count` walkers, [n, gain], from theirs or from those of all."""
+    rows, size = gain_rows(given, group, field), len(group)
     if len(rows) not in (1, count):
-        raise InputError("low_level_gains.shape", rows.shape, f"[{count}, {size}] or [{size}]")
+        raise InputError(f"{field}.shape", rows.shape, f"[{count}, {size}] or [{size}]")
     return rows[np.arange(count) % len(rows)]
 
 
@@ -134,12 +135,9 @@ class Schedule:
             field, before_s = f"switches[{number}]", self._ticks[-1] * CONTROL_TICK_S
             at_s = checks.number(before_s)(f"{field}.at_s", switch.at_s)
             over_s = checks.number(CONTROL_TICK_S)(f"{field}.over_s", switch.over_s)
-            gains, low_level = gain_rows(switch.gains, field=f"{field}.gains"), batch.low_level
-            if len(gains) not in (1, len(batch)):
-                raise InputError(f"{field}.gains.shape", gains.shape, f"[{len(batch)}, 16] or [16]")
-            if switch.low_level_gains is not None:
-                low_level = _low_level_rows(switch.low_level_gains, len(batch))
-            gains = gains[np.arange(len(batch)) % len(gains)]
+            given = batch.low_level if switch.low_level_gains is None else switch.low_level_gains
+            low_level = _row_each(f"{field}.low_level_gains", given, LOW_LEVEL_GAINS, len(batch))
+            gains = _row_each(f"{field}.gains", switch.gains, GAINS, len(batch))
             later = constant_rows(replace(batch, gains=gains, low_level=low_level), settings)
             self._ticks += [round(time / CONTROL_TICK_S) for time in (at_s, at_s + over_s)]
             self._rows += [self._rows[-1], later]
@@ -165,7 +163,7 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     low_level, asymmetry = np.split(batch.low_level, [-len(ASYMMETRIES)], axis=1)
     by_leg = np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1) * batch.gains[:, :, None]
     rows[:, : Const.total_mass] = np.hstack([by_leg.reshape(len(batch), -1), low_level])
-    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-batch.low_level[:, W_FILTER] * CONTROL_TICK_S)
+    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-rows[:, Const.w_filter] * CONTROL_TICK_S)
     rows[:, Const.total_mass] = mass.sum(axis=1)
     nominal_n_per_m = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
     rows[:, Const.contact_stiffness] = nominal_n_per_m * worlds.contact_stiffness

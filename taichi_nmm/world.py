@@ -173,11 +173,8 @@ class Worlds(Rows):
         """`count` worlds of the published walker."""
         one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
         none, usual = np.zeros((count, *_size("prosthesis"))), FRICTION_COEFFICIENT * one
-        ankles = np.tile(Exoskeleton().row, (count, 1, 1))
-        return Worlds(
-            one, one, usual, strength, zero, zero, zero, zero, none, strength, strength, strength,
-            ankles,
-        )  # fmt: skip
+        own, worn = (strength, strength, strength), np.tile(Exoskeleton().row, (count, 1, 1))
+        return Worlds(one, one, usual, strength, zero, zero, zero, zero, none, *own, worn)
 
 
 @dataclass(frozen=True)

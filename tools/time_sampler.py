@@ -96,19 +96,14 @@ def cases(rows: int) -> list[Case]:
     """What is measured."""
     base = Case("ours", rows, 1, FINISHED)
     few, some, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 15.0))
+    fewer, alike = min(rows, ALIKE_ROWS), (("median_cpu_ms", 30.0), ("peak_mib", 4e9 / 2**20))
     memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
     return [
         replace(base, bars=few),
         replace(base, features=MOST_FEATURES, bars=(*many, memory)),
         replace(base, sampler="rbf", bars=some),
         replace(base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many),
-        replace(
-            base,
-            sampler="similarity",
-            rows=min(rows, ALIKE_ROWS),
-            features=MOST_FEATURES,
-            bars=(("median_cpu_ms", 30.0), ("peak_mib", 4e9 / 2**20)),
-        ),
+        replace(base, sampler="similarity", rows=fewer, features=MOST_FEATURES, bars=alike),
         replace(base, observations=MOST_FINISHED, bars=(("median_ms", 1000.0),)),
         replace(base, rows=LARGE * rows, features=MOST_FEATURES, bars=(first,)),
     ]

@@ -38,7 +38,7 @@ MOST_SAMPLES = 10_000_000
 # Of --against: near the published gains, where all stay up; and the search space.
 LOADS: dict[str, Measured] = {
     "steady": {"walkers": 512, "steady": True, "duration_s": 3.0, "repeats": 3},
-    "Sobol": {"walkers": 2048, "duration_s": 5.0, "repeats": 3},
+    "search space": {"walkers": 2048, "duration_s": 5.0, "repeats": 3},
 }
 TURNS = 7
 
@@ -94,7 +94,7 @@ def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
 def turns_line(load: str, this: list[float], other: list[float]) -> str:
     """Medians of both checkouts, and of the ratio of their turns."""
     ratio = median(a / b for a, b in zip(this, other, strict=True))
-    return f"{load:8} {median(this):7.1f}  {median(other):7.1f}  {ratio:.3f}"
+    return f"{load:12} {median(this):7.1f}  {median(other):7.1f}  {ratio:.3f}"
 
 
 def worker(what: str, cache: Path, **words: Any) -> Measured:

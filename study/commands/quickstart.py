@@ -1,7 +1,4 @@
-"""Find a walker on rough ground from nothing, by the commands that a user would give.
-
-They are precompute, study three times, and walk. Each is shown before it runs.
-"""
+"""Find a walker on rough ground from nothing, by commands that are shown before they run."""
 
 from argparse import Namespace
 from importlib import import_module
@@ -37,8 +34,8 @@ def main(args: Namespace) -> None:
     require_folder(out)
     experiment, store = read_experiment(config_path(CONFIG)), out / "store"
     url = f"sqlite:///{out / 'studies.db'}"
-    names = {arm: study_name(experiment.name, arm, RUN) for arm in ARMS}
-    for name in names.values():  # those that cannot be resumed are refused before the store is made
+    names = [study_name(experiment.name, arm, RUN) for arm in ARMS]
+    for name in names:  # those that cannot be resumed are refused before the store is made
         require_lockable(url, name)
     with read_studies(url):
         pass
@@ -48,9 +45,10 @@ def main(args: Namespace) -> None:
         run("study", "--config", CONFIG, "--arm", arm, "--storage", url, "--out", out, *given)
     with read_studies(url) as storage:
         assert storage is not None
-        studies = {arm: optuna.load_study(study_name=names[arm], storage=storage) for arm in ARMS}
-        best = min(ARMS, key=lambda arm: studies[arm].best_value)
-        told = [study_line(experiment.objective, study) for study in studies.values()]
+        studies = [optuna.load_study(study_name=name, storage=storage) for name in names]
+        costs = [study.best_value for study in studies]
+        told = [study_line(experiment.objective, study) for study in studies]
+    best = ARMS[costs.index(min(costs))]
     found, drawn = out / f"{best}-run-{RUN:03d}-best.json", ("--movie-seconds", 0, "--out")
     run("walk", "--gains", found, "--config", CONFIG, *drawn, out / "found")
     run("walk", "--gains", "reference", "--duration", REFERENCE_S, *drawn, out / "reference")

@@ -24,7 +24,7 @@ from study.experiment.gains import (
 )
 from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES
-from study.pictures import find_ffmpeg, write_gait_cycle, write_movie, write_strip
+from study.pictures import find_ffmpeg, strip, style, write_gait_cycle, write_movie, write_strip
 from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
     kept,
@@ -38,7 +38,6 @@ from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import ENGINES
-from taichi_nmm.terrain import Terrain
 from taichi_nmm.walker_simulator import require_engine
 
 ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad")
@@ -102,21 +101,6 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
     body, friction = experiment.body(run), float(experiment.world(run).friction[0])
     text = mjcf_text(body, friction, terrain, settings, start_state(terrain))
     commit_text(path, text, "mjcf")
-
-
-def write_engines(
-    walks: dict[str, taichi_nmm.Result], terrain: Terrain, folder: Path, title: str
-) -> dict[str, str]:
-    """Draw the walks of the engines one above the other."""
-    from study.pictures.strip import Shown, strips_figure
-    from study.pictures.style import save_png
-
-    shown = [
-        Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])
-        for engine, walk in walks.items()
-    ]
-    figure = strips_figure(shown, terrain, title)
-    return {"strips": str(save_png(figure, folder / "strips.png"))}
 
 
 def write_pictures(
@@ -208,7 +192,12 @@ def main(args: Namespace) -> None:
     walks = {experiment.conditions.settings.engine: result}
     if args.engine == BOTH_ENGINES:
         walks[ENGINES[1]] = simulate(gains, experiment.with_settings(engine=ENGINES[1]), args.run)
-        paths |= write_engines(walks, terrain, folder, f"{name}, run {args.run}: two engines")
+        shown = [
+            strip.Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])
+            for engine, walk in walks.items()
+        ]
+        figure = strip.strips_figure(shown, terrain, f"{name}, run {args.run}: two engines")
+        paths["strips"] = str(style.save_png(figure, folder / "strips.png"))
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
     for file in args.trajectory:

@@ -58,8 +58,7 @@ def _table(
     columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
     if space is not None:
         defaults = {each.name: np.full(len(store), each.default) for each in LOW_LEVEL_GAINS}
-        known_columns = defaults | columns
-        columns, bounds, own = {name: known_columns[name] for name in space}, {}, dict(space)
+        columns, bounds, own = {name: (defaults | columns)[name] for name in space}, {}, dict(space)
     with warnings.catch_warnings():
         # Rows are left out on purpose; stores themselves have no gaps.
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)

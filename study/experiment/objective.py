@@ -110,15 +110,12 @@ class Objective:
         return self.goals or (self,)
 
     @property
-    def metric(self) -> str:
-        """Its name in a study: of the paper's costs that of the function in `taichi_nmm`."""
-        name = self.cost.rpartition(":")[2]
-        return self.name or (f"{name}_cost" if self.terms else PRINTED[name].__name__)
-
-    @property
     def metrics(self) -> list[str]:
-        """The names of the costs that a study minimises, k."""
-        return [one.metric for one in self.each]
+        """Names of the k costs in a study: of the paper's that of the function in `taichi_nmm`."""
+        if self.goals:
+            return [goal.name for goal in self.goals]
+        name = self.cost.rpartition(":")[2]
+        return [f"{name}_cost" if self.terms else PRINTED[name].__name__]
 
     @property
     def columns(self) -> list[str]:

@@ -12,6 +12,7 @@ different choices are 1 apart. New points are drawn anywhere, or near good ones.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,6 @@ from optuna.distributions import (
     FloatDistribution,
     IntDistribution,
 )
-
-from taichi_nmm.checks import is_number
 
 Floats = NDArray[np.float64]
 Number = FloatDistribution | IntDistribution
@@ -66,7 +65,7 @@ class Space:
     def number(self, column: int, value: Any) -> float | None:
         """A value of one parameter as a row has it; None for a choice or a kind it has not."""
         distribution = self.distributions[column]
-        if not isinstance(distribution, CategoricalDistribution) and not is_number(value):
+        if not isinstance(distribution, CategoricalDistribution) and not _is_number(value):
             return None
         try:
             return float(distribution.to_internal_repr(value))  # also outside of the range
@@ -150,7 +149,7 @@ def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
     if isinstance(distribution, CategoricalDistribution):
         return distribution.choices[int(distribution.to_internal_repr(value))]
     assert isinstance(distribution, Number)
-    if not is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
+    if not _is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
         raise ValueError(f"{value!r} is not in {distribution}")
     return round(value) if isinstance(distribution, IntDistribution) else float(value)
 
@@ -180,6 +179,11 @@ def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
         return np.asarray(inside)
     steps = (values - distribution.low) / distribution.step
     return np.asarray(inside & (np.abs(steps - np.round(steps)) < STEP_TOLERANCE))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether it is a number, and not a flag that counts as one."""
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _external(distribution: BaseDistribution, value: float) -> Any:

@@ -50,7 +50,7 @@ def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
     given = {name: rows[name][:, None] for name in rows.dtype.names or ()}
     assert_allclose(AT_08.in_worlds(given, 5.0)[:, 0], expected)
     assert AT_08.success(100.0) == 50.0
-    assert (AT_08.metric, Objective("walking").metric) == ("weighted_cost", "walking_cost")
+    assert [*AT_08.metrics, *Objective("walking").metrics] == ["weighted_cost", "walking_cost"]
 
 
 def test_it_is_read_back_from_what_it_writes(tmp_path: Path, fake_simulator: None) -> None:
