@@ -7,6 +7,7 @@ write before either reads, both do. Nobody waits.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,7 @@ class TablePolicy(Policy):
             # Costs in worlds are a model before any trial. What only ranks tells no cost.
             self.first_trials = 1 if self.own_rows.worlds.better is None else RANKED
 
-    @property
+    @cached_property
     def own_rows(self) -> Rows:
         """The content of the table, on its own scales."""
         return self._table.rows
@@ -113,7 +114,8 @@ class TablePolicy(Policy):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without rows and trials, which follow from the table and the study."""
-        return super().__getstate__() | {"_suggested": None, "_looked_up": {}}
+        state = super().__getstate__() | {"_suggested": None, "_looked_up": {}}
+        return {name: value for name, value in state.items() if name != "own_rows"}
 
     def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """The table's parameters."""
