@@ -57,7 +57,6 @@ MOTIONS = {  # of an exoskeleton: hip extension, knee flexion and plantarflexion
     "plantarflexion": (0.0, 0.0, 1.0),
     "dorsiflexion": (0.0, 0.0, -1.0),
 }
-BOTH_SIDES = ("both", *SIDES)
 POWER_W: Range = (1.0, 1e6)  # the last is no limit
 
 
@@ -100,7 +99,7 @@ class Exoskeleton:
     power_w: float = POWER_W[1]
 
     def __post_init__(self) -> None:
-        words = {"motion": checks.word(*MOTIONS), "side": checks.word(*BOTH_SIDES)}
+        words = {"motion": checks.word(*MOTIONS), "side": checks.word("both", *SIDES)}
         checks.check_fields(self, "exoskeleton.", **words, power_w=checks.number(*POWER_W))
 
     @property
@@ -331,7 +330,7 @@ def _read_prosthesis(world: Table) -> Prosthesis | None:
 def _read_exoskeleton(table: Table) -> Exoskeleton:
     usual = Exoskeleton()
     motion = table.text("motion", usual.motion, choices=tuple(MOTIONS))
-    side = table.text("side", usual.side, choices=BOTH_SIDES)
+    side = table.text("side", usual.side, choices=("both", *SIDES))
     device = Exoskeleton(motion, side, table.number("power_w", usual.power_w, *POWER_W))
     table.done()
     return device

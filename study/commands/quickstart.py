@@ -18,7 +18,6 @@ from study.options import config_path, parser_of
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
 ARMS = ("worlds", "dog", "random")
 RUN = 0
-REFERENCE_S = 30  # of the reference gait, for its pictures
 
 
 def run(command: str, *words: str | Path | int) -> None:
@@ -51,7 +50,7 @@ def main(args: Namespace) -> None:
     best = ARMS[costs.index(min(costs))]
     found, drawn = out / f"{best}-run-{RUN:03d}-best.json", ("--movie-seconds", 0, "--out")
     run("walk", "--gains", found, "--config", CONFIG, *drawn, out / "found")
-    run("walk", "--gains", "reference", "--duration", REFERENCE_S, *drawn, out / "reference")
+    run("walk", "--gains", "reference", "--duration", 30, *drawn, out / "reference")
     print(
         "",
         *told,

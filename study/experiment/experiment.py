@@ -44,7 +44,6 @@ MOST_RUNS = 10_000
 SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
 MOST_TRIALS = 100_000
 ADDED = tuple(each.name for each in (*DEVICE, *ASYMMETRIES))  # none, unless they are searched
-SEARCHABLE = ("theta_ref", *ADDED)
 PAID = tuple(name for name in RESULT_DTYPE.names or () if name not in ("end_reason", SURVIVED))
 
 
@@ -164,7 +163,7 @@ def experiment_of(
         name=read_name(table, name),
         seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
         fixed=read_fixed(table),
-        searched=table.texts("searched", SEARCHABLE),
+        searched=table.texts("searched", ("theta_ref", *ADDED)),
         objective=read_objective(objective, PAID),
         conditions=read_conditions(table, arch),
         until_walker=table.boolean("until_walker", False),

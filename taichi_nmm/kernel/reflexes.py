@@ -69,6 +69,8 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
         weight = state[State.stance_weight + leg, lane]
         load = work[s + Signal.load + leg, lane]
         force_sol = work[s + Signal.force_sol + leg, lane]
+        force_gas = work[s + Signal.force_gas + leg, lane]
+        length_ta = work[s + Signal.length_ta + leg, lane]
         knee = work[s + Signal.knee + leg, lane]
         extends = (knee < OVEREXTENSION_RAD) & (work[s + Signal.knee_rate + leg, lane] < 0.0)
         inhibition = const[Const.k_oe, lane] * ti.select(extends, OVEREXTENSION_RAD - knee, 0.0)
@@ -79,14 +81,10 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
         # Forward lean excites the extensors, backward lean the flexor, as the leg carries load.
         extensor = clip01(load * (PRESTIMULATION_TRUNK + larger(balance, 0.0)))
         flexor = clip01(load * (PRESTIMULATION_TRUNK - smaller(balance, 0.0)))
-        swing_ta = (
-            PRESTIMULATION + const[Const.K_TA + leg, lane] * work[s + Signal.length_ta + leg, lane]
-        )
+        swing_ta = PRESTIMULATION + const[Const.K_TA + leg, lane] * length_ta
         sol = PRESTIMULATION + const[Const.K_SOL + leg, lane] * force_sol
         ta = swing_ta - const[Const.K_TA_SOL + leg, lane] * force_sol
-        gas = (
-            PRESTIMULATION + const[Const.K_GAS + leg, lane] * work[s + Signal.force_gas + leg, lane]
-        )
+        gas = PRESTIMULATION + const[Const.K_GAS + leg, lane] * force_gas
         vas = (
             PRESTIMULATION_VAS
             + const[Const.K_VAS + leg, lane] * work[s + Signal.force_vas + leg, lane]
