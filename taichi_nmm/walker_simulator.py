@@ -93,12 +93,8 @@ class WalkerWorlds:
     def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
         """Names for people, and digests of all numbers that were drawn."""
         numbers = vars(worlds.surroundings)
-        for newer in (
-            "catch_ns",
-            "prosthesis",
-            "exoskeleton",
-            *MUSCLE_LIMITS,
-        ):  # than many stores, as below
+        # Newer than many stores, as is the key "world" below.
+        for newer in ("catch_ns", "prosthesis", "exoskeleton", *MUSCLE_LIMITS):
             if getattr(self.ranges, newer) == getattr(NOMINAL, newer):
                 numbers = {name: values for name, values in numbers.items() if name != newer}
         bodies = array_digest(*vars(worlds.bodies).values())
@@ -106,7 +102,7 @@ class WalkerWorlds:
             "terrain": terrain_document(worlds.terrains),
             "body": self.build.document() | {"sha256": bodies},
         }
-        if ranges := self.ranges.document():  # else no key: it is newer than many stores
+        if ranges := self.ranges.document():  # else no key
             document["world"] = ranges | {"sha256": array_digest(*numbers.values())}
         return document
 
