@@ -215,12 +215,13 @@ def write_best_cost(path: Path, results: Results) -> Path:
     area = ": minus the area dominated" if results.cost == FRONT else ""
     label = f"best {results.cost} cost so far{area}"
     axes.set_ylabel(label, fontsize=style.TEXT_PT, color=style.INK)
-    if results.cost == "smooth":
+    is_walking = results.cost == "walking"
+    if not is_walking and min(float(arm.best.min()) for arm in results.arms.values()) > 0.0:
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_locator(NullLocator())
-    elif results.cost != FRONT:
+    elif is_walking:
         axes.set_ylim(0.0, 315.0)
         axes.axhline(WALKS_BELOW, color=style.INK, linewidth=0.8, linestyle="--", zorder=2.0)
         axes.annotate(

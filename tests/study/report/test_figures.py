@@ -60,6 +60,24 @@ def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.Mon
         assert first.read_bytes() == second.read_bytes()
 
 
+@pytest.mark.parametrize(("cost", "sign", "scale"), [
+    ("smooth", 1, "log"), ("walking", 1, "linear"), ("weighted", 1, "log"),
+    ("weighted", -1, "linear"), ("front", -1, "linear"),
+])  # fmt: skip
+def test_costs_have_the_axis_of_their_kind(
+    cost: str, sign: int, scale: str, results: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line below which all walk to the end is that of the walking cost alone."""
+    seen: list[Figure] = []
+    monkeypatch.setattr(style, "save_png", lambda figure, *_: seen.append(figure))
+    arms = {name: replace(arm, best=sign * arm.best) for name, arm in results.arms.items()}
+    figures.write_best_cost(Path(), replace(results, cost=cost, arms=arms))
+    (axes,) = seen[0].axes
+    levels = [np.asarray(line.get_ydata())[0] for line in axes.lines]
+    assert axes.get_yscale() == scale
+    assert (figures.WALKS_BELOW in levels) == (cost == "walking")
+
+
 @pytest.mark.slow
 def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those of all arms fit right of the lines; of lines with one end they stay apart, by rank."""
