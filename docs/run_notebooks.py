@@ -6,6 +6,7 @@ An error in a cell is an error of the build; its output on standard error is a w
 
 import base64
 import os
+import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -62,7 +63,8 @@ def executed(path: Path) -> nbformat.NotebookNode:
             coalesce_streams=True,
         )
         try:
-            return client.execute(env=os.environ | ENVIRONMENT)
+            # Cells' errors come in messages; a kernel's own last words may be an abort of libzmq.
+            return client.execute(env=os.environ | ENVIRONMENT, stderr=subprocess.DEVNULL)
         except CellExecutionError as error:
             raise PluginError(f"{path.name}: {error}") from None
 
