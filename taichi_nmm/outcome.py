@@ -78,12 +78,14 @@ def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
         rows[of["sd"]] = np.sqrt(np.maximum(square - mean**2, 0.0))
         if "mean" in of:
             rows[of["mean"]] = mean
-    rows["double_support_fraction"] = _quotient(sums[:, Sums.double_support], ticks)
-    rows["flight_fraction"] = _quotient(sums[:, Sums.flight], ticks)
+    for column, name in COLUMNS["tick_means"].items():
+        rows[column] = _quotient(sums[:, getattr(Sums, name)], ticks)
     vertical = sums[:, Sums.impulse + 1] + sums[:, Sums.impulse + 3]
     rows["grf_vertical_mean_bw"] = _quotient(vertical, weight_n * rows["duration_s"])
     for m, muscle in enumerate(MUSCLES):
         rows[f"activation_{muscle.lower()}_mean"] = _quotient(sums[:, Sums.activation + m], ticks)
+    deviations = [(rows[name] - mean) / sd for name, (mean, sd) in COLUMNS["human"].items()]
+    rows["human_deviation"] = np.sqrt(np.mean(np.square(deviations), axis=0))
 
 
 def _quotient(a: Array, b: Array) -> Array:

@@ -40,8 +40,9 @@ COLUMNS = tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encod
 OUTCOME_FIELDS: Fields = tuple(COLUMNS["outcome"].items())
 SCORE_FIELDS: Fields = tuple(COLUMNS["score"].items())  # the determinants of gait
 SUMMARY_FIELDS: Fields = tuple(COLUMNS["summary"].items())
+FURTHER_FIELDS: Fields = tuple(COLUMNS["further"].items())  # in a store by its `kept` alone
 
-RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS])
+RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS, *FURTHER_FIELDS])
 
 EVENT_KINDS = ("strike", "takeoff")
 # Side 0 is left, 1 right; kind is an index into EVENT_KINDS.

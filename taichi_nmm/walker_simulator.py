@@ -32,7 +32,14 @@ from taichi_nmm.parameters import (
     split_points,
     upper_bounds,
 )
-from taichi_nmm.result import DIVERGED, END_REASONS, RESULT_DTYPE, SCORE_FIELDS
+from taichi_nmm.result import (
+    DIVERGED,
+    END_REASONS,
+    FURTHER_FIELDS,
+    RESULT_DTYPE,
+    SCORE_FIELDS,
+    Result,
+)
 from taichi_nmm.settings import GPUS, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
 from taichi_nmm.world import MUSCLE_LIMITS, NOMINAL, WorldRanges, Worlds, read_world
@@ -49,6 +56,9 @@ MEASURES = {
     "step_length_mean_m": (0.3, 1.0),
     "knee_peak_swing_rad": (0.5, 1.8),
 }
+# With the horizon these give both costs (`result.smooth_cost`, `result.walking_cost`).
+OUTCOMES = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
+KEPT = tuple(each for each in RESULT_DTYPE.names or () if each not in ("end_reason", *OUTCOMES))
 SLOWEST_MPS = 0.4  # a slower gait may be about to stand, which survives any ground
 
 CANARY_WALKERS = 16
@@ -114,18 +124,14 @@ class Walker:
     settings: Settings  # how the simulation is integrated, and on which machine
     searched: tuple[Parameter, ...] = ()  # low-level gains that points have after the 16 gains
     fixed: tuple[float, ...] = ()  # the 16 gains where points do not have them
+    kept: tuple[str, ...] = ()  # columns of each world beside `OUTCOMES`
 
     name: ClassVar[str] = "walker"
     code_version: ClassVar[str] = "0.2.0"  # the release that first gave these numbers
     packages: ClassVar[tuple[str, ...]] = (COMPILER, "numpy")
-    columns: ClassVar[np.dtype[np.void]] = RESULT_DTYPE
     survived: ClassVar[str] = "survived_fraction"
     words: ClassVar[Mapping[str, Sequence[str]]] = {"end_reason": END_REASONS}
     scores: ClassVar[tuple[str, ...]] = tuple(name for name, _ in SCORE_FIELDS)
-    # With the horizon these give both costs (`result.smooth_cost`, `result.walking_cost`).
-    outcomes: ClassVar[tuple[str, ...]] = (
-        "survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm",
-    )  # fmt: skip
     objective: ClassVar[str] = "walked_fraction"
     measures: ClassVar[Mapping[str, tuple[float, float]]] = MEASURES
 
@@ -133,7 +139,20 @@ class Walker:
     def read(cls, table: Table, arch: str | None) -> Self:
         """From [simulation], `searched` and `fixed_gains`; `arch` overrides the file's."""
         settings, fixed = read_settings(table.table("simulation"), arch), read_fixed(table)
-        return cls(settings, searched_parameters(table.texts("searched")), fixed)
+        kept = table.texts("kept", KEPT)
+        return cls(settings, searched_parameters(table.texts("searched")), fixed, kept)
+
+    @property
+    def columns(self) -> np.dtype[np.void]:
+        """Those of results; of `FURTHER_FIELDS` those that are kept."""
+        left_out = {name for name, _ in FURTHER_FIELDS if name not in self.kept}
+        names = [name for name in RESULT_DTYPE.names or () if name not in left_out]
+        return np.dtype([(name, RESULT_DTYPE[name]) for name in names])
+
+    @property
+    def outcomes(self) -> tuple[str, ...]:
+        """Of each world."""
+        return (*OUTCOMES, *self.kept)
 
     @classmethod
     def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
@@ -152,9 +171,11 @@ class Walker:
         What else is not searched is not there: no device, no asymmetry.
         """
         fixed = {gain.name: float(gain.default) for gain in FIXED if gain not in self.searched}
-        document = {"low_level_gains": fixed, "simulation": self.settings.document()}
+        document: dict[str, Any] = {"low_level_gains": fixed, "simulation": self.settings.document()}
         if self.fixed:
             document["fixed_gains"] = dict(zip(GAIN_NAMES, self.fixed, strict=True))
+        if self.kept:
+            document["kept"] = list(self.kept)
         return document
 
     def versions(self) -> dict[str, str]:
@@ -193,7 +214,7 @@ class Walker:
             settings=self.settings,
             progress=lambda now_s, _: report(now_s / horizon_s),
         )
-        return result.rows.reshape(len(points), count), result.metadata
+        return self._columns_of(result).reshape(len(points), count), result.metadata
 
     def judge(
         self, rows: NDArray[np.void], horizon_s: float
@@ -220,13 +241,18 @@ class Walker:
         sequence = qmc.Sobol(d=len(GAINS), scramble=True, rng=np.random.default_rng(stream))
         low, high = lower_bounds(), upper_bounds()
         gains = low + sequence.random(CANARY_WALKERS)[: CANARY_WALKERS - 1] * (high - low)
-        return taichi_nmm.simulate(
+        result = taichi_nmm.simulate(
             np.vstack([PUBLISHED_GAINS, gains]),
             duration_s=CANARY_S,
             bodies=Bodies.disturbed(list(range(CANARY_WALKERS))),
             terrains=rough(seed=CANARY_SEED),
             settings=self.settings,
-        ).rows
+        )
+        return self._columns_of(result)
+
+    def _columns_of(self, result: Result) -> NDArray[np.void]:
+        """The rows of a result with `columns` alone."""
+        return np.asarray(result.rows[list(self.columns.names or ())].astype(self.columns))
 
     def on_one_thread(self) -> "Walker":
         """The same for one of several processes of a machine; no result depends on it."""

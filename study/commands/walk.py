@@ -13,7 +13,9 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit_text, require_folder, writable
+from storage.store import open_store
 from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.features import WORLDS, feature_table, front_of
 from study.experiment.gains import (
     NamedGains,
     gains_of_row,
@@ -37,13 +39,14 @@ from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
+from taichi_nmm.result import FURTHER_FIELDS
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.walker_simulator import require_engine
 
 ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad")
 LONGEST_MOVIE_S = 120.0
 CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name the controller
-REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected")
+REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected", *dict(FURTHER_FIELDS))
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 COLUMN = 10  # characters
 
@@ -162,8 +165,32 @@ def report(
     }
 
 
+def show_front(args: Namespace, experiment: Experiment) -> None:
+    """List the rows of a store that no other beats in the two goals of an experiment.
+
+    Raises:
+        InputError: no store, or no two goals.
+    """
+    goals = [goal.name for goal in experiment.objective.goals]
+    if args.store is None:
+        raise InputError("store", None, "a value: --front lists rows of a store")
+    if not goals:
+        raise InputError("front", experiment.name, "a configuration with two goals")
+    store = open_store(args.store)
+    front = front_of(feature_table(store, WORLDS, experiment.space, experiment.objective))
+    if args.json:
+        print(json.dumps([dict(zip(["row", *goals], row, strict=True)) for row in front]))
+        return
+    print("".join(name.rjust(COLUMN) for name in ["row", *goals]))
+    for row, *means in front:
+        print(f"{row:{COLUMN}}" + "".join(f"{mean:{COLUMN}.4g}" for mean in means))
+
+
 def main(args: Namespace) -> None:
     """Walk and draw."""
+    if args.front:
+        show_front(args, read(args))
+        return
     gains = find_gains(args)
     if args.duration is not None:
         checks.number(SHORTEST_TRIAL_S, LONGEST_TRIAL_S)("duration", args.duration)

@@ -143,3 +143,17 @@ def table_of_worlds(
     if len(goals) > 1:
         outcomes = {name: np.stack([goal[name] for goal in goals], axis=-1) for name in outcomes}
     return _table(store, space, outcomes=outcomes)
+
+
+def front_of(table: FeatureTable) -> list[tuple[int, float, float]]:
+    """Of a table of two costs, the rows that no other beats in both, in the mean over the worlds.
+
+    Numbers with these two means, from the least of the first cost on.
+    """
+    rows = table.rows
+    assert rows.worlds is not None and rows.worlds.goals == 2
+    means = np.einsum("nwk,w->nk", rows.worlds.costs[rows.numbers], rows.worlds.weights)
+    order = np.lexsort(means.T[::-1])
+    before = np.minimum.accumulate(np.append(np.inf, means[order, 1]))[:-1]
+    best = order[means[order, 1] < before]
+    return list(zip(rows.numbers[best].tolist(), *means[best].T.tolist(), strict=True))

@@ -12,7 +12,7 @@ from storage.simulator import WALKER
 from storage.store import Store
 from study.pictures.gait_cycle import PEOPLE
 from taichi_nmm.parameters import GAINS
-from taichi_nmm.result import SUMMARY_FIELDS
+from taichi_nmm.result import FURTHER_FIELDS, SUMMARY_FIELDS
 
 CHOICES: dict[str, Any] = tomllib.loads(
     Path(__file__).with_name("choices.toml").read_text(encoding="utf-8")
@@ -49,7 +49,7 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
             line = f"{STATISTICS.get(statistic, 'whether the row was tried')}, family {family}"
             found[name] = Described(f"family {family}", f"{family}: {words}", line)
         else:
-            group = GAIT if walker and name in dict(SUMMARY_FIELDS) else OUTCOME
+            group = GAIT if walker and name in dict((*SUMMARY_FIELDS, *FURTHER_FIELDS)) else OUTCOME
             line = "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
             found[name] = Described(group, in_words(name)[0], line)
     return found

@@ -61,6 +61,8 @@ def observe_leg(
 
     score_step(lane, leg, scored, gait, sums)
     latch(gait, Gait.tick_takeoff + leg, lane, commit, gait[Gait.tick_last + leg, lane])
+    for joint in ti.static(range(3)):
+        latch(gait, Gait.torque_peak + 3 * leg + joint, lane, commit, 0.0)
 
     count_strike(lane, leg, strike, tick, gait, sums, work)
     took_off = ti.select(gait[Gait.tick_takeoff + leg, lane] > 0.0, 1.0, 0.0)
@@ -118,6 +120,15 @@ def follow_contact(
     raise_to(gait, Gait.braking_peak + leg, lane, down, 0.0 - push)
     raise_to(gait, Gait.propulsion_peak + leg, lane, down, push)
     raise_to(gait, Gait.knee_peak_stance + leg, lane, down, knee)
+
+
+@ti.func
+def follow_torques(lane, state: Rows, gait: Rows, work: Rows):
+    """Peaks of the joint torques, before stops add theirs."""
+    alive = state[State.active, lane] > 0.5
+    for joint in ti.static(range(3 * LEGS)):
+        torque = work[Work.joint_torque + joint, lane]
+        raise_to(gait, Gait.torque_peak + joint, lane, alive, larger(torque, 0.0 - torque))
 
 
 @ti.func
@@ -184,6 +195,9 @@ def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
     add(sums, Sums.vertical_peak, lane, scored, gait[Gait.vertical_peak + leg, lane])
     add(sums, Sums.braking_peak, lane, scored, gait[Gait.braking_peak + leg, lane])
     add(sums, Sums.propulsion_peak, lane, scored, gait[Gait.propulsion_peak + leg, lane])
+    for joint in ti.static(range(3)):
+        peak = gait[Gait.torque_peak + 3 * leg + joint, lane]
+        add(sums, Sums.hip_torque_peak + joint, lane, scored, peak)
 
 
 @ti.func
@@ -202,12 +216,15 @@ def add_up_posture(lane, state: Rows, muscle: Rows, sums: Rows, work: Rows):
     add(sums, Sums.hip_speed_squared, lane, up, speed * speed)
     add(sums, Sums.double_support, lane, up, left * right)
     add(sums, Sums.flight, lane, up, (1.0 - left) * (1.0 - right))
+    squared, cubed = 0.0, 0.0
     for m in ti.static(range(MUSCLES_PER_LEG)):
-        pair = (
-            muscle[Muscle.activation + m, lane]
-            + muscle[Muscle.activation + MUSCLES_PER_LEG + m, lane]
-        )
-        add(sums, Sums.activation + m, lane, up, 0.5 * pair)
+        a = muscle[Muscle.activation + m, lane]
+        b = muscle[Muscle.activation + MUSCLES_PER_LEG + m, lane]
+        add(sums, Sums.activation + m, lane, up, 0.5 * (a + b))
+        squared += a * a + b * b
+        cubed += a * a * a + b * b * b
+    add(sums, Sums.activation_squared, lane, up, squared * (1.0 / MUSCLE_COUNT))
+    add(sums, Sums.activation_cubed, lane, up, cubed * (1.0 / MUSCLE_COUNT))
 
 
 @ti.func

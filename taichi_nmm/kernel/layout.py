@@ -235,6 +235,7 @@ Gait = blocks(
     vertical_peak=LEGS,
     braking_peak=LEGS,
     propulsion_peak=LEGS,
+    torque_peak=3 * LEGS,  # on hip, knee and ankle since the last take-off, of either sign, N m
     tick_takeoff=LEGS,  # of the last committed take-off, for the event list
     last_strike_tick=1,  # of either leg
 )
@@ -250,6 +251,7 @@ Sums = blocks(
     vertical_peak=1,
     braking_peak=1,
     propulsion_peak=1,
+    hip_torque_peak=1, knee_torque_peak=1, ankle_torque_peak=1,
     strikes=1,
     step_length=1, step_length_squared=1,
     step_durations=1, step_duration=1, step_duration_squared=1,
@@ -258,6 +260,7 @@ Sums = blocks(
     hip_speed=1, hip_speed_squared=1,
     double_support=1, flight=1,
     activation=MUSCLES_PER_LEG,
+    activation_squared=1, activation_cubed=1,
     metabolic_energy=1,  # J
     impulse=2 * LEGS,  # ground force times time, N s: left x, left z, right x, right z
 )  # fmt: skip

@@ -61,6 +61,7 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
         for lane in range(lanes):
             joints.turn_joints(lane, fibres, work)
             add_ideal_torques(lane, state, const, work)
+            gait.follow_torques(lane, state, events, work)
             joints.hip_stops(lane, work)
             contact.spring_forces(lane, step_s, state, const, work)
             joints.knee_and_ankle_stops(lane, step_s, work)

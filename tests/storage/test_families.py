@@ -15,7 +15,8 @@ from storage.tables import difference, document_hash
 from taichi_nmm import InputError, walker_simulator
 from taichi_nmm.config import Table
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
-from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
+from taichi_nmm.result import END_REASONS, SCORE_FIELDS
+from taichi_nmm.settings import Settings
 from taichi_nmm.walker_simulator import Walker
 from tests.storage import fake
 
@@ -26,6 +27,7 @@ RAMPS = {
 THETA_REF = LOW_LEVEL_GAINS[7]
 POINT_3 = [5.53585406, 1.44055244, 1.84605681]  # of the sequence 7, row 16, before groups
 WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
+WALKER = Walker(Settings())
 FIRST = range(8)  # rows of a shard
 LATER = {"after": "down", "min_survived_fraction": 0.6}
 
@@ -38,7 +40,7 @@ def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     specification = fake.specification()
     table, computed_by = score_rows(specification, range(16, 24), lambda _: None)
     assert columns_of(table.schema) == specification.document["columns"]
-    assert table.column_names == ["row", *GAIN_NAMES, *(RESULT_DTYPE.names or ())]
+    assert table.column_names == ["row", *GAIN_NAMES, *(WALKER.columns.names or ())]
     assert table["row"].to_pylist() == list(range(16, 24))
     points = sobol_points(specification.seed, 16, 8, GAINS)
     assert np.array_equal(table["l_clr"].to_numpy(), points[:, 15])
@@ -53,7 +55,7 @@ def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
 def test_every_family_has_columns_of_its_own() -> None:
     document = families(robust=True).document
     names = [column.partition(":")[0] for column in document["columns"]]
-    assert len(set(names)) == len(names) == 1 + 16 + len(RESULT_DTYPE) + 3 * 34
+    assert len(set(names)) == len(names) == 1 + 16 + len(WALKER.columns) + 3 * 34
     starts = [names.index(f"{family}_evaluated") for family in ("robust", "down", "up")]
     assert starts == [names.index("robust_evaluated") + 34 * number for number in range(3)]
     assert names[-5:-3] == list(family_names("up", "phi_corrected"))
@@ -100,7 +102,7 @@ def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
             mean, spread = family_names(family.name, component)
             for name, expected in ((mean, values.mean(axis=0)), (spread, values.std(axis=0))):
                 np.testing.assert_allclose(table[name].to_numpy(), alive * expected, rtol=1e-12)
-        for component in Walker.outcomes:
+        for component in WALKER.outcomes:
             each = np.array(table[f"{family.name}_{component}_worlds"].to_pylist())
             expected = np.array([run[component] for run in runs], dtype=np.float32).T
             assert np.array_equal(each, np.where(alive[:, None], expected, 0.0))

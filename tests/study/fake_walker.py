@@ -83,6 +83,7 @@ def simulate(
     for number in range(1, 5):
         rows[f"m{number}_mean"] = np.sin(number + 7.0 * good)
     rows["m5_mean_mps"] = good
+    rows["activation_cubed_mean"] = 1.0 - good
     if progress is not None:
         progress(duration_s, 0)
     return Result(rows, (EMPTY,) * len(record), {"engine": "fake"})

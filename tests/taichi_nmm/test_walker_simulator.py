@@ -46,6 +46,17 @@ def test_parameters_are_gains_and_named_low_level_gains_and_points_are_split_int
     assert Walker.parameters_of(["K_GAS", "theta_ref", "nothing"]) == (*GAINS, theta_ref)
 
 
+def test_a_store_has_further_columns_where_it_names_them() -> None:
+    names = ["activation_cubed_mean", "phi_printed"]
+    plain, walker = (Walker.read(Table(table), "cpu") for table in ({}, {"kept": names}))
+    assert (*plain.outcomes, *names) == walker.outcomes and walker.document()["kept"] == names
+    assert [*plain.columns.descr, (names[0], "<f8")] == walker.columns.descr
+    assert "kept" not in plain.document()
+    for wrong in ("end_reason", "mean_speed_mps", "activation"):
+        with pytest.raises(InputError, match=f"^kept: '{wrong}' .* a list of duration_s, .*_cubed"):
+            Walker.read(Table({"kept": [wrong]}), "cpu")
+
+
 def test_gains_may_be_fixed_so_that_points_are_of_the_other_parameters_alone() -> None:
     tables = {"fixed_gains": "published", "searched": ["exo_torque", "exo_peak"]}
     walker = Walker.read(Table(tables), "cpu")

@@ -17,6 +17,7 @@ from study.experiment.gains import gains_of_row, row_at_speed
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE, Result
 from tests.study import fake_walker, synthetic_gait
+from tests.study.experiment.test_front import front
 from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT
 
@@ -119,6 +120,18 @@ def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk: Walk, tmp_pa
     assert set(bent["gains"]) == {*GAIN_NAMES, "theta_ref"}
     assert bent["distance_m"] < plain["distance_m"]
     assert fake_walker.calls[-1]["low_level_gains"][fake_walker.THETA_REF] == 0.5
+
+
+def test_the_front_of_a_store_is_listed(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
+    experiment = front(tmp_path)
+    words = ("walk", "--front", "--store", experiment.stores["worlds"])
+    rows = tool.json(*words, "--config", tmp_path / "toy.toml")
+    assert tool(*words, "--config", tmp_path / "toy.toml") == 0
+    head, *lines = tool.out.splitlines()
+    assert head.split() == ["row", "effort", "slow"] and len(lines) == len(rows) > 2
+    assert [int(line.split()[0]) for line in lines] == [row["row"] for row in rows]
+    tool.refuses("front: 'flat' .* two goals", *words, "--config", FLAT)
+    tool.refuses("store: None .* lists rows", "walk", "--front", "--config", tmp_path / "toy.toml")
 
 
 def test_of_several_speeds_each_has_its_part_of_the_walk(walk: Walk, tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose
 from storage.databases.studies import open_studies
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.compare import Request, compare
-from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.experiment import Experiment, candidates, read_experiment
+from study.experiment.features import WORLDS, front_of
 from study.experiment.live_study import run_study
 from study.experiment.trials import best_trial, progress_line, study_facts, study_line
 from study.report.figures import write_report
@@ -86,6 +87,23 @@ def test_a_live_study_is_a_compared_one(fake_simulator: None, tmp_path: Path, ar
     line = progress_line(experiment.objective, live, live.trials[3], 4)
     assert reached in study_line(experiment.objective, live) and reached in line
     assert f"slow {values[3, 1]:8.4f}" in line
+
+
+def test_the_front_of_a_store_has_the_rows_that_none_beats(
+    fake_simulator: None, tmp_path: Path
+) -> None:
+    table = candidates(front(tmp_path), "worlds", WORLDS)
+    worlds, numbers = table.rows.worlds, table.rows.numbers
+    assert worlds is not None
+    means = {row: worlds.weights @ worlds.costs[row] for row in numbers.tolist()}
+    best = [
+        row
+        for row, mean in means.items()
+        if not any((other <= mean).all() and (other < mean).any() for other in means.values())
+    ]
+    found = front_of(table)
+    assert sorted(row for row, *_ in found) == sorted(best) and len(best) > 2
+    assert_allclose([costs for _, *costs in found], sorted(means[row].tolist() for row in best))
 
 
 @pytest.mark.parametrize("case", [

@@ -125,3 +125,20 @@ def test_worlds_count_in_the_units_of_the_objective(fake_simulator: None, tmp_pa
     store, lasting = open_store(experiment.stores["worlds"]), costs["sol"] < 30.0
     own = store.numpy(["activation_sol_mean"])["activation_sol_mean"]
     assert lasting.any() and (costs["sol"] == own[:, None])[lasting].all()
+
+
+def test_worlds_keep_the_columns_that_a_store_names(fake_simulator: None, tmp_path: Path) -> None:
+    effort = Objective("weighted", (Term("activation_cubed_mean", 1.0),), 30.0)
+    experiment = replace(fake_walker.experiment(tmp_path), objective=effort)
+    with refused("^column: 'activation_cubed_mean' cannot be used; allowed: one of row, "):
+        candidates(experiment, "worlds", ARMS["worlds"].feature)
+    fake_walker.write_store(tmp_path / "kept", kept=["activation_cubed_mean"])
+    kept = replace(experiment, stores={"worlds": tmp_path / "kept"})
+    rows = candidates(kept, "worlds", ARMS["worlds"].feature).rows
+    store = open_store(tmp_path / "kept")
+    given, lasted = (store.outcomes("rough", name) for name in
+                     ("activation_cubed_mean", "survived_fraction"))  # fmt: skip
+    ran = store.table()["rough_evaluated"].to_numpy() & (lasted[:, 0] >= 1.0)
+    place = rows.worlds.names.index("rough 0")  # type: ignore[union-attr]
+    assert ran.any() and np.ptp(given[ran, 0]) > 0.1
+    assert_allclose(rows.worlds.costs[ran, place], given[ran, 0])  # type: ignore[union-attr]

@@ -11,7 +11,7 @@ from study.pictures import gait_cycle as cycle
 from study.pictures import write_gait_cycle
 from study.pictures.gait_cycle import PANELS, PERCENT, human_distances, strides_of, subtitle
 from study.pictures.style import PNG_DPI
-from taichi_nmm.result import MUSCLES, Trajectory
+from taichi_nmm.result import COLUMNS, MUSCLES, Trajectory
 from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, STRIDE_S, WALK
 
 COUNT = 4
@@ -64,6 +64,24 @@ def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval()
     assert len(strides) == 0 and not strides.enough
     assert subtitle(strides).startswith("0 whole strides after settling: too few")
     assert "3 strides" in subtitle(strides_of(WALK, BODY_WEIGHT_N))
+
+
+def test_the_numbers_of_people_in_a_result_are_those_of_their_curves() -> None:
+    """Peaks of the curves, and the ankle at the strike and as the foot leaves the ground."""
+    knee, ankle, up, forward = (
+        np.array(PANELS[name].at(PERCENT)) for name in
+        ("knee_flexion_deg", "dorsiflexion_deg", "vertical_bw", "forward_bw")
+    )  # fmt: skip
+    stance = knee[:, PERCENT < 40.0]
+    expected = [
+        *(np.radians(curve[:, curve[0].argmax()]) for curve in (knee, stance)),
+        *(np.radians(ankle[:, percent == PERCENT].T[0]) * (-1.0, 1.0) for percent in (0.0, 62.0)),
+        up[:, up[0].argmax()],
+        *(sign * forward[:, (sign * forward[0]).argmax()] * (1.0, sign) for sign in (-1.0, 1.0)),
+    ]
+    least = np.radians(3.0), 0.05  # the tables' accuracy
+    for (name, numbers), (mean, sd) in zip(COLUMNS["human"].items(), expected, strict=True):
+        np.testing.assert_allclose(numbers, [mean, max(sd, least[name.endswith("bw")])], atol=6e-4)
 
 
 def shifted(shifts: dict[str, float], deviations: float = 0.0) -> cycle.Strides:

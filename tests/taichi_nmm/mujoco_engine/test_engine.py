@@ -1,6 +1,7 @@
 """Walks whose bodies MuJoCo moves: how they go, and that no walker feels another."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,23 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
         assert both_up.mean() < 0.05 and 0.5 < path.stance.mean() < 0.7
         assert set(path.events["kind"]) == set(path.events["side"]) == {0, 1}
         assert np.abs(path.joint_rad).max() < 2.0
+
+
+def test_effort_and_peaks_of_torque_are_those_of_a_recording() -> None:
+    """Of the engine whose recorded torques have no stops; a step goes from take-off to take-off."""
+    found = simulate(PUBLISHED_GAINS, duration_s=6.0, settings=MUJOCO, record=[0],
+                     record_rate_hz=1000)  # fmt: skip
+    (row,), (path,) = found.rows, found.trajectories
+    for power, name in ((2, "activation_squared_mean"), (3, "activation_cubed_mean")):
+        assert row[name] == pytest.approx((path.activation**power).mean(), rel=2e-3)
+    events, steps = path.events[path.events["kind"] == 1], list[Any]()
+    torque = np.abs(path.joint_torque_nm).reshape(-1, 2, 3)
+    for side in (0, 1):
+        ends = np.searchsorted(path.time_s, events["time_s"][events["side"] == side] + 0.1)
+        steps += [torque[first:end, side].max(axis=0) for first, end in pairwise(ends)]
+    assert len(steps) == row["step_count"] > 4
+    peaks = [row[f"{joint}_torque_peak_nm"] for joint in ("hip", "knee", "ankle")]
+    np.testing.assert_allclose(peaks, np.mean(steps, axis=0), rtol=2e-3)
 
 
 def some(rows: Any = slice(None), **options: Any) -> Result:
