@@ -16,7 +16,7 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-torso store-stairs store-speed store-exo store-exo-hip store-prosthesis
+.PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-torso store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -30,7 +30,7 @@ SPEED := $(foreach speed,07 08 09 10 11 12 13 14 15 16 08-rough 12-rough 16-roug
 MUJOCO := $(foreach ground,level rough8 risers ramp-up ramp-down,$(foreach contact,soft middle hard,mujoco-$(ground)-$(contact)))
 
 # Each store and each comparison has a target. `make compare-risers` first makes the stores that it needs. All targets resume.
-$(STORES) store-torso store-stairs store-speed store-exo store-exo-hip store-prosthesis: .venv/installed
+$(STORES) store-torso store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis: .venv/installed
 	$(BIN)/python tools/precompute.py --config $@
 
 compare-%: $(STORES)
@@ -41,14 +41,15 @@ $(addprefix compare-,$(STAIRS)): store-stairs
 $(addprefix compare-,$(SPEED)): store-speed
 compare-exo: store-exo
 compare-exo-hip: store-exo-hip
+compare-exo-effort: store-exo-effort
 compare-prosthesis-known: store-prosthesis
 
 compare: $(STORES)
 	$(BIN)/python tools/compare.py --config rough8-smooth
 	$(BIN)/python tools/report.py out/compare/rough8-smooth
 
-results: $(addprefix compare-,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip)
-	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip) --out out/results
+results: $(addprefix compare-,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort)
+	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
 
 test: .venv/test-installed
 	$(BIN)/python -m pytest $(PARALLEL) --durations=25

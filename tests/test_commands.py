@@ -118,6 +118,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         device = [each.name for each in DEVICE]
         fake_walker.write_store(out / "store-exo", searched=device, fixed_gains="reference")
         (out / "store-exo-hip").symlink_to(out / "store-exo")
+        kept = {"searched": device, "fixed_gains": "reference", "kept": ["activation_cubed_mean"]}
+        fake_walker.write_store(out / "store-exo-effort", **kept)
         for name in ("walker2d", "ant"):
             few = ("--config", name, "--samples", 32, "--workers", 1)
             assert run_tool(patch, "precompute", *few) == 0
