@@ -54,7 +54,9 @@ def result_rows(
     rows["mean_speed_mps"] = _quotient(rows["distance_m"], rows["duration_s"])
     mass = bodies.mass_kg.sum(axis=1)
     work = mass * np.maximum(rows["distance_m"], 0.0)
-    rows["cost_of_transport_jpkgpm"] = _quotient(sums[:, Sums.metabolic_energy], work)
+    energy, motors = sums[:, Sums.metabolic_energy], sums[:, Sums.motor_energy]
+    rows["cost_of_transport_jpkgpm"] = _quotient(energy, work)
+    rows["cost_of_transport_powered_jpkgpm"] = _quotient(energy + motors, work)
     rows["survived_fraction"] = rows["duration_s"] / duration_s
     steps = sums[:, Sums.steps]
     rows["step_count"] = np.round(steps).astype(np.int32)

@@ -171,7 +171,10 @@ class Walker:
         What else is not searched is not there: no device, no asymmetry.
         """
         fixed = {gain.name: float(gain.default) for gain in FIXED if gain not in self.searched}
-        document: dict[str, Any] = {"low_level_gains": fixed, "simulation": self.settings.document()}
+        document: dict[str, Any] = {
+            "low_level_gains": fixed,
+            "simulation": self.settings.document(),
+        }
         if self.fixed:
             document["fixed_gains"] = dict(zip(GAIN_NAMES, self.fixed, strict=True))
         if self.kept:

@@ -35,7 +35,6 @@ from study.pictures.trajectory_files import (
     write_trajectory,
 )
 from taichi_nmm import checks
-from taichi_nmm.body import GRAVITY_MPS2
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
@@ -122,18 +121,7 @@ def write_pictures(
     return {name: str(path) for name, path in paths.items()}
 
 
-def powered_cost(result: taichi_nmm.Result, experiment: Experiment, run: int) -> float:
-    """The cost of transport with the positive work of ideal torques and exoskeleton, J/(kg m)."""
-    row, walk = result.rows[0], result.trajectories[0]
-    torques = np.insert(walk.swing_torque_nm, [2, 4], 0.0, axis=1) + walk.device_torque_nm
-    work_j = np.maximum(torques[1:] * np.diff(walk.joint_rad, axis=0), 0.0).sum()
-    burden = experiment.weight_n(run) / GRAVITY_MPS2 * float(row["distance_m"])
-    return float(row["cost_of_transport_jpkgpm"] + (work_j / burden if burden > 0.0 else 0.0))
-
-
-def summary(
-    name: str, walks: dict[str, taichi_nmm.Result], experiment: Experiment, run: int
-) -> str:
+def summary(name: str, walks: dict[str, taichi_nmm.Result]) -> str:
     """For people: how the walk of each engine ended, then a line each number and a column each."""
     ends = [f"{name}, {engine}: {row_text(walk.rows[0])}" for engine, walk in walks.items()]
     columns = [["", *FIGURES]]
@@ -142,7 +130,6 @@ def summary(
         values = {field: row[field].item() for field in row.dtype.names or ()}
         values |= {field: float(np.rad2deg(row[field])) for field in ANGLES}
         values["double_support_percent"] = 100 * values["double_support_fraction"]
-        values["powered"] = powered_cost(walk, experiment, run)
         columns.append([engine, *(text.format(**values) for text in FIGURES.values())])
     wide = max(map(len, FIGURES))
     lines = [label.ljust(wide) + "".join(each.rjust(COLUMN) for each in numbers)
@@ -151,11 +138,10 @@ def summary(
 
 
 def report(
-    gains: NamedGains, row: np.void, powered: float, end_reason: str, paths: dict[str, str]
+    gains: NamedGains, row: np.void, end_reason: str, paths: dict[str, str]
 ) -> dict[str, Any]:
     """The same for programs: one object of plain values."""
     numbers = {field: row[field].item() for field in REPORTED}
-    numbers["cost_of_transport_powered_jpkgpm"] = powered
     return {
         # JSON has no NaN: numbers that a diverged walker lacks are null.
         **{field: value if np.isfinite(value) else None for field, value in numbers.items()},
@@ -234,9 +220,8 @@ def main(args: Namespace) -> None:
         write_opensim(args.opensim, result.trajectories[0], experiment.body(args.run), gains.name)
         paths["opensim"] = str(args.opensim)
     if args.json:
-        powered = powered_cost(result, experiment, args.run)
-        print(json.dumps(report(gains, row, powered, str(result.end_reason[0]), paths)))
+        print(json.dumps(report(gains, row, str(result.end_reason[0]), paths)))
         return
-    print(summary(name, walks, experiment, args.run))
+    print(summary(name, walks))
     for shows, path in paths.items():
         print(f"{shows.replace('_', ' '):<19} {path}")

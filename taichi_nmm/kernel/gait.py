@@ -228,6 +228,19 @@ def add_up_posture(lane, state: Rows, muscle: Rows, sums: Rows, work: Rows):
 
 
 @ti.func
+def add_up_motors(lane, state: Rows, sums: Rows, work: Rows):
+    """Positive work of ideal torques and exoskeleton at each joint by itself, in the last tick."""
+    up = state[State.active, lane] > 0.5
+    for leg in ti.static(range(LEGS)):
+        for joint in ti.static(range(3)):
+            torque = state[State.device_torque + 3 * leg + joint, lane]
+            if ti.static(joint < 2):
+                torque += state[ti.static((State.hip_torque, State.knee_torque)[joint]) + leg, lane]
+            power_w = torque * work[Work.joint_rate + 3 * leg + joint, lane]
+            add(sums, Sums.motor_energy, lane, up, larger(power_w, 0.0) * (1.0 / TICKS_PER_SECOND))
+
+
+@ti.func
 def add_up_forces(lane, step_s, state: Rows, sums: Rows, work: Rows):
     """Impulses of the ground and metabolic energy over one physics step."""
     up = state[State.active, lane] > 0.5

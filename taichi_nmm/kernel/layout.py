@@ -262,6 +262,7 @@ Sums = blocks(
     activation=MUSCLES_PER_LEG,
     activation_squared=1, activation_cubed=1,
     metabolic_energy=1,  # J
+    motor_energy=1,  # positive work of ideal torques and exoskeleton, J
     impulse=2 * LEGS,  # ground force times time, N s: left x, left z, right x, right z
 )  # fmt: skip
 

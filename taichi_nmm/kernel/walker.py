@@ -109,6 +109,7 @@ def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: R
         for leg in ti.static(range(LEGS)):
             gait.observe_leg(lane, leg, time, state, const, events, sums, work)
         gait.add_up_posture(lane, state, fibres, sums, work)
+        gait.add_up_motors(lane, state, sums, work)
     command(tick, lanes, state, fibres, delay, const, work)
 
 

@@ -7,16 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import numpy as np
 import pytest
 
 from study import pictures
-from study.commands.walk import powered_cost
 from study.experiment.experiment import read_experiment
 from study.experiment.gains import gains_of_row, row_at_speed
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
-from taichi_nmm.result import RESULT_DTYPE, Result
-from tests.study import fake_walker, synthetic_gait
+from tests.study import fake_walker
 from tests.study.experiment.test_front import front
 from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT
@@ -50,17 +47,6 @@ def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path: Path, tool: 
     assert set(drawn) == {"strip", "gait_cycle", "movie"}
     assert all(path.stat().st_size > 10_000 for path in drawn.values())
     assert {path.name for path in tmp_path.iterdir()} == PICTURES
-
-
-def test_motors_pay_for_their_positive_work() -> None:
-    """Ten newton metres at the left knee and the right ankle, of 80 kg over 50 m."""
-    walk, rows = synthetic_gait.walk(4.0), np.zeros(1, RESULT_DTYPE)
-    walk.swing_torque_nm[:, 1], walk.device_torque_nm[:, 5] = 10.0, -10.0
-    rows["cost_of_transport_jpkgpm"], rows["distance_m"] = 3.0, 50.0
-    flexed, bent = np.diff(walk.joint_rad[:, [1, 5]], axis=0).T
-    work_j = 10.0 * (flexed[flexed > 0.0].sum() - bent[bent < 0.0].sum())
-    found = powered_cost(Result(rows, (walk,)), read_experiment(FLAT), 0)
-    assert found == pytest.approx(3.0 + work_j / (80.0 * 50.0)) and work_j > 50.0
 
 
 @pytest.mark.slow

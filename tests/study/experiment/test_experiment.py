@@ -118,8 +118,7 @@ def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file
     assert experiment.until_walker == (elsewhere or hardly_any)
     trials = {"rough8-smooth": 100, "rough6-walking": 60}.get(file.stem, 40)
     trials = 100 if file.stem.startswith("stairs-up") else trials
-    own = {"speed": (20, 50), "exo": (20, 30), "prosthesis": (20, 30), "half": (20, 40)}
-    own |= {"even": (20, 50)}
+    own = {"speed": (20, 50), "exo": (20, 30), "prosthesis": (20, 30), "even": (20, 50)}
     shape = own.get(file.stem.removeprefix("outside-").partition("-")[0], (50, trials))
     assert (experiment.runs, experiment.trials) == shape
     assert experiment.conditions.build.disturbance > 0

@@ -14,7 +14,14 @@ from mujoco.batch import SimulationError
 from taichi_nmm import Result, Trajectory, simulate, terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel_cache import COMPILER
-from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
+from taichi_nmm.parameters import (
+    LOW_LEVEL_GAINS,
+    LOW_LEVEL_NAMES,
+    PUBLISHED_GAINS,
+    load_gains,
+    lower_bounds,
+    upper_bounds,
+)
 from taichi_nmm.settings import MujocoSettings, Settings
 
 pytestmark = pytest.mark.slow
@@ -60,13 +67,20 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
         assert np.abs(path.joint_rad).max() < 2.0
 
 
-def test_effort_and_peaks_of_torque_are_those_of_a_recording() -> None:
+def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
     """Of the engine whose recorded torques have no stops; a step goes from take-off to take-off."""
+    worn = [gain.default for gain in LOW_LEVEL_GAINS]
+    worn[LOW_LEVEL_NAMES.index("exo_torque")] = 20.0
     found = simulate(PUBLISHED_GAINS, duration_s=6.0, settings=MUJOCO, record=[0],
-                     record_rate_hz=1000)  # fmt: skip
+                     record_rate_hz=1000, low_level_gains=worn)  # fmt: skip
     (row,), (path,) = found.rows, found.trajectories
     for power, name in ((2, "activation_squared_mean"), (3, "activation_cubed_mean")):
         assert row[name] == pytest.approx((path.activation**power).mean(), rel=2e-3)
+    assert path.device_torque_nm.max() > 10.0
+    motors = path.device_torque_nm + np.insert(path.swing_torque_nm, [2, 4], 0.0, axis=1)
+    work_j = np.maximum(motors[1:] * np.diff(path.joint_rad, axis=0), 0.0).sum()
+    more = row["cost_of_transport_powered_jpkgpm"] - row["cost_of_transport_jpkgpm"]
+    assert more * 80.0 * row["distance_m"] == pytest.approx(work_j, rel=2e-3)
     events, steps = path.events[path.events["kind"] == 1], list[Any]()
     torque = np.abs(path.joint_torque_nm).reshape(-1, 2, 3)
     for side in (0, 1):
