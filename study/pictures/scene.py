@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 
 import matplotlib
@@ -25,8 +26,6 @@ Array = NDArray[np.float64]
 Colour = str | tuple[int, ...]
 
 SMOOTHING = 2  # shapes are drawn this much larger
-ARC = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 9)
-CIRCLE = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
 FONT = "fonts/ttf/DejaVuSans.ttf"
 
 
@@ -57,12 +56,15 @@ class Canvas:
 
     def disc(self, centre_m: Array, radius_m: float, fill: Colour) -> None:
         """A filled circle."""
-        self.polygon(centre_m + radius_m * np.stack([np.cos(CIRCLE), np.sin(CIRCLE)], -1), fill)
+        self._draw.circle(self._pixels(centre_m), radius_m * self._px_per_m[0], fill)
 
     def bones(self, parts: Iterable[stick.Bone], fill: Colour) -> None:
         """Thick lines with round ends."""
         for start_m, end_m, width_m in parts:
-            self.polygon(capsule(start_m, end_m, width_m), fill)
+            width = width_m * self._px_per_m[0]
+            self._draw.line(self._pixels(np.stack([start_m, end_m])), fill, round(width))
+            for end in (start_m, end_m):
+                self.disc(end, 0.5 * width_m, fill)
 
     def finish(self) -> None:
         """Shrink the shapes to the picture's size."""
@@ -84,14 +86,6 @@ class Canvas:
         """x, y, x, y, ... on the large picture."""
         pixels: list[float] = ((points_m - self._corner_m) * self._px_per_m).ravel().tolist()
         return pixels
-
-
-def capsule(start_m: Array, end_m: Array, width_m: float) -> Array:
-    """Outline of a thick line with round ends, [k, 2]."""
-    direction = np.arctan2(end_m[1] - start_m[1], end_m[0] - start_m[0])
-    ends = [(end_m, direction + ARC), (start_m, direction + np.pi + ARC)]
-    arcs = [c + 0.5 * width_m * np.stack([np.cos(a), np.sin(a)], -1) for c, a in ends]
-    return np.concatenate(arcs)
 
 
 @cache
@@ -248,21 +242,12 @@ class Scene:
 
     def _activation_bar(self) -> Image.Image:
         """The key to the muscles' colours, the tenth of the picture at its right."""
-        width, height = round(0.1 * self._size_px[0]), self._size_px[1]
-        bar = Image.new("RGBA", (width, height))
-        draw = ImageDraw.Draw(bar)
-        low, high, size = 0.55 * height, 0.15 * height, self._text_px(14)
-        colours = matplotlib.colormaps[style.ACTIVATION_MAP]
-        for y in range(round(high), round(low)):
-            colour = tuple(map(int, colours((low - y) / (low - high), bytes=True)[:3]))
-            draw.line([0.35 * width, y, 0.47 * width, y], fill=colour)
-        for value in (0.0, 0.5, 1.0):
-            at = (0.52 * width, low + value * (high - low))
-            draw.text(at, f"{value:.1f}", fill=style.INK, font=font(size), anchor="lm")
-        words, at = Image.new("RGBA", (height, size * 2)), (0.65 * height, 0)
-        ImageDraw.Draw(words).text(at, "muscle activation (1)", style.INK, font(size), "ma")
-        bar.alpha_composite(words.rotate(90, expand=True), (width - 2 * size, 0))
-        return bar
+        dpi = 72.0 * self._text_px(14) / style.SMALL_PT
+        figure = style.new_figure(0.1 * self._size_px[0] / dpi, self._size_px[1] / dpi, dpi)
+        stick.activation_bar(figure.add_axes((0.25, 0.45, 0.12, 0.4)))
+        picture = BytesIO()
+        figure.savefig(picture, transparent=True)
+        return Image.open(picture)
 
 
 def pressure_point(q: Array, side: int) -> Array:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.patches import Circle
@@ -31,8 +32,8 @@ TRUNK_WIDTH_M = 0.15
 WIDTHS_M = (0.09, 0.06, 0.04)  # of thigh, shank and foot
 
 
-def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCollection:
-    """Draw a pose q [9] on axes whose limits are set; return the near muscles, the left leg's.
+def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> None:
+    """Draw a pose q [9] on axes whose limits are set.
 
     The scale is alike in both directions. `activation` is of the muscles, left leg first, [14];
     `layer` is that of the far leg, and all else is less than one above it.
@@ -50,14 +51,13 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCo
         )
         axes.add_collection(drawn, autolim=False)
 
-    def muscles(side: int, edge: str, above: float) -> PolyCollection:
+    def muscles(side: int, edge: str, above: float) -> None:
         drawn = PolyCollection(
             muscle_outlines(q, side), cmap=style.ACTIVATION_MAP, norm=FULL_ACTIVATION,
             edgecolors=edge, linewidths=0.4, zorder=layer + above,
         )  # fmt: skip
         drawn.set_array(activation[len(MUSCLES) * side :][: len(MUSCLES)])
         axes.add_collection(drawn, autolim=False)
-        return drawn
 
     bones(far.bones(), style.FAR_LIMB, 0.0)
     muscles(RIGHT, style.FAINT, 0.1)
@@ -66,14 +66,14 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCo
         Circle((head[0], head[1]), HEAD_RADIUS_M, facecolor=style.NEAR_LIMB, zorder=layer + 0.2)
     )
     bones(near.bones(), style.NEAR_LIMB, 0.3)
-    shown = muscles(LEFT, style.INK, 0.4)
+    muscles(LEFT, style.INK, 0.4)
     axes.plot(*near.chain()[:3].T, "o", color=style.INK, ms=2.0, zorder=layer + 0.5)
-    return shown
 
 
-def activation_bar(axes: Axes, muscles: PolyCollection) -> None:
+def activation_bar(axes: Axes) -> None:
     """The colour bar of the activations, in axes of its own."""
-    bar = axes.figure.colorbar(muscles, cax=axes, ticks=[0, 0.5, 1])
+    colours = ScalarMappable(FULL_ACTIVATION, style.ACTIVATION_MAP)
+    bar = axes.figure.colorbar(colours, cax=axes, ticks=[0, 0.5, 1])
     bar.set_label("muscle activation (1)", fontsize=style.SMALL_PT, color=style.INK)
     bar.ax.tick_params(labelsize=style.SMALL_PT, colors=style.INK, length=2)
     bar.outline.set_visible(False)
