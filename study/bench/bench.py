@@ -28,6 +28,7 @@ from study.bench.journal import Entry, Journal, State, Trial, read_state, undoab
 from study.bench.plan import Plan, read_plan
 from study.sampler.diagnostics import Best, Prediction
 from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.space import as_suggested
 from study.sampler.table import FeatureTable, Rows
 from study.sampler.table_policy import TableExhaustedError
 from study.sampler.worlds import Worlds
@@ -195,8 +196,10 @@ class Bench:
                 if name not in space or name not in params:
                     what = params.get(name, "missing")
                     raise InputError(name, what, f"one value of each of {', '.join(space)}")
-                if not fits(space[name], params[name]):
-                    raise InputError(name, params[name], str(space[name]))
+                try:
+                    as_suggested(space[name], params[name])
+                except ValueError:
+                    raise InputError(name, params[name], str(space[name])) from None
         results = [
             self._checked(checks.number()("value", value), columns, checks.text("note", note))
             for _, value, columns, note in rows
@@ -436,14 +439,6 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
     weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
     worlds = Worlds((*own.names, *before), np.hstack([own.costs, told]), weights, own.better)
     return FeatureTable(replace(rows, worlds=worlds))
-
-
-def fits(distribution: BaseDistribution, value: Any) -> bool:
-    """Whether a parameter can have a value."""
-    try:
-        return bool(distribution._contains(distribution.to_internal_repr(value)))
-    except (TypeError, ValueError):
-        return False
 
 
 def _range(rows: Rows) -> list[float] | None:
