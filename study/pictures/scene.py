@@ -148,7 +148,8 @@ def frames(
 
 def motion_of(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
     """The last `seconds` of a walk whose poses are finite, `rate_hz` frames a second."""
-    start_s, end_s = stick.last_seconds(trajectory, seconds)
+    end_s = trajectory.time_s[-1]
+    start_s = max(trajectory.time_s[0], end_s - seconds)
     times_s = np.arange(start_s, end_s + 1e-9, 1.0 / rate_hz)
     q = stick.at_times(trajectory, trajectory.q, times_s)
     return Motion(

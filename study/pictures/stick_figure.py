@@ -200,20 +200,6 @@ def finite(trajectory: Trajectory) -> Trajectory:
     return replace(trajectory, **{name: getattr(trajectory, name)[good] for name in per_sample})
 
 
-def last_metres(trajectory: Trajectory, metres: float) -> tuple[float, float]:
-    """Start and end time of the last stretch over which the hip travelled `metres`."""
-    x = trajectory.q[:, 0]
-    before = np.flatnonzero(np.abs(x[-1] - x) > metres)
-    first = before[-1] if len(before) else 0
-    return float(trajectory.time_s[first]), float(trajectory.time_s[-1])
-
-
-def last_seconds(trajectory: Trajectory, seconds: float) -> tuple[float, float]:
-    """Start and end time of the last `seconds`."""
-    start, end = float(trajectory.time_s[0]), float(trajectory.time_s[-1])
-    return max(start, end - seconds), end
-
-
 def at_times(trajectory: Trajectory, values: Array, times_s: Array) -> Array:
     """Columns of `values` [t, k] at these times, linear between samples, [len(times_s), k]."""
     columns = [np.interp(times_s, trajectory.time_s, column) for column in values.T]

@@ -80,10 +80,10 @@ def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None
     The frame is by default as wide as the poses.
     """
     trajectory = stick.finite(trajectory)
-    start_s, end_s = stick.last_metres(trajectory, SHOWN_M)
-    x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
-    count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
-    poses_s = np.linspace(start_s, end_s, count)
+    way = np.abs(trajectory.q[-1, 0] - trajectory.q[:, 0])  # still to come
+    first = max(np.flatnonzero(way > SHOWN_M), default=0)
+    count = max(round(way[first] / POSE_SPACING_M), 1) + 1
+    poses_s = np.linspace(trajectory.time_s[first], trajectory.time_s[-1], count)
     q = stick.at_times(trajectory, trajectory.q, poses_s)
     width = width_m or max(np.ptp(q[:, 0]) + 2.0 * MARGIN_M, NARROWEST_M)
     low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - width)
