@@ -9,7 +9,6 @@ film is first asked for, to look at before the machine tries them.
 import hashlib
 import json
 import secrets
-import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor
@@ -28,8 +27,8 @@ from study.bench.journal import MOST_DIGITS
 from study.experiment.experiment import experiment_of
 from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
-from study.pictures.movie import filmable, filmed, write_movie
-from study.pictures.scene import SMALL
+from study.pictures.movie import encoded, filmable, filmed
+from study.pictures.scene import SMALL, frames
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
@@ -87,10 +86,8 @@ def of_walker(fixed: Mapping[str, float], params: Mapping[str, Any]) -> bytes:
     walk = recorded_walk(
         named_gains("candidate", {**fixed, **params}), experiment, 0, SMALL.rate_hz
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "walk.mp4"
-        write_movie(path, walk.trajectories[0], experiment.terrain(0), SECONDS, film=SMALL)
-        return path.read_bytes()
+    pictures = frames(walk.trajectories[0], experiment.terrain(0), SECONDS, "", SMALL)
+    return encoded(pictures, SMALL)
 
 
 class Films:

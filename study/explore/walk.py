@@ -4,8 +4,6 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
@@ -20,8 +18,8 @@ from study.experiment.trials import row_text
 from study.explore.words import CHOICES
 from study.pictures import style
 from study.pictures.gait_cycle import STRIKE, event_times
-from study.pictures.movie import write_movie
-from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
+from study.pictures.movie import encoded
+from study.pictures.scene import FORCE_M_PER_N, LARGE, frames, motion_of, pressure_point
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
 from taichi_nmm.config import Table
 from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD, FELL, Trajectory
@@ -162,7 +160,7 @@ def warm_up() -> None:
     walk(gains_of_source("reference"), level)
 
 
-FILM = "walk.mp4"  # of its last 8 s
+FILM, FILM_S = "walk.mp4", 8.0  # of the walk's end
 GAINS, CONFIG = NAMES = "gains.json", "walk.toml"  # what every command takes: --gains, --config
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
@@ -171,10 +169,8 @@ COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
     """One of `NAMES` or `FILM` and its content, to be taken from the page."""
     if name == FILM:
-        with TemporaryDirectory() as folder:
-            path, terrain = Path(folder) / name, walk.experiment.terrain(walk.run)
-            write_movie(path, walk.trajectory, terrain, title=walk.gains.name)
-            return name, path.read_bytes()
+        terrain = walk.experiment.terrain(walk.run)
+        return name, encoded(frames(walk.trajectory, terrain, FILM_S, walk.gains.name), LARGE)
     if name == CONFIG:
         return name, to_toml({"runs": walk.run + 1, **as_written(walk.experiment)}).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
