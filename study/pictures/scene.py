@@ -15,6 +15,7 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from study.pictures import stick_figure as stick
@@ -273,6 +274,4 @@ def smooth_force(trajectory: Trajectory) -> Array:
     """Ground forces averaged over a few samples, [t, 4]."""
     interval_s = np.diff(trajectory.time_s[:2]).sum() or 1.0
     width = max(round(FORCE_SMOOTHING_S / interval_s), 1)
-    padded = np.pad(trajectory.ground_force_n, ((width // 2, (width - 1) // 2), (0, 0)), "edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
-    return np.asarray(windows.mean(axis=-1))
+    return np.asarray(uniform_filter1d(trajectory.ground_force_n, width, axis=0, mode="nearest"))

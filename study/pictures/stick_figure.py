@@ -83,7 +83,6 @@ SHOULDER_M = 0.50  # above the hip, along the trunk
 HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
-SEGMENTS = ("hat", "thigh", "shank", "foot")
 LEG_COLUMNS = ((2, 3, 4, 5), (2, 6, 7, 8))  # th of HAT, thigh, shank, foot in q; left, right
 
 DRAWN = tomllib.loads(Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8"))
@@ -144,25 +143,25 @@ def muscle_outlines(q: Array, side: int) -> list[Array]:
 
 def muscle_paths(q: Array, side: int) -> list[Array]:
     """The lines along which these muscles run, each [..., `PATH_POINTS`, 2]."""
-    frames = _frames(q, side)
+    hat, thigh, shank, foot = (q[..., column] for column in LEG_COLUMNS[side])
+    joints = leg(q, side)
+    frames = {
+        "hat": (joints.hip, -down(hat), forward(hat)),
+        "thigh": (joints.hip, down(thigh), forward(thigh)),
+        "shank": (joints.knee, down(shank), forward(shank)),
+        "foot": (joints.ankle, forward(foot), -down(foot)),
+    }
     return [_path(frames, name) for name in MUSCLES]
 
 
-def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:
-    """Origin, axis and front of HAT, thigh, shank and foot, each [..., 2]."""
-    hat, thigh, shank, foot = (q[..., column] for column in LEG_COLUMNS[side])
-    joints = leg(q, side)
-    return [
-        (joints.hip, -down(hat), forward(hat)), (joints.hip, down(thigh), forward(thigh)),
-        (joints.knee, down(shank), forward(shank)), (joints.ankle, forward(foot), -down(foot)),
-    ]  # fmt: skip
+def _path(frames: dict[str, tuple[Array, Array, Array]], name: str) -> Array:
+    """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2].
 
-
-def _path(frames: list[tuple[Array, Array, Array]], name: str) -> Array:
-    """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2]."""
+    `frames` has origin, axis and front of each segment, each [..., 2].
+    """
     points = []
     for segment, along, ahead in DRAWN[name]["path"]:
-        origin, axis, front = frames[SEGMENTS.index(segment)]
+        origin, axis, front = frames[segment]
         points.append((origin + along * axis + ahead * front)[..., None, :])
     start, middle, end = points
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
