@@ -25,7 +25,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from storage.databases.studies import read_errors
 from storage.tables import difference
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
-from study.bench.plan import Plan, read_plan
+from study.bench.plan import Plan, Safety, read_plan
 from study.sampler.diagnostics import Best, Prediction
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.space import as_suggested
@@ -310,7 +310,7 @@ class Bench:
         numbers = {given["number"]: Trial(operator="", **given) for given in asked}
         state = replace(state, trials=state.trials | numbers, count=state.count + len(asked))
         study, sampler = self._study(state), self._sampler()
-        if self.plan.safety.is_asked:
+        if self.plan.safety != Safety():
             sampler = self._sampler(self._allowed(study, sampler))
         study.sampler = sampler
         try:

@@ -6,8 +6,6 @@ token, which is printed once. Requests take turns. Candidates are filmed in thei
 film is first asked for, to look at before the machine tries them.
 """
 
-import hashlib
-import json
 import secrets
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,7 +21,7 @@ import bottle
 from storage.simulator import WALKER
 from storage.store import open_store
 from study.bench.bench import Bench
-from study.bench.journal import MOST_DIGITS
+from study.bench.journal import MOST_DIGITS, Trial
 from study.experiment.experiment import experiment_of
 from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
@@ -97,17 +95,16 @@ class Films:
         self._filming, self._makers, self._folder = filming, makers, folder
         self._turn = threading.Lock()
 
-    def of(self, params: Mapping[str, Any]) -> Path:
-        """The film of parameters.
+    def of(self, trial: Trial) -> Path:
+        """The film of a trial.
 
         Raises:
             InputError: what the simulator or the film's encoder refuses.
         """
-        key = hashlib.sha256(json.dumps(params, sort_keys=True).encode()).hexdigest()
-        path = self._folder / f"{key}.mp4"
+        path = self._folder / f"{trial.number}.mp4"  # a number is given to one trial for ever
         with self._turn:
             if not path.exists():
-                path.write_bytes(self._makers.submit(self._filming, params).result())
+                path.write_bytes(self._makers.submit(self._filming, trial.params).result())
         return path
 
 
@@ -158,7 +155,7 @@ def application(
         if films is None or trial not in known:
             return bottle.abort(404, "no such film")
         try:
-            path = films.of(known[trial].params)
+            path = films.of(known[trial])
         except (InputError, BrokenExecutor) as error:
             return bottle.abort(503, str(error))
         return bottle.static_file(path.name, str(path.parent), mimetype="video/mp4")
