@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -480,29 +481,22 @@ def show(bench: Bench) -> None:
         frozen(state.trials[number], space, plan) if number in state.trials else gone
         for number in range(state.count)
     ]
-    known = study.get_trials(deepcopy=False)
-    for place, trial in enumerate(known):
-        if place < len(wanted) and _same(trial, wanted[place]):
-            continue
-        if place >= len(wanted) or not _finish(study, trial, wanted[place]):
+    for trial, own in zip_longest(study.get_trials(deepcopy=False), wanted):
+        if trial is None:
+            study.add_trial(own)
+        elif own is None or not _shows(study, trial, own):
             optuna.delete_study(study_name=plan.name, storage=storage)
             show(bench)
             return
-    for trial in wanted[len(known) :]:
-        study.add_trial(trial)
 
 
-def _same(trial: FrozenTrial, other: FrozenTrial) -> bool:
-    """Whether two trials show the same."""
+def _shows(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool:
+    """Whether a trial shows what is wanted, perhaps after it was finished, if it was running."""
     parts = ("state", "values", "params", "user_attrs")
-    return all(getattr(trial, part) == getattr(other, part) for part in parts)
-
-
-def _finish(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool:
-    """Finish a running trial as wanted; whether it could be."""
-    if trial.state is not TrialState.RUNNING or trial.params != wanted.params:
-        return False
-    if wanted.state is TrialState.FAIL:
+    if all(getattr(trial, part) == getattr(wanted, part) for part in parts):
+        return True
+    unfinished = trial.state is TrialState.RUNNING and wanted.state is not TrialState.FAIL
+    if not unfinished or trial.params != wanted.params:
         return False
     storage, number = study._storage, trial._trial_id
     for key, value in wanted.user_attrs.items():
