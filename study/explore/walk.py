@@ -19,7 +19,7 @@ from study.explore.words import CHOICES
 from study.pictures import style
 from study.pictures.gait_cycle import STRIKE, event_times
 from study.pictures.movie import encoded
-from study.pictures.scene import FORCE_M_PER_N, LARGE, frames, motion_of, pressure_point
+from study.pictures.scene import LARGE, force_arrows, frames, motion_of
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
 from taichi_nmm.config import Table
 from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD, FELL, Trajectory
@@ -88,11 +88,6 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     motion = motion_of(shown, terrain, float(shown.time_s[-1]), RATE_HZ)
     q = motion.q
     shoulder, head = trunk(q)
-    feet = [pressure_point(q, side) for side in (LEFT, RIGHT)]
-    pushes = [FORCE_M_PER_N * motion.force_n[:, 2 * side : 2 * side + 2] for side in (LEFT, RIGHT)]
-    arrows = [
-        np.stack([foot, foot + push], axis=1) for foot, push in zip(feet, pushes, strict=True)
-    ]
     paths = [*muscle_paths(q, LEFT), *muscle_paths(q, RIGHT)]
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
     drawn = {
@@ -104,7 +99,7 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
         "trunk": np.stack([q[:, :2], shoulder], axis=1),  # hip and shoulder, [f, 2, 2]
         "head": head[:, None],
         "muscles": np.stack(paths, axis=1),  # their lines, left leg, then right, [f, 14, p, 2]
-        "forces": np.stack(arrows, axis=1),  # foot and tip, left and right, [f, 2, 2, 2]
+        "forces": force_arrows(motion),  # foot and tip, left and right, [f, 2, 2, 2]
         "ground": np.stack([x, terrain.height(x)], axis=1),  # [k, 2]
         "strikes_s": event_times(trajectory, LEFT, STRIKE),
     }

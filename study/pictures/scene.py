@@ -171,6 +171,7 @@ class Scene:
         self._motion, self._terrain, self._title, self._size_px = motion, terrain, title, size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         sides = stick.LEFT, stick.RIGHT
+        self._arrows = force_arrows(motion)
         self._outlines = [stick.muscle_outlines(motion.q, side) for side in sides]
         colours = matplotlib.colormaps[style.ACTIVATION_MAP](motion.activation, bytes=True)
         self._colours = [[tuple(c) for c in frame] for frame in colours[..., :3].tolist()]
@@ -184,11 +185,9 @@ class Scene:
         bottom_m = motion.level_m[number] - BELOW_GROUND_M
         canvas = Canvas(self._size_px, left_m, bottom_m, VIEW_WIDTH_M)
         self._draw_walker(canvas, number)
-        for side in (stick.LEFT, stick.RIGHT):
-            foot = pressure_point(q, side)
-            force = FORCE_M_PER_N * motion.force_n[number, 2 * side : 2 * side + 2]
-            if np.hypot(*force) > FORCE_WIDTH_M:
-                canvas.bones([(foot, foot + force, FORCE_WIDTH_M)], style.MODEL)
+        for foot, tip in self._arrows[number]:
+            if np.hypot(*(tip - foot)) > FORCE_WIDTH_M:
+                canvas.bones([(foot, tip, FORCE_WIDTH_M)], style.MODEL)
         metres = self._draw_ground(canvas, left_m, bottom_m)
         canvas.finish()
         self._write(canvas, number, metres)
@@ -252,15 +251,20 @@ class Scene:
         return Image.open(picture)
 
 
-def pressure_point(q: Array, side: int) -> Array:
-    """A place to draw the ground's force in poses q [..., 9], of the left (0) or right (1) foot.
+def force_arrows(motion: Motion) -> Array:
+    """Forces of the ground as foot and tip, of the left foot and the right, [frames, 2, 2, 2].
 
-    It is the lower end of a tilted foot, the middle of a flat one.
+    They begin at the lower end of a tilted foot, at the middle of a flat one.
     """
-    joints = stick.leg(q, side)
-    lower = joints.heel[..., 1:] - joints.ball[..., 1:]
-    share = np.clip(0.5 + lower / PRESSURE_SHIFT_M, 0.0, 1.0)
-    return np.asarray(joints.heel + share * (joints.ball - joints.heel))
+    arrows = []
+    for side in (stick.LEFT, stick.RIGHT):
+        joints = stick.leg(motion.q, side)
+        lower = joints.heel[:, 1:] - joints.ball[:, 1:]
+        share = np.clip(0.5 + lower / PRESSURE_SHIFT_M, 0.0, 1.0)
+        foot = joints.heel + share * (joints.ball - joints.heel)
+        push = FORCE_M_PER_N * motion.force_n[:, 2 * side : 2 * side + 2]
+        arrows.append(np.stack([foot, foot + push], axis=1))
+    return np.stack(arrows, axis=1)
 
 
 def camera_level(ground_m: Array, rate_hz: int) -> Array:
