@@ -4,10 +4,12 @@ import multiprocessing
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime
 from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any, cast
+from unittest.mock import Mock
 
 import numpy as np
 import optuna
@@ -359,12 +361,8 @@ def test_two_operators_at_once_lose_nothing_and_get_different_trials(tmp_path: P
 def test_a_clock_that_goes_back_decides_nothing(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Clock:
-        def isoformat(self, timespec: str) -> str:
-            return "1999-01-01T00:00:00+00:00"
-
     (trial,) = bench.next()
     bench.record(trial.number, 1.0)
-    monkeypatch.setattr(journal, "datetime", type("T", (), {"now": lambda _: Clock()}))
+    monkeypatch.setattr(journal, "datetime", Mock(now=lambda _: datetime(1999, 1, 1)))
     bench.correct(trial.number, 2.0)
     assert bench.entries[-1].time.startswith("1999") and bench.state.trials[0].value == 2.0

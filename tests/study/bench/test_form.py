@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import bottle
 import pytest
@@ -112,13 +113,9 @@ def test_a_database_that_cannot_be_read_is_one_line(
 ) -> None:
     address, _, bench = serve(HOST)
     locked = InputError("storage", "walk.db", "a database that no other program holds")
-    monkeypatch.setattr(bench, "look", lambda: raised(locked))
+    monkeypatch.setattr(bench, "look", Mock(side_effect=locked))
     status, text = ask(address)
     assert status == 503 and "storage: &#039;walk.db&#039;" in text
-
-
-def raised(error: Exception) -> None:
-    raise error
 
 
 def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
