@@ -123,8 +123,8 @@ def test_the_page_runs_from_top_to_bottom(
     for words in (
         "walk: FeatureTable(300 rows", "trial 0 | walk\n", "Expected: ",
         "enter: taichi-nmm bench record 1 --cost ... --torque ...", "again: broken off 1 times",
-        "trial   0  0.92        torque 81  slipped on the mat\n", "correct 2 (undone)\n", "undone: ",
-        "\ntrial 6\n", "trial   3  simulated", "worlds the robot is like", "trial 8 | walk | gravel",
+        "trial   0  0.92        torque 81  slipped on the mat\n", "correct 2 (undone)", "undone: ",
+        "\ntrial 6\n", "trial   3  simulated", "worlds the robot is like", "trial 8 | walk | gravel"
     ):  # fmt: skip
         assert words in said.out
     assert re.search(r"^Trial \d.*\n\{.*\}\nA repeat of trial \d", said.out, re.MULTILINE)
