@@ -51,7 +51,7 @@ def test_a_click_shows_numbers_and_films_the_row(tmp_path: Path) -> None:
     store = make_store(rail.Rail, tmp_path / "rail", workers=1, samples=8, simulation=simulation,
                        families={"heavy": HEAVY})  # fmt: skip
     asked = ("--simulator", "tests/storage/rail.py:Rail")
-    with explorer(store.path, words=asked) as address, opened_page(1500, 900) as page:
+    with explorer(store.path, *asked) as address, opened_page(1500, 900) as page:
         page.goto(address)
         page.wait_for_function("window.Bokeh?.documents[0]?.get_model_by_name('numbers')")
         page.evaluate(f"{MODEL}('row').value = 5")

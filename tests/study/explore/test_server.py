@@ -35,7 +35,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, errors: Path) -> Iterator[
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     store = tmp_path_factory.mktemp("served") / "store"
     fake_walker.write_plain_store(store)
-    with errors.open("w") as printed, explorer(store, printed) as found:
+    with errors.open("w") as printed, explorer(store, errors=printed) as found:
         yield found
 
 
