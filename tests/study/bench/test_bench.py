@@ -171,7 +171,7 @@ def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> 
     near = {"stiffness": 149.0, "damping": 0.91}  # no row of the table
     assert bench.add([(near, robot.cost(near), {}, "")]) == [3]
     assert bench.best().number == 3
-    bad = {"stiffness": 1e5}, {"damping": 57.3}, {"mass": 1.0}, {"stiffness": "soft"}
+    bad = {"stiffness": 1e5}, {"damping": 57.3}, {"damping": "0.91"}, {"mass": 1.0}
     for change in bad:
         with pytest.raises(InputError, match=next(iter(change))):
             bench.add([(near | change, 1.0, {}, "")])
