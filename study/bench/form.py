@@ -57,24 +57,14 @@ def filming_of(bench: Bench, simulator: str | None) -> Filming | None:
         InputError: no such simulator, or one of other parameters.
     """
     if simulator is not None:
-        space = bench.space
-        if set(space) != set(filmable(simulator).space):
-            raise InputError("simulator", simulator, f"one with the parameters {', '.join(space)}")
-        numbers = {name: each.to_internal_repr for name, each in space.items()}
-        return partial(_of_robot, simulator, numbers)
+        filmable(simulator, bench.space)
+        return partial(filmed, simulator, {}, SECONDS)
     candidates = bench.plan.candidates
     if "store" not in candidates.unread:
         return None
     store = open_store(candidates.folder / candidates.unread["store"])
     fixed = store.specification.get("fixed_gains", {})
     return partial(of_walker, fixed) if store.simulator == WALKER else None
-
-
-def _of_robot(
-    simulator: str, numbers: Mapping[str, Callable[[Any], float]], params: Mapping[str, Any]
-) -> bytes:
-    point = {name: number(params[name]) for name, number in numbers.items()}
-    return filmed(simulator, point, {}, SECONDS)
 
 
 def of_walker(fixed: Mapping[str, float], params: Mapping[str, Any]) -> bytes:

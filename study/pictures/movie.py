@@ -3,7 +3,7 @@
 import os
 import subprocess
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,34 +81,33 @@ def film_run(
     return _write(path, _drawn(simulator, point, world, seconds, film), film)
 
 
-def filmed(simulator: str, point: dict[str, Any], world: dict[str, float], seconds: float) -> bytes:
+def filmed(
+    simulator: str, world: Mapping[str, float], seconds: float, point: Mapping[str, Any]
+) -> bytes:
     """An MP4 of a run; in a process of its own, since MuJoCo reads how to draw when it is loaded.
 
-    The point has the numbers of a store: whole numbers as floats, a choice as its number.
-
     Raises:
-        InputError: a simulator that cannot be filmed, of other parameters, or no OpenGL.
+        InputError: no OpenGL.
     """
     if not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")
-    robot = filmable(simulator)
-    if set(point) != set(robot.space):
-        raise InputError("simulator", simulator, f"one with the parameters {', '.join(point)}")
-    point = {name: robot.space[name].to_external_repr(value) for name, value in point.items()}
+    robot: Any = find_simulator(simulator)
     return encoded(_drawn(robot, point, world, seconds, SMALL), SMALL)
 
 
-def filmable(name: str) -> Any:
-    """The simulator of MuJoCo with this name.
+def filmable(name: str, parameters: Collection[str]) -> Any:
+    """The simulator of MuJoCo with this name and these parameters.
 
     Raises:
-        InputError: none, or one of another kind.
+        InputError: none, or one of another kind or of other parameters.
     """
     from storage.mujoco_simulator import MujocoSimulator
 
     robot = find_simulator(name)
     if not isinstance(robot, MujocoSimulator):
         raise InputError("simulator", name, "a MujocoSimulator: others have nothing to film")
+    if set(parameters) != set(robot.space):
+        raise InputError("simulator", name, f"one with the parameters {', '.join(parameters)}")
     return robot
 
 

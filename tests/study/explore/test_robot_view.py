@@ -41,8 +41,9 @@ def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
 
 
 def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
-    with pytest.raises(InputError, match=r"^simulator: .* a MujocoSimulator"):
-        page_of(cart.path, simulator="tests/storage/robot.py:Cart")
+    for name, allowed in (("robot.py:Cart", "a MujocoSimulator"), ("rail.py:Rail", "thrust_n")):
+        with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
+            page_of(cart.path, simulator=f"tests/storage/{name}")
 
 
 @pytest.mark.slow
