@@ -11,7 +11,7 @@ import socket
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import zip_longest
 from pathlib import Path
@@ -451,8 +451,7 @@ def _range(rows: Rows) -> list[float] | None:
 
 def frozen(trial: Trial, space: Mapping[str, Any], plan: Plan) -> FrozenTrial:
     """A trial as Optuna has it."""
-    known = asdict(trial)
-    shown = {key: known[key] for key in ("context", "operator", "note", "failed", "why")}
+    shown = {key: getattr(trial, key) for key in ("context", "operator", "note", "failed", "why")}
     limits = {
         limit: excess
         for name, value in trial.columns.items()
