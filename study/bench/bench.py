@@ -11,8 +11,9 @@ import socket
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,10 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from storage.databases.studies import read_errors
 from storage.tables import difference
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
-from study.bench.plan import Plan, read_plan
+from study.bench.plan import Plan, Safety, read_plan
 from study.sampler.diagnostics import Best, Prediction
 from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.space import as_suggested
 from study.sampler.table import FeatureTable, Rows
 from study.sampler.table_policy import TableExhaustedError
 from study.sampler.worlds import Worlds
@@ -195,8 +197,10 @@ class Bench:
                 if name not in space or name not in params:
                     what = params.get(name, "missing")
                     raise InputError(name, what, f"one value of each of {', '.join(space)}")
-                if not fits(space[name], params[name]):
-                    raise InputError(name, params[name], str(space[name]))
+                try:
+                    as_suggested(space[name], params[name])
+                except ValueError:
+                    raise InputError(name, params[name], str(space[name])) from None
         results = [
             self._checked(checks.number()("value", value), columns, checks.text("note", note))
             for _, value, columns, note in rows
@@ -307,7 +311,7 @@ class Bench:
         numbers = {given["number"]: Trial(operator="", **given) for given in asked}
         state = replace(state, trials=state.trials | numbers, count=state.count + len(asked))
         study, sampler = self._study(state), self._sampler()
-        if self.plan.safety.is_asked:
+        if self.plan.safety != Safety():
             sampler = self._sampler(self._allowed(study, sampler))
         study.sampler = sampler
         try:
@@ -438,14 +442,6 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
     return FeatureTable(replace(rows, worlds=worlds))
 
 
-def fits(distribution: BaseDistribution, value: Any) -> bool:
-    """Whether a parameter can have a value."""
-    try:
-        return bool(distribution._contains(distribution.to_internal_repr(value)))
-    except (TypeError, ValueError):
-        return False
-
-
 def _range(rows: Rows) -> list[float] | None:
     """The least and the largest value that was simulated; None: in no worlds of these units."""
     if rows.worlds is None or rows.worlds.better is not None:
@@ -455,8 +451,7 @@ def _range(rows: Rows) -> list[float] | None:
 
 def frozen(trial: Trial, space: Mapping[str, Any], plan: Plan) -> FrozenTrial:
     """A trial as Optuna has it."""
-    known = asdict(trial)
-    shown = {key: known[key] for key in ("context", "operator", "note", "failed", "why")}
+    shown = {key: getattr(trial, key) for key in ("context", "operator", "note", "failed", "why")}
     limits = {
         limit: excess
         for name, value in trial.columns.items()
@@ -485,29 +480,22 @@ def show(bench: Bench) -> None:
         frozen(state.trials[number], space, plan) if number in state.trials else gone
         for number in range(state.count)
     ]
-    known = study.get_trials(deepcopy=False)
-    for place, trial in enumerate(known):
-        if place < len(wanted) and _same(trial, wanted[place]):
-            continue
-        if place >= len(wanted) or not _finish(study, trial, wanted[place]):
+    for trial, own in zip_longest(study.get_trials(deepcopy=False), wanted):
+        if trial is None:
+            study.add_trial(own)
+        elif own is None or not _shows(study, trial, own):
             optuna.delete_study(study_name=plan.name, storage=storage)
             show(bench)
             return
-    for trial in wanted[len(known) :]:
-        study.add_trial(trial)
 
 
-def _same(trial: FrozenTrial, other: FrozenTrial) -> bool:
-    """Whether two trials show the same."""
+def _shows(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool:
+    """Whether a trial shows what is wanted, perhaps after it was finished, if it was running."""
     parts = ("state", "values", "params", "user_attrs")
-    return all(getattr(trial, part) == getattr(other, part) for part in parts)
-
-
-def _finish(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool:
-    """Finish a running trial as wanted; whether it could be."""
-    if trial.state is not TrialState.RUNNING or trial.params != wanted.params:
-        return False
-    if wanted.state is TrialState.FAIL:
+    if all(getattr(trial, part) == getattr(wanted, part) for part in parts):
+        return True
+    unfinished = trial.state is TrialState.RUNNING and wanted.state is not TrialState.FAIL
+    if not unfinished or trial.params != wanted.params:
         return False
     storage, number = study._storage, trial._trial_id
     for key, value in wanted.user_attrs.items():

@@ -6,10 +6,7 @@ token, which is printed once. Requests take turns. Candidates are filmed in thei
 film is first asked for, to look at before the machine tries them.
 """
 
-import hashlib
-import json
 import secrets
-import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor
@@ -24,12 +21,12 @@ import bottle
 from storage.simulator import WALKER
 from storage.store import open_store
 from study.bench.bench import Bench
-from study.bench.journal import MOST_DIGITS
+from study.bench.journal import MOST_DIGITS, Trial
 from study.experiment.experiment import experiment_of
 from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
-from study.pictures.movie import filmable, filmed, write_movie
-from study.pictures.scene import SMALL
+from study.pictures.movie import encoded, filmable, filmed
+from study.pictures.scene import SMALL, frames
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
@@ -60,24 +57,14 @@ def filming_of(bench: Bench, simulator: str | None) -> Filming | None:
         InputError: no such simulator, or one of other parameters.
     """
     if simulator is not None:
-        space = bench.space
-        if set(space) != set(filmable(simulator).space):
-            raise InputError("simulator", simulator, f"one with the parameters {', '.join(space)}")
-        numbers = {name: each.to_internal_repr for name, each in space.items()}
-        return partial(_of_robot, simulator, numbers)
+        filmable(simulator, bench.space)
+        return partial(filmed, simulator, {}, SECONDS)
     candidates = bench.plan.candidates
     if "store" not in candidates.unread:
         return None
     store = open_store(candidates.folder / candidates.unread["store"])
     fixed = store.specification.get("fixed_gains", {})
     return partial(of_walker, fixed) if store.simulator == WALKER else None
-
-
-def _of_robot(
-    simulator: str, numbers: Mapping[str, Callable[[Any], float]], params: Mapping[str, Any]
-) -> bytes:
-    point = {name: number(params[name]) for name, number in numbers.items()}
-    return filmed(simulator, point, {}, SECONDS)
 
 
 def of_walker(fixed: Mapping[str, float], params: Mapping[str, Any]) -> bytes:
@@ -87,10 +74,8 @@ def of_walker(fixed: Mapping[str, float], params: Mapping[str, Any]) -> bytes:
     walk = recorded_walk(
         named_gains("candidate", {**fixed, **params}), experiment, 0, SMALL.rate_hz
     )
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "walk.mp4"
-        write_movie(path, walk.trajectories[0], experiment.terrain(0), SECONDS, film=SMALL)
-        return path.read_bytes()
+    pictures = frames(walk.trajectories[0], experiment.terrain(0), SECONDS, "", SMALL)
+    return encoded(pictures, SMALL)
 
 
 class Films:
@@ -100,17 +85,16 @@ class Films:
         self._filming, self._makers, self._folder = filming, makers, folder
         self._turn = threading.Lock()
 
-    def of(self, params: Mapping[str, Any]) -> Path:
-        """The film of parameters.
+    def of(self, trial: Trial) -> Path:
+        """The film of a trial.
 
         Raises:
             InputError: what the simulator or the film's encoder refuses.
         """
-        key = hashlib.sha256(json.dumps(params, sort_keys=True).encode()).hexdigest()
-        path = self._folder / f"{key}.mp4"
+        path = self._folder / f"{trial.number}.mp4"  # a number is given to one trial for ever
         with self._turn:
             if not path.exists():
-                path.write_bytes(self._makers.submit(self._filming, params).result())
+                path.write_bytes(self._makers.submit(self._filming, trial.params).result())
         return path
 
 
@@ -161,7 +145,7 @@ def application(
         if films is None or trial not in known:
             return bottle.abort(404, "no such film")
         try:
-            path = films.of(known[trial].params)
+            path = films.of(known[trial])
         except (InputError, BrokenExecutor) as error:
             return bottle.abort(503, str(error))
         return bottle.static_file(path.name, str(path.parent), mimetype="video/mp4")

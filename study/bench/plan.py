@@ -95,14 +95,9 @@ class Column:
 class Safety:
     """Limits of what may be proposed."""
 
-    most_step: float  # of the range of any parameter, from the nearest trial that succeeded
-    least_success: float  # predicted chance to succeed
-    least_kept: float  # predicted chance that the limits of all columns are kept
-
-    @property
-    def is_asked(self) -> bool:
-        """Whether there is any."""
-        return self.most_step < 1.0 or self.least_success > 0.0 or self.least_kept > 0.0
+    most_step: float = 1.0  # of any parameter's range, from the nearest trial that succeeded
+    least_success: float = 0.0  # predicted chance to succeed
+    least_kept: float = 0.0  # predicted chance that the limits of all columns are kept
 
 
 @dataclass(frozen=True)
@@ -184,9 +179,9 @@ def _plan_of(table: Table, path: Path) -> Plan:
         _goal(goal),
         columns,
         Safety(
-            safety.number("most_step", 1.0, 0.0, 1.0),
-            safety.number("least_success", 0.0, 0.0, 1.0),
-            safety.number("least_kept", 0.0, 0.0, 1.0),
+            safety.number("most_step", Safety.most_step, 0.0, 1.0),
+            safety.number("least_success", Safety.least_success, 0.0, 1.0),
+            safety.number("least_kept", Safety.least_kept, 0.0, 1.0),
         ),
         storage,
     )

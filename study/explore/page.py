@@ -40,14 +40,16 @@ VIDEO_CSS = """video { width: 100% }
 class RobotView:
     """A row of a store: its parameters, what it did in each family, and a film in a chosen world.
 
-    Of processes, `makers` make films and files.
+    Of processes, `makers` make films and files. What films the rows is `robot`, the simulator of
+    this name, or None.
     """
 
     def __init__(
         self, document: Document, makers: Executor, message: Message, store: Store,
-        simulator: str | None,
+        simulator: str | None, robot: Any,
     ) -> None:  # fmt: skip
-        self._message, self._store, self._simulator = message, store, simulator
+        self._message, self._store = message, store
+        self._simulator, self._robot = simulator, robot
         self._place: int | None = None  # of the row that is shown
         self._films = Latest(document, makers, self._filmed, message.failed)
         saver = Saver(document, makers, message)
@@ -74,14 +76,15 @@ class RobotView:
         self._film()
 
     def _film(self) -> None:
-        if self._place is None or self._simulator is None:
+        if self._place is None or self._robot is None:
             return
-        gains = self._store.gains()[self._place].tolist()
-        point = dict(zip(self._store.gain_names, gains, strict=True))
+        # A store has whole numbers as floats, a choice as its number.
+        gains = zip(self._store.gain_names, self._store.gains()[self._place].tolist(), strict=True)
+        point = {name: self._robot.space[name].to_external_repr(gain) for name, gain in gains}
         seconds = float(self._duration.value.removesuffix(" s"))
         self._message.tell("filming ...")
         world = worlds_of(self._store)[self._world.value]
-        self._films.ask(filmed, self._simulator, point, world, seconds)
+        self._films.ask(filmed, self._simulator, world, seconds, point)
 
     def _filmed(self, content: bytes) -> None:
         self._message.tell("")
@@ -123,9 +126,8 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
     Raises:
         InputError: as `open_rows`, or no simulator to film.
     """
-    if simulator is not None:
-        filmable(simulator)
-    open_rows(path, study)
+    parameters = open_rows(path, study).gain_names
+    robot = None if simulator is None else filmable(simulator, parameters)
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
         document.template, message = TEMPLATE, Message("message")
@@ -140,7 +142,7 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
             if store.simulator == WALKER:
                 view = WalkView(document, walkers, makers, message, own)
             else:
-                view = RobotView(document, makers, message, store, simulator)
+                view = RobotView(document, makers, message, store, simulator, robot)
 
             def pick(place: int, row: int) -> None:
                 if isinstance(view, WalkView):

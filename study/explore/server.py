@@ -84,23 +84,21 @@ class Latest:
         failed: Callable[[BaseException], None],
     ) -> None:  # fmt: skip
         self._document, self._executor, self._done, self._failed = document, executor, done, failed
-        self._waits: tuple[Callable[..., Any], tuple[Any, ...]] | None = None
+        self._waits: Callable[[], Future[Any]] | None = None
         self._busy = self._closed = False
         document.on_session_destroyed(self._close)
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> None:
         """Call a function of an importable module; its result comes to `done`."""
-        self._waits = function, arguments
+        self._waits = partial(self._executor.submit, function, *arguments)
         if not self._busy:
             self._start()
 
     def _start(self) -> None:
         if self._waits is None or self._closed:
             return
-        function, arguments = self._waits
-        self._waits, self._busy = None, True
-        future = self._executor.submit(function, *arguments)
-        future.add_done_callback(self._hand_over)
+        submit, self._waits, self._busy = self._waits, None, True
+        submit().add_done_callback(self._hand_over)
 
     def _hand_over(self, future: Future[Any]) -> None:
         """In a thread of the executor: the page's loop does the rest."""

@@ -66,7 +66,7 @@ def open_rows(path: Path, study: str | None = None) -> Store:
             return _read(journal, file, study)
     if start in (b"SQLi", b""):
         with read_studies(file_url(file)) as storage:
-            return _read(storage, file, study)
+            return _read(storage or optuna.storages.InMemoryStorage(), file, study)
     compared = (folder.EXPERIMENT_NAME, folder.ROBOTS_NAME, folder.RESULTS_NAME)
     if path.suffix == ".toml" or any(is_file(path / name) for name in compared):
         raise InputError("folder", str(path), OTHERWISE)
@@ -77,13 +77,11 @@ def open_rows(path: Path, study: str | None = None) -> Store:
     return store
 
 
-def _read(storage: optuna.storages.BaseStorage | None, file: Path, name: str | None) -> Trials:
-    names = [] if storage is None else optuna.get_all_study_names(storage)
-    if storage is not None and name is None:
-        ids = {each: storage.get_study_id_from_name(each) for each in names}
-        names = [each for each in names if storage.get_n_trials(ids[each])]
-        name = names[0] if len(names) == 1 else None
-    if storage is None or name not in names:
+def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) -> Trials:
+    studies = storage.get_all_studies()
+    names = [each.study_name for each in studies if name or storage.get_n_trials(each._study_id)]
+    name = names[0] if name is None and len(names) == 1 else name
+    if name is None or name not in names:
         short = [re.sub(r"run-\d+$", "run-NNN", each) for each in names]
         listed = dict.fromkeys(names if len(names) <= MOST_LISTED else short)
         allowed = f"--study with one of {', '.join(listed)}" if names else "a study with trials"

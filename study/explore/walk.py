@@ -4,8 +4,6 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
@@ -20,8 +18,8 @@ from study.experiment.trials import row_text
 from study.explore.words import CHOICES
 from study.pictures import style
 from study.pictures.gait_cycle import STRIKE, event_times
-from study.pictures.movie import write_movie
-from study.pictures.scene import FORCE_M_PER_N, motion_of, pressure_point
+from study.pictures.movie import encoded
+from study.pictures.scene import LARGE, force_arrows, frames, motion_of
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
 from taichi_nmm.config import Table
 from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD, FELL, Trajectory
@@ -90,11 +88,6 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     motion = motion_of(shown, terrain, float(shown.time_s[-1]), RATE_HZ)
     q = motion.q
     shoulder, head = trunk(q)
-    feet = [pressure_point(q, side) for side in (LEFT, RIGHT)]
-    pushes = [FORCE_M_PER_N * motion.force_n[:, 2 * side : 2 * side + 2] for side in (LEFT, RIGHT)]
-    arrows = [
-        np.stack([foot, foot + push], axis=1) for foot, push in zip(feet, pushes, strict=True)
-    ]
     paths = [*muscle_paths(q, LEFT), *muscle_paths(q, RIGHT)]
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
     drawn = {
@@ -106,7 +99,7 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
         "trunk": np.stack([q[:, :2], shoulder], axis=1),  # hip and shoulder, [f, 2, 2]
         "head": head[:, None],
         "muscles": np.stack(paths, axis=1),  # their lines, left leg, then right, [f, 14, p, 2]
-        "forces": np.stack(arrows, axis=1),  # foot and tip, left and right, [f, 2, 2, 2]
+        "forces": force_arrows(motion),  # foot and tip, left and right, [f, 2, 2, 2]
         "ground": np.stack([x, terrain.height(x)], axis=1),  # [k, 2]
         "strikes_s": event_times(trajectory, LEFT, STRIKE),
     }
@@ -162,7 +155,7 @@ def warm_up() -> None:
     walk(gains_of_source("reference"), level)
 
 
-FILM = "walk.mp4"  # of its last 8 s
+FILM, FILM_S = "walk.mp4", 8.0  # of the walk's end
 GAINS, CONFIG = NAMES = "gains.json", "walk.toml"  # what every command takes: --gains, --config
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
@@ -171,10 +164,8 @@ COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
     """One of `NAMES` or `FILM` and its content, to be taken from the page."""
     if name == FILM:
-        with TemporaryDirectory() as folder:
-            path, terrain = Path(folder) / name, walk.experiment.terrain(walk.run)
-            write_movie(path, walk.trajectory, terrain, title=walk.gains.name)
-            return name, path.read_bytes()
+        terrain = walk.experiment.terrain(walk.run)
+        return name, encoded(frames(walk.trajectory, terrain, FILM_S, walk.gains.name), LARGE)
     if name == CONFIG:
         return name, to_toml({"runs": walk.run + 1, **as_written(walk.experiment)}).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()

@@ -164,11 +164,10 @@ def _choices(own: dict[str, Any]) -> dict[str, Any]:
         "engine": ("engine", ENGINES), "duration_s": ("at most", (*walking.DURATIONS, *more)),
     }  # fmt: skip
     found: dict[str, Any] = {
-        name: models.Select(title=title, options=list(options), name=name.removesuffix("_s"))
+        name: models.Select(title=title, options=list(options), value=options[0],
+                            name=name.removesuffix("_s"))
         for name, (title, options) in menus.items()
     }  # fmt: skip
-    for choice in found.values():
-        choice.value = choice.options[0]
     found["duration_s"].value = lasts
     found["engine"].value = own.get("simulation", {}).get("engine", ENGINES[0])
     found["seed"] = models.Spinner(title="seed", step=1, mode="int", name="seed")

@@ -3,7 +3,7 @@
 import os
 import subprocess
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,7 +58,7 @@ def write_movie(
     Raises:
         InputError: no ffmpeg that works, or the file cannot be written.
     """
-    return _write(path, find_ffmpeg(), frames(trajectory, terrain, seconds, title, film), film)
+    return _write(path, frames(trajectory, terrain, seconds, title, film), film)
 
 
 def film_run(
@@ -78,50 +78,48 @@ def film_run(
     Raises:
         InputError: no ffmpeg or no OpenGL that works, or the file cannot be written.
     """
-    encoder = find_ffmpeg()
-    model, states = simulator.states(point, world, seconds)
-    times_s = np.arange(0.0, len(states) * simulator.control_step_s, 1.0 / film.rate_hz)
-    shown = [states[int(time_s / simulator.control_step_s)] for time_s in times_s]
-    return _write(path, encoder, _drawn(model, shown, film), film)
+    return _write(path, _drawn(simulator, point, world, seconds, film), film)
 
 
-def filmed(simulator: str, point: dict[str, Any], world: dict[str, float], seconds: float) -> bytes:
+def filmed(
+    simulator: str, world: Mapping[str, float], seconds: float, point: Mapping[str, Any]
+) -> bytes:
     """An MP4 of a run; in a process of its own, since MuJoCo reads how to draw when it is loaded.
 
-    The point has the numbers of a store: whole numbers as floats, a choice as its number.
-
     Raises:
-        InputError: a simulator that cannot be filmed, of other parameters, or no OpenGL.
+        InputError: no OpenGL.
     """
     if not os.environ.get("DISPLAY"):
         os.environ.setdefault("MUJOCO_GL", "egl")
-    robot = filmable(simulator)
-    if set(point) != set(robot.space):
-        raise InputError("simulator", simulator, f"one with the parameters {', '.join(point)}")
-    point = {name: robot.space[name].to_external_repr(value) for name, value in point.items()}
-    with tempfile.TemporaryDirectory() as folder:
-        path = film_run(Path(folder) / "run.mp4", robot, point, world, seconds, film=SMALL)
-        return path.read_bytes()
+    robot: Any = find_simulator(simulator)
+    return encoded(_drawn(robot, point, world, seconds, SMALL), SMALL)
 
 
-def filmable(name: str) -> Any:
-    """The simulator of MuJoCo with this name.
+def filmable(name: str, parameters: Collection[str]) -> Any:
+    """The simulator of MuJoCo with this name and these parameters.
 
     Raises:
-        InputError: none, or one of another kind.
+        InputError: none, or one of another kind or of other parameters.
     """
     from storage.mujoco_simulator import MujocoSimulator
 
     robot = find_simulator(name)
     if not isinstance(robot, MujocoSimulator):
         raise InputError("simulator", name, "a MujocoSimulator: others have nothing to film")
+    if set(parameters) != set(robot.space):
+        raise InputError("simulator", name, f"one with the parameters {', '.join(parameters)}")
     return robot
 
 
-def _drawn(model: Any, states: list[Any], film: Film) -> Iterator[bytes]:
-    """The frames of a run, as `_encode` takes them."""
+def _drawn(
+    simulator: "MujocoSimulator", point: Mapping[str, Any], world: Mapping[str, float],
+    seconds: float, film: Film,
+) -> Iterator[bytes]:  # fmt: skip
+    """The frames of a run, as `encoded` takes them."""
     import mujoco
 
+    model, states = simulator.states(point, world, seconds)
+    times_s = np.arange(0.0, len(states) * simulator.control_step_s, 1.0 / film.rate_hz)
     width, height = film.size_px
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     data = mujoco.MjData(model)
@@ -130,45 +128,48 @@ def _drawn(model: Any, states: list[Any], film: Film) -> Iterator[bytes]:
     except Exception as error:  # each of the libraries below has its own
         raise InputError("film", one_line(shortened(str(error))), NO_OPENGL) from None
     with renderer:
-        for qpos in states:
-            data.qpos[:] = qpos
+        for time_s in times_s:
+            data.qpos[:] = states[int(time_s / simulator.control_step_s)]
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera=0 if model.ncam else -1)
             yield renderer.render().tobytes()
 
 
-def _write(path: str | Path, program: str, pictures: Iterator[bytes], film: Film) -> Path:
+def _write(path: str | Path, pictures: Iterator[bytes], film: Film) -> Path:
     """The film of these frames, whole or not at all."""
-
-    def check(temporary: Path) -> None:
-        if temporary.stat().st_size == 0:
-            raise OSError("the film was not written")
-
     path = Path(path)
-    commit(path, lambda temporary: _encode(program, pictures, temporary, film), check)
+    commit(path, lambda new: new.write_bytes(encoded(pictures, film)), lambda new: None)
     return path
 
 
-def _encode(program: str, pictures: Iterator[bytes], path: Path, film: Film) -> None:
-    width, height = film.size_px
+def encoded(pictures: Iterator[bytes], film: Film) -> bytes:
+    """An MP4 of RGB frames.
+
+    Raises:
+        InputError: no ffmpeg that works.
+    """
+    program, (width, height) = find_ffmpeg(), film.size_px
     command = [
         program, "-y", "-loglevel", "error",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
         "-r", str(film.rate_hz), "-i", "-",
         "-an", "-c:v", "libx264", "-crf", str(film.quality), "-preset", film.effort,
         "-threads", str(film.threads), "-pix_fmt", "yuv420p",
-        "-movflags", "+faststart", "-f", "mp4", str(path),
+        "-movflags", "+faststart", "-f", "mp4",
     ]  # fmt: skip
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdin is not None and process.stderr is not None
-        try:
-            with suppress(BrokenPipeError), process.stdin:  # its exit code tells why it has ended
-                for picture in pictures:
-                    process.stdin.write(picture)
-            complaint = process.stderr.read().decode(errors="replace").strip()
-        except BaseException:
-            process.kill()
-            raise
-    if process.returncode != 0:
-        reason = complaint.splitlines()[-1] if complaint else f"exit code {process.returncode}"
-        raise InputError("ffmpeg", reason, FIXING)
+    with tempfile.NamedTemporaryFile(suffix=".mp4") as file:  # no pipe: the index is put first
+        command.append(file.name)
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            assert process.stdin is not None and process.stderr is not None
+            try:
+                with suppress(BrokenPipeError), process.stdin:  # its exit code tells why it ended
+                    for picture in pictures:
+                        process.stdin.write(picture)
+                complaint = process.stderr.read().decode(errors="replace").strip()
+            except BaseException:
+                process.kill()
+                raise
+        if process.returncode != 0 or not (content := file.read()):
+            reason = complaint.splitlines()[-1] if complaint else f"exit code {process.returncode}"
+            raise InputError("ffmpeg", reason, FIXING)
+    return content

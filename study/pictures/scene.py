@@ -8,12 +8,14 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from study.pictures import stick_figure as stick
@@ -25,8 +27,6 @@ Array = NDArray[np.float64]
 Colour = str | tuple[int, ...]
 
 SMOOTHING = 2  # shapes are drawn this much larger
-ARC = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 9)
-CIRCLE = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
 FONT = "fonts/ttf/DejaVuSans.ttf"
 
 
@@ -57,12 +57,15 @@ class Canvas:
 
     def disc(self, centre_m: Array, radius_m: float, fill: Colour) -> None:
         """A filled circle."""
-        self.polygon(centre_m + radius_m * np.stack([np.cos(CIRCLE), np.sin(CIRCLE)], -1), fill)
+        self._draw.circle(self._pixels(centre_m), radius_m * self._px_per_m[0], fill)
 
     def bones(self, parts: Iterable[stick.Bone], fill: Colour) -> None:
         """Thick lines with round ends."""
         for start_m, end_m, width_m in parts:
-            self.polygon(capsule(start_m, end_m, width_m), fill)
+            width = width_m * self._px_per_m[0]
+            self._draw.line(self._pixels(np.stack([start_m, end_m])), fill, round(width))
+            for end in (start_m, end_m):
+                self.disc(end, 0.5 * width_m, fill)
 
     def finish(self) -> None:
         """Shrink the shapes to the picture's size."""
@@ -84,14 +87,6 @@ class Canvas:
         """x, y, x, y, ... on the large picture."""
         pixels: list[float] = ((points_m - self._corner_m) * self._px_per_m).ravel().tolist()
         return pixels
-
-
-def capsule(start_m: Array, end_m: Array, width_m: float) -> Array:
-    """Outline of a thick line with round ends, [k, 2]."""
-    direction = np.arctan2(end_m[1] - start_m[1], end_m[0] - start_m[0])
-    ends = [(end_m, direction + ARC), (start_m, direction + np.pi + ARC)]
-    arcs = [c + 0.5 * width_m * np.stack([np.cos(a), np.sin(a)], -1) for c, a in ends]
-    return np.concatenate(arcs)
 
 
 @cache
@@ -154,7 +149,8 @@ def frames(
 
 def motion_of(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
     """The last `seconds` of a walk whose poses are finite, `rate_hz` frames a second."""
-    start_s, end_s = stick.last_seconds(trajectory, seconds)
+    end_s = trajectory.time_s[-1]
+    start_s = max(trajectory.time_s[0], end_s - seconds)
     times_s = np.arange(start_s, end_s + 1e-9, 1.0 / rate_hz)
     q = stick.at_times(trajectory, trajectory.q, times_s)
     return Motion(
@@ -175,6 +171,7 @@ class Scene:
         self._motion, self._terrain, self._title, self._size_px = motion, terrain, title, size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         sides = stick.LEFT, stick.RIGHT
+        self._arrows = force_arrows(motion)
         self._outlines = [stick.muscle_outlines(motion.q, side) for side in sides]
         colours = matplotlib.colormaps[style.ACTIVATION_MAP](motion.activation, bytes=True)
         self._colours = [[tuple(c) for c in frame] for frame in colours[..., :3].tolist()]
@@ -188,11 +185,9 @@ class Scene:
         bottom_m = motion.level_m[number] - BELOW_GROUND_M
         canvas = Canvas(self._size_px, left_m, bottom_m, VIEW_WIDTH_M)
         self._draw_walker(canvas, number)
-        for side in (stick.LEFT, stick.RIGHT):
-            foot = pressure_point(q, side)
-            force = FORCE_M_PER_N * motion.force_n[number, 2 * side : 2 * side + 2]
-            if np.hypot(*force) > FORCE_WIDTH_M:
-                canvas.bones([(foot, foot + force, FORCE_WIDTH_M)], style.MODEL)
+        for foot, tip in self._arrows[number]:
+            if np.hypot(*(tip - foot)) > FORCE_WIDTH_M:
+                canvas.bones([(foot, tip, FORCE_WIDTH_M)], style.MODEL)
         metres = self._draw_ground(canvas, left_m, bottom_m)
         canvas.finish()
         self._write(canvas, number, metres)
@@ -248,32 +243,28 @@ class Scene:
 
     def _activation_bar(self) -> Image.Image:
         """The key to the muscles' colours, the tenth of the picture at its right."""
-        width, height = round(0.1 * self._size_px[0]), self._size_px[1]
-        bar = Image.new("RGBA", (width, height))
-        draw = ImageDraw.Draw(bar)
-        low, high, size = 0.55 * height, 0.15 * height, self._text_px(14)
-        colours = matplotlib.colormaps[style.ACTIVATION_MAP]
-        for y in range(round(high), round(low)):
-            colour = tuple(map(int, colours((low - y) / (low - high), bytes=True)[:3]))
-            draw.line([0.35 * width, y, 0.47 * width, y], fill=colour)
-        for value in (0.0, 0.5, 1.0):
-            at = (0.52 * width, low + value * (high - low))
-            draw.text(at, f"{value:.1f}", fill=style.INK, font=font(size), anchor="lm")
-        words, at = Image.new("RGBA", (height, size * 2)), (0.65 * height, 0)
-        ImageDraw.Draw(words).text(at, "muscle activation (1)", style.INK, font(size), "ma")
-        bar.alpha_composite(words.rotate(90, expand=True), (width - 2 * size, 0))
-        return bar
+        dpi = 72.0 * self._text_px(14) / style.SMALL_PT
+        figure = style.new_figure(0.1 * self._size_px[0] / dpi, self._size_px[1] / dpi, dpi)
+        stick.activation_bar(figure.add_axes((0.25, 0.45, 0.12, 0.4)))
+        picture = BytesIO()
+        figure.savefig(picture, transparent=True)
+        return Image.open(picture)
 
 
-def pressure_point(q: Array, side: int) -> Array:
-    """A place to draw the ground's force in poses q [..., 9], of the left (0) or right (1) foot.
+def force_arrows(motion: Motion) -> Array:
+    """Forces of the ground as foot and tip, of the left foot and the right, [frames, 2, 2, 2].
 
-    It is the lower end of a tilted foot, the middle of a flat one.
+    They begin at the lower end of a tilted foot, at the middle of a flat one.
     """
-    joints = stick.leg(q, side)
-    lower = joints.heel[..., 1:] - joints.ball[..., 1:]
-    share = np.clip(0.5 + lower / PRESSURE_SHIFT_M, 0.0, 1.0)
-    return np.asarray(joints.heel + share * (joints.ball - joints.heel))
+    arrows = []
+    for side in (stick.LEFT, stick.RIGHT):
+        joints = stick.leg(motion.q, side)
+        lower = joints.heel[:, 1:] - joints.ball[:, 1:]
+        share = np.clip(0.5 + lower / PRESSURE_SHIFT_M, 0.0, 1.0)
+        foot = joints.heel + share * (joints.ball - joints.heel)
+        push = FORCE_M_PER_N * motion.force_n[:, 2 * side : 2 * side + 2]
+        arrows.append(np.stack([foot, foot + push], axis=1))
+    return np.stack(arrows, axis=1)
 
 
 def camera_level(ground_m: Array, rate_hz: int) -> Array:
@@ -287,6 +278,4 @@ def smooth_force(trajectory: Trajectory) -> Array:
     """Ground forces averaged over a few samples, [t, 4]."""
     interval_s = np.diff(trajectory.time_s[:2]).sum() or 1.0
     width = max(round(FORCE_SMOOTHING_S / interval_s), 1)
-    padded = np.pad(trajectory.ground_force_n, ((width // 2, (width - 1) // 2), (0, 0)), "edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
-    return np.asarray(windows.mean(axis=-1))
+    return np.asarray(uniform_filter1d(trajectory.ground_force_n, width, axis=0, mode="nearest"))

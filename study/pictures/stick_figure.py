@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.patches import Circle
@@ -31,8 +32,8 @@ TRUNK_WIDTH_M = 0.15
 WIDTHS_M = (0.09, 0.06, 0.04)  # of thigh, shank and foot
 
 
-def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCollection:
-    """Draw a pose q [9] on axes whose limits are set; return the near muscles, the left leg's.
+def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> None:
+    """Draw a pose q [9] on axes whose limits are set.
 
     The scale is alike in both directions. `activation` is of the muscles, left leg first, [14];
     `layer` is that of the far leg, and all else is less than one above it.
@@ -50,14 +51,13 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCo
         )
         axes.add_collection(drawn, autolim=False)
 
-    def muscles(side: int, edge: str, above: float) -> PolyCollection:
+    def muscles(side: int, edge: str, above: float) -> None:
         drawn = PolyCollection(
             muscle_outlines(q, side), cmap=style.ACTIVATION_MAP, norm=FULL_ACTIVATION,
             edgecolors=edge, linewidths=0.4, zorder=layer + above,
         )  # fmt: skip
         drawn.set_array(activation[len(MUSCLES) * side :][: len(MUSCLES)])
         axes.add_collection(drawn, autolim=False)
-        return drawn
 
     bones(far.bones(), style.FAR_LIMB, 0.0)
     muscles(RIGHT, style.FAINT, 0.1)
@@ -66,14 +66,14 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> PolyCo
         Circle((head[0], head[1]), HEAD_RADIUS_M, facecolor=style.NEAR_LIMB, zorder=layer + 0.2)
     )
     bones(near.bones(), style.NEAR_LIMB, 0.3)
-    shown = muscles(LEFT, style.INK, 0.4)
+    muscles(LEFT, style.INK, 0.4)
     axes.plot(*near.chain()[:3].T, "o", color=style.INK, ms=2.0, zorder=layer + 0.5)
-    return shown
 
 
-def activation_bar(axes: Axes, muscles: PolyCollection) -> None:
+def activation_bar(axes: Axes) -> None:
     """The colour bar of the activations, in axes of its own."""
-    bar = axes.figure.colorbar(muscles, cax=axes, ticks=[0, 0.5, 1])
+    colours = ScalarMappable(FULL_ACTIVATION, style.ACTIVATION_MAP)
+    bar = axes.figure.colorbar(colours, cax=axes, ticks=[0, 0.5, 1])
     bar.set_label("muscle activation (1)", fontsize=style.SMALL_PT, color=style.INK)
     bar.ax.tick_params(labelsize=style.SMALL_PT, colors=style.INK, length=2)
     bar.outline.set_visible(False)
@@ -83,7 +83,6 @@ SHOULDER_M = 0.50  # above the hip, along the trunk
 HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
-SEGMENTS = ("hat", "thigh", "shank", "foot")
 LEG_COLUMNS = ((2, 3, 4, 5), (2, 6, 7, 8))  # th of HAT, thigh, shank, foot in q; left, right
 
 DRAWN = tomllib.loads(Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8"))
@@ -144,25 +143,25 @@ def muscle_outlines(q: Array, side: int) -> list[Array]:
 
 def muscle_paths(q: Array, side: int) -> list[Array]:
     """The lines along which these muscles run, each [..., `PATH_POINTS`, 2]."""
-    frames = _frames(q, side)
+    hat, thigh, shank, foot = (q[..., column] for column in LEG_COLUMNS[side])
+    joints = leg(q, side)
+    frames = {
+        "hat": (joints.hip, -down(hat), forward(hat)),
+        "thigh": (joints.hip, down(thigh), forward(thigh)),
+        "shank": (joints.knee, down(shank), forward(shank)),
+        "foot": (joints.ankle, forward(foot), -down(foot)),
+    }
     return [_path(frames, name) for name in MUSCLES]
 
 
-def _frames(q: Array, side: int) -> list[tuple[Array, Array, Array]]:
-    """Origin, axis and front of HAT, thigh, shank and foot, each [..., 2]."""
-    hat, thigh, shank, foot = (q[..., column] for column in LEG_COLUMNS[side])
-    joints = leg(q, side)
-    return [
-        (joints.hip, -down(hat), forward(hat)), (joints.hip, down(thigh), forward(thigh)),
-        (joints.knee, down(shank), forward(shank)), (joints.ankle, forward(foot), -down(foot)),
-    ]  # fmt: skip
+def _path(frames: dict[str, tuple[Array, Array, Array]], name: str) -> Array:
+    """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2].
 
-
-def _path(frames: list[tuple[Array, Array, Array]], name: str) -> Array:
-    """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2]."""
+    `frames` has origin, axis and front of each segment, each [..., 2].
+    """
     points = []
     for segment, along, ahead in DRAWN[name]["path"]:
-        origin, axis, front = frames[SEGMENTS.index(segment)]
+        origin, axis, front = frames[segment]
         points.append((origin + along * axis + ahead * front)[..., None, :])
     start, middle, end = points
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
@@ -198,20 +197,6 @@ def finite(trajectory: Trajectory) -> Trajectory:
         return trajectory
     per_sample = [field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED]
     return replace(trajectory, **{name: getattr(trajectory, name)[good] for name in per_sample})
-
-
-def last_metres(trajectory: Trajectory, metres: float) -> tuple[float, float]:
-    """Start and end time of the last stretch over which the hip travelled `metres`."""
-    x = trajectory.q[:, 0]
-    before = np.flatnonzero(np.abs(x[-1] - x) > metres)
-    first = before[-1] if len(before) else 0
-    return float(trajectory.time_s[first]), float(trajectory.time_s[-1])
-
-
-def last_seconds(trajectory: Trajectory, seconds: float) -> tuple[float, float]:
-    """Start and end time of the last `seconds`."""
-    start, end = float(trajectory.time_s[0]), float(trajectory.time_s[-1])
-    return max(start, end - seconds), end
 
 
 def at_times(trajectory: Trajectory, values: Array, times_s: Array) -> Array:

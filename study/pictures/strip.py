@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -42,8 +42,8 @@ class Stretch:
     poses_s: Array  # times of the poses, [n]
     frame: tuple[float, float, float, float]  # limits of the picture in m: x from, to; z from, to
 
-    def draw(self, axes: Axes, hip_colour: str) -> PolyCollection:
-        """Draw poses, ghosts and ground to the frame; return muscles, for `activation_bar`."""
+    def draw(self, axes: Axes, hip_colour: str) -> None:
+        """Draw poses, ghosts and ground to the frame."""
         style.tidy(axes)
         axes.grid(False)
         low_x, high_x, low_z, high_z = self.frame
@@ -51,7 +51,7 @@ class Stretch:
         q = stick.at_times(self.trajectory, self.trajectory.q, self.poses_s)
         activation = stick.at_times(self.trajectory, self.trajectory.activation, self.poses_s)
         for number in range(len(q)):
-            muscles = stick.draw_walker(axes, q[number], activation[number], layer=3.0 + number)
+            stick.draw_walker(axes, q[number], activation[number], layer=3.0 + number)
         times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
         if len(times_s):  # the left leg and the hip's path between, as in a chronophotograph
             between = stick.at_times(self.trajectory, self.trajectory.q, times_s)
@@ -63,7 +63,6 @@ class Stretch:
         x = np.linspace(low_x, high_x, 2000)
         _draw_ground(axes, x, self.terrain.height(x), low_z)
         axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
-        return muscles
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +80,10 @@ def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None
     The frame is by default as wide as the poses.
     """
     trajectory = stick.finite(trajectory)
-    start_s, end_s = stick.last_metres(trajectory, SHOWN_M)
-    x = np.interp([start_s, end_s], trajectory.time_s, trajectory.q[:, 0])
-    count = max(round(abs(x[1] - x[0]) / POSE_SPACING_M), 1) + 1
-    poses_s = np.linspace(start_s, end_s, count)
+    way = np.abs(trajectory.q[-1, 0] - trajectory.q[:, 0])  # still to come
+    first = max(np.flatnonzero(way > SHOWN_M), default=0)
+    count = max(round(way[first] / POSE_SPACING_M), 1) + 1
+    poses_s = np.linspace(trajectory.time_s[first], trajectory.time_s[-1], count)
     q = stick.at_times(trajectory, trajectory.q, poses_s)
     width = width_m or max(np.ptp(q[:, 0]) + 2.0 * MARGIN_M, NARROWEST_M)
     low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - width)
@@ -142,12 +141,12 @@ def strips_figure(
     for walk, part, colour, high_in in zip(walks, parts, colours, strip_in, strict=True):
         bottom -= TITLE_IN + high_in
         axes = style.axes_at(figure, LEFT_IN, bottom, wide_in, high_in)
-        muscles = part.draw(axes, colour)
+        part.draw(axes, colour)
         axes.set_title(walk.title, loc="left", fontsize=style.TEXT_PT, color=style.INK)
         axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
         bottom -= AXIS_IN
     bar_in, bar_bottom = min(1.6, strip_in[0]), height - 2.0 * TITLE_IN - strip_in[0]
-    stick.activation_bar(style.axes_at(figure, width - 0.85, bar_bottom, 0.13, bar_in), muscles)
+    stick.activation_bar(style.axes_at(figure, width - 0.85, bar_bottom, 0.13, bar_in))
     if with_profile:
         axes = style.axes_at(figure, LEFT_IN, AXIS_IN, wide_in, PROFILE_IN)
         _draw_profile(axes, walks, parts, colours)

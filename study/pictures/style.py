@@ -36,7 +36,7 @@ PNG_DPI = 200
 PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
 
-def new_figure(width_in: float, height_in: float, dpi: int = PNG_DPI) -> Figure:
+def new_figure(width_in: float, height_in: float, dpi: float = PNG_DPI) -> Figure:
     """An empty white figure with an Agg canvas."""
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)

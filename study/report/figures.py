@@ -121,16 +121,6 @@ LABEL_OFFSET_PT = 27.0
 TICKS = (1, 3, 10, 30, 100, 300, 1000)
 
 
-@dataclass(frozen=True)
-class End:
-    """The end of a line, and its label."""
-
-    y: float
-    look: Look  # of the arm
-    text: str
-    rank: int  # of lines that end at one place, the higher is written above
-
-
 def trial_axis(axes: Axes, trials: int) -> None:
     """A logarithmic axis of trials from 1: the first ten matter most."""
     axes.set_xscale("log")
@@ -161,22 +151,24 @@ def marked(trials: int, place: int) -> list[int]:
     return sorted({round(float(at)) - 1 for at in spread if at <= trials})
 
 
-def label_ends(axes: Axes, ends: Sequence[End], x: float) -> None:
-    """Write the labels right of the lines that end at `x`, moved apart where they would overlap."""
+def label_ends(axes: Axes, ends: Sequence[tuple[float, Look]], x: float) -> None:
+    """Write the labels right of the lines that end at `x`, moved apart where they would overlap.
+
+    The ends are ascending; of equal ones the later is written above.
+    """
     axes.figure.canvas.draw()
     point = axes.figure.dpi / POINTS_AN_INCH
-    ends = sorted(ends, key=lambda end: (end.y, end.rank))
-    pixels = np.array([axes.transData.transform((x, end.y))[1] for end in ends])
+    pixels = np.array([axes.transData.transform((x, y))[1] for y, _ in ends])
     low, high = axes.get_window_extent().intervaly
     places = spread_out(np.clip(pixels, low, high), LABEL_SPACING_PT * point, low, high)
-    for end, own, place in zip(ends, pixels, places, strict=True):
+    for (y, look), own, place in zip(ends, pixels, places, strict=True):
         axes.annotate(
-            end.text, xy=(x, end.y), xytext=(LABEL_OFFSET_PT, (place - own) / point), va="center",
-            textcoords="offset points", fontsize=style.SMALL_PT, color=style.INK,
-            fontweight="bold" if end.look.front else "normal", annotation_clip=False,
+            f"{look.label} {y:.3g}", xy=(x, y), xytext=(LABEL_OFFSET_PT, (place - own) / point),
+            textcoords="offset points", va="center", fontsize=style.SMALL_PT, color=style.INK,
+            fontweight="bold" if look.front else "normal", annotation_clip=False,
         )  # fmt: skip
         height = [(place - low) / (high - low)] * 2  # the arm's line beside its name, as a key
-        key = end.look.line() | {"markevery": [1], "transform": axes.transAxes}
+        key = look.line() | {"markevery": [1], "transform": axes.transAxes}
         axes.plot([1.015, 1.04], height, clip_on=False, **key)
 
 
@@ -230,7 +222,7 @@ def write_best_cost(path: Path, results: Results) -> Path:
             color=style.INK, zorder=2.0,
         )  # fmt: skip
     # Worst first; of lines that end at one place, the best label is lowest.
-    styles, order, ends = looks(results.arms), by_rank(results.arms), []
+    styles, order, last = looks(results.arms), by_rank(results.arms), dict[str, float]()
     for arm in sorted(order[::-1], key=lambda name: styles[name].front):
         values, low, high = curve(results.arms[arm].best)
         look, rank = styles[arm], order.index(arm)
@@ -238,7 +230,8 @@ def write_best_cost(path: Path, results: Results) -> Path:
         axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
         if look.front:
             axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
-        ends.append(End(float(values[-1]), look, f"{look.label} {values[-1]:.3g}", rank))
+        last[arm] = float(values[-1])
+    ends = [(last[arm], styles[arm]) for arm in sorted(order, key=last.__getitem__)]
     label_ends(axes, ends, results.trials)
     title = f"Best {results.cost} cost so far, median over runs"
     headline(figure, LEFT_IN, title, f"{results.name}; {IN_FRONT}")

@@ -1,18 +1,18 @@
 """A bench: entries, what follows from them, and that nothing is lost, whoever writes and dies."""
 
-import multiprocessing
-import os
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import datetime
 from functools import partial
 from itertools import count
 from pathlib import Path
+from signal import SIGKILL
 from typing import Any, cast
+from unittest.mock import Mock
 
 import numpy as np
 import optuna
 import pytest
-import sqlalchemy as sql
 from optuna.trial import TrialState
 
 from study.bench import journal
@@ -22,8 +22,7 @@ from study.experiment.objective import Term
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
 from tests.study.bench import robot
-
-FORK = multiprocessing.get_context("fork")
+from tests.tools.kills import DATABASE, FORK, Death, in_process
 
 
 @pytest.fixture(params=[robot.WORLDS, robot.FEATURES], ids=["worlds", "features"])
@@ -172,7 +171,7 @@ def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> 
     near = {"stiffness": 149.0, "damping": 0.91}  # no row of the table
     assert bench.add([(near, robot.cost(near), {}, "")]) == [3]
     assert bench.best().number == 3
-    bad = {"stiffness": 1e5}, {"damping": 57.3}, {"mass": 1.0}, {"stiffness": "soft"}
+    bad = {"stiffness": 1e5}, {"damping": 57.3}, {"damping": "0.91"}, {"mass": 1.0}
     for change in bad:
         with pytest.raises(InputError, match=next(iter(change))):
             bench.add([(near | change, 1.0, {}, "")])
@@ -270,15 +269,6 @@ def test_all_rows_may_have_been_tried(tmp_path: Path) -> None:
     assert issubclass(TableExhaustedError, RuntimeError)
 
 
-def forked(work: Callable[[], object]) -> int:
-    """Do it in a process of its own; its exit code."""
-    process = FORK.Process(target=work)
-    process.start()
-    process.join(60)
-    assert process.exitcode is not None
-    return process.exitcode
-
-
 # An operator's day: each of these makes one entry.
 DAY: tuple[Callable[[Bench], object], ...] = (
     lambda bench: bench.next(),
@@ -304,18 +294,6 @@ def go_on(path: Path, entries: int) -> list[Any]:
     return [(one.number, one.kind, one.operator, one.data) for one in bench.entries]
 
 
-def go_on_until(path: Path, entries: int, last: int) -> None:
-    """The same, but this process dies at the last of so many commits."""
-    commits = count(1)
-
-    def die(*_: object) -> None:
-        if next(commits) == last:
-            os._exit(9)
-
-    sql.event.listen(sql.Engine, "commit", die)
-    go_on(path, entries)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("entries", "step"), [
     (2, 4), pytest.param(len(DAY), 3, marks=pytest.mark.campaign),
@@ -328,10 +306,12 @@ def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
     for last in count(1, step):
         (folder := tmp_path / str(last)).mkdir()
         path = robot.write(folder)
-        died = forked(partial(go_on_until, path, entries, last)) == 9
+        work, death = partial(go_on, path, entries), Death(DATABASE, last)
+        ended = in_process(work, folder, tmp_path / "log.txt", death)
         assert go_on(path, entries) == expected
-        if not died:
+        if ended.code == 0:
             break
+        assert ended.code == -SIGKILL
     assert last > 20 * entries
 
 
@@ -359,12 +339,8 @@ def test_two_operators_at_once_lose_nothing_and_get_different_trials(tmp_path: P
 def test_a_clock_that_goes_back_decides_nothing(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Clock:
-        def isoformat(self, timespec: str) -> str:
-            return "1999-01-01T00:00:00+00:00"
-
     (trial,) = bench.next()
     bench.record(trial.number, 1.0)
-    monkeypatch.setattr(journal, "datetime", type("T", (), {"now": lambda _: Clock()}))
+    monkeypatch.setattr(journal, "datetime", Mock(now=lambda _: datetime(1999, 1, 1)))
     bench.correct(trial.number, 2.0)
     assert bench.entries[-1].time.startswith("1999") and bench.state.trials[0].value == 2.0

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import bottle
 import pytest
@@ -18,6 +19,7 @@ from storage.processes import Processes
 from study.bench.bench import Bench
 from study.bench.form import Films, application, filming_of, of_walker
 from study.loopback import HOST, wsgi_server
+from study.pictures.movie import film_run
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, load_gains
 from tests.browser import opened_page, save
@@ -112,13 +114,9 @@ def test_a_database_that_cannot_be_read_is_one_line(
 ) -> None:
     address, _, bench = serve(HOST)
     locked = InputError("storage", "walk.db", "a database that no other program holds")
-    monkeypatch.setattr(bench, "look", lambda: raised(locked))
+    monkeypatch.setattr(bench, "look", Mock(side_effect=locked))
     status, text = ask(address)
     assert status == 503 and "storage: &#039;walk.db&#039;" in text
-
-
-def raised(error: Exception) -> None:
-    raise error
 
 
 def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
@@ -160,10 +158,11 @@ def test_films_of_both_engines(tmp_path: Path) -> None:
     with Processes(1) as makers:
         try:
             film = makers.submit(filming, trial.params).result()
+            made = makers.submit(film_run, tmp_path / "run.mp4", rail.Rail, trial.params, {}, 0.5)
         except InputError as error:
             assert "OpenGL" in str(error)
         else:
-            assert film[4:8] == b"ftyp"
+            assert film[4:8] == made.result().read_bytes()[4:8] == b"ftyp"
 
 
 @pytest.mark.slow

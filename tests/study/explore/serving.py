@@ -1,39 +1,29 @@
 """The explorer as a process, and hands on its page."""
 
 import json
-import subprocess
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from tests.tools.running import ROOT
+from tests.processes import ROOT, serving
 
 MODEL = "Bokeh.documents[0].get_model_by_name"
 WALKS = "window.walk_player?.shown"
 
 
 @contextmanager
-def explorer(
-    folder: Path, errors: IO[str] | None = None, words: Sequence[str] = ()
-) -> Iterator[str]:
-    """The address of its page; `errors` takes what it prints of errors, `words` are options."""
-    options = ("--port", "0", "--no-browser", *words)
-    command = [sys.executable, "-m", "taichi_nmm", "explore", folder, *options]
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdout=pipe, stderr=errors, text=True, cwd=ROOT) as process:
-        assert process.stdout is not None
-        try:
-            yield process.stdout.readline().split()[1]
-        finally:
-            process.terminate()
+def explorer(folder: Path, *words: str, errors: IO[str] | None = None) -> Iterator[str]:
+    """The address of its page; `words` are options, `errors` takes what it prints of errors."""
+    command = ("-m", "taichi_nmm", "explore", folder, "--port", 0, "--no-browser", *words)
+    with serving(*command, stderr=errors, cwd=ROOT) as said:
+        yield said.readline().split()[1]
 
 
 @contextmanager
 def opened(page: Any, folder: Path, *words: str) -> Iterator[str]:
     """The address of a page whose first gait walks, and which is left before its server ends."""
-    with explorer(folder, words=words) as address:
+    with explorer(folder, *words) as address:
         page.goto(address)
         page.wait_for_function(f"window.store_view?.refreshed > 0 && {WALKS} > 0")
         yield address

@@ -41,8 +41,9 @@ def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
 
 
 def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
-    with pytest.raises(InputError, match=r"^simulator: .* a MujocoSimulator"):
-        page_of(cart.path, simulator="tests/storage/robot.py:Cart")
+    for name, allowed in (("robot.py:Cart", "a MujocoSimulator"), ("rail.py:Rail", "thrust_n")):
+        with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
+            page_of(cart.path, simulator=f"tests/storage/{name}")
 
 
 @pytest.mark.slow
@@ -51,7 +52,7 @@ def test_a_click_shows_numbers_and_films_the_row(tmp_path: Path) -> None:
     store = make_store(rail.Rail, tmp_path / "rail", workers=1, samples=8, simulation=simulation,
                        families={"heavy": HEAVY})  # fmt: skip
     asked = ("--simulator", "tests/storage/rail.py:Rail")
-    with explorer(store.path, words=asked) as address, opened_page(1500, 900) as page:
+    with explorer(store.path, *asked) as address, opened_page(1500, 900) as page:
         page.goto(address)
         page.wait_for_function("window.Bokeh?.documents[0]?.get_model_by_name('numbers')")
         page.evaluate(f"{MODEL}('row').value = 5")

@@ -5,8 +5,8 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock, call
 from urllib.parse import urlsplit
 
 import pytest
@@ -35,7 +35,7 @@ def address(tmp_path_factory: pytest.TempPathFactory, errors: Path) -> Iterator[
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     store = tmp_path_factory.mktemp("served") / "store"
     fake_walker.write_plain_store(store)
-    with errors.open("w") as printed, explorer(store, printed) as found:
+    with errors.open("w") as printed, explorer(store, errors=printed) as found:
         yield found
 
 
@@ -95,46 +95,40 @@ def test_a_socket_without_a_page_s_token_finds_nothing(address: str, errors: Pat
     assert "Traceback" not in errors.read_text()
 
 
-def start() -> tuple[Latest, list[Any], list[Any], list[Any], list[Any]]:
-    """With calls that a test ends, what a tab does when it closes, results, and errors."""
-    lists: list[list[Any]] = [[] for _ in range(4)]
-    calls, closed, done, failed = lists
-
-    def submit(_: object, asked: object) -> Future[Any]:
-        calls.append((Future[Any](), asked))
-        return calls[-1][0]
-
-    at_once = SimpleNamespace(on_session_destroyed=closed.append)
-    at_once.add_next_tick_callback = lambda call: call()
-    executor: Any = SimpleNamespace(submit=submit)
-    return Latest(at_once, executor, done.append, failed.append), calls, closed, done, failed
+def start() -> tuple[Latest, Mock, list[Future[Any]]]:
+    """With its tab, executor and callbacks in one, and the calls that a test ends."""
+    calls, all_else = [Future[Any]() for _ in range(3)], Mock()
+    all_else.submit.side_effect = calls
+    all_else.add_next_tick_callback = lambda task: task()  # at once
+    return Latest(all_else, all_else, all_else.done, all_else.failed), all_else, calls
 
 
 def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing() -> None:
-    latest, calls, _, done, _ = start()
+    latest, seen, calls = start()
     for number in range(5):
         latest.ask(print, number)
-    assert [asked for _, asked in calls] == [0]
-    calls[0][0].set_result("zero")
-    assert [asked for _, asked in calls] == [0, 4]
-    calls[1][0].set_result("four")
-    assert done == ["zero", "four"]
+    assert seen.submit.mock_calls == [call(print, 0)]
+    calls[0].set_result("zero")
+    assert seen.submit.mock_calls == [call(print, 0), call(print, 4)]
+    calls[1].set_result("four")
+    assert seen.done.mock_calls == [call("zero"), call("four")]
     latest.ask(print, 5)
-    assert len(calls) == 3
-    latest, calls, _, done, failed = start()
+    assert seen.submit.call_count == 3
+    latest, seen, calls = start()
     latest.ask(print, 0)
     latest.ask(print, 1)
     error = ValueError("no")
-    calls[0][0].set_exception(error)
-    assert failed == [error]
-    calls[1][0].set_result("one")
-    assert done == ["one"]
-    latest, calls, closed, done, _ = start()
+    calls[0].set_exception(error)
+    assert seen.failed.mock_calls == [call(error)]
+    calls[1].set_result("one")
+    assert seen.done.mock_calls == [call("one")]
+    latest, seen, calls = start()
     latest.ask(print, 0)
     latest.ask(print, 1)
-    closed[0](None)
-    calls[0][0].set_result("zero")
-    assert done == [] and len(calls) == 1
+    (close,) = seen.on_session_destroyed.call_args.args
+    close(None)
+    calls[0].set_result("zero")
+    assert not seen.done.called and seen.submit.call_count == 1
 
 
 @pytest.mark.parametrize(("error", "said"), [

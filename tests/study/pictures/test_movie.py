@@ -13,13 +13,13 @@ import pytest
 from matplotlib.image import imread
 
 from study.pictures import find_ffmpeg, write_movie
-from study.pictures.scene import LARGE, SMALL, Canvas, Film, capsule, frames
+from study.pictures.scene import LARGE, SMALL, Canvas, Film, frames
 from taichi_nmm import InputError, Trajectory
 from taichi_nmm.terrain import flat, rough
 from tests.study.synthetic_gait import GLIMPSE, WALK
 
 
-def test_shapes_are_drawn_to_scale_and_a_capsule_has_round_ends() -> None:
+def test_shapes_are_drawn_to_scale_and_a_bone_has_round_ends() -> None:
     canvas = Canvas((200, 100), left_m=10.0, bottom_m=-1.0, width_m=4.0)
     canvas.polygon(np.array([[11.0, -0.5], [13.0, -0.5], [13.0, 0.5], [11.0, 0.5]]), "#000000")
     canvas.finish()
@@ -27,9 +27,12 @@ def test_shapes_are_drawn_to_scale_and_a_capsule_has_round_ends() -> None:
     assert black.sum() == pytest.approx(100 * 50, rel=0.03)
     assert black[26:74, 51:149].all() and not black[:24].any() and not black[:, :49].any()
     assert canvas.place(11.0, 0.5) == pytest.approx((50.0, 25.0))
-    outline = capsule(np.array([0.0, 0.0]), np.array([0.0, 2.0]), 0.5)
-    np.testing.assert_allclose(outline.min(axis=0), [-0.25, -0.25], atol=1e-12)
-    np.testing.assert_allclose(outline.max(axis=0), [0.25, 2.25], atol=1e-12)
+    canvas = Canvas((200, 100), left_m=10.0, bottom_m=-1.0, width_m=4.0)
+    canvas.bones([(np.array([11.0, 0.0]), np.array([13.0, 0.0]), 0.5)], "#000000")
+    canvas.finish()
+    black = np.asarray(canvas.picture)[..., 0] < 128
+    assert black.sum() == pytest.approx(100 * 25 + np.pi * 12.5**2, rel=0.03)
+    assert black.any(axis=0).sum() == pytest.approx(125, abs=1)
 
 
 def picture(film: Film, title: str = "", walk: Trajectory = WALK) -> np.ndarray:

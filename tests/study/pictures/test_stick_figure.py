@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from study.pictures import stick_figure
-from study.pictures.stick_figure import finite, last_metres, last_seconds, leg, muscle_outlines
+from study.pictures.scene import motion_of
+from study.pictures.stick_figure import finite, leg, muscle_outlines
+from study.pictures.strip import SHOWN_M, last_stretch
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
-from tests.study.synthetic_gait import SPEED_MPS, WALK
+from taichi_nmm.terrain import flat
+from tests.study.synthetic_gait import GLIMPSE, SPEED_MPS, WALK
 
 TURNS = [(3, "knee", (-1, 1)), (4, "ankle", (-1, 1)), (5, "ball", (-1, -1))]
 
@@ -40,11 +43,12 @@ def test_muscles_lie_along_their_bones() -> None:
 
 
 def test_the_end_of_the_walk_is_shown() -> None:
-    start_s, end_s = last_metres(WALK, 2.6)
-    assert end_s == WALK.time_s[-1]
-    assert end_s - start_s == pytest.approx(2.6 / SPEED_MPS, abs=0.03)
-    assert last_metres(WALK, 100.0) == last_seconds(WALK, 100.0) == (WALK.time_s[0], end_s)
-    assert last_seconds(WALK, 2.0) == (end_s - 2.0, end_s)
+    poses_s = last_stretch(WALK, flat()).poses_s
+    assert poses_s[-1] == WALK.time_s[-1]
+    assert np.ptp(poses_s) == pytest.approx(SHOWN_M / SPEED_MPS, abs=0.03)
+    assert last_stretch(GLIMPSE, flat()).poses_s.tolist() == [GLIMPSE.time_s[0], GLIMPSE.time_s[-1]]
+    assert np.ptp(motion_of(WALK, flat(), 2.0, 20).time_s) == pytest.approx(2.0)
+    assert motion_of(GLIMPSE, flat(), 2.0, 20).time_s[0] == GLIMPSE.time_s[0]
     q = WALK.q.copy()
     q[700:, 3] = np.nan
     shown = finite(replace(WALK, q=q))

@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from study.report.runs import ArmRuns, Results
-from taichi_nmm.parameters import GAINS
 
 Chances = dict[str, tuple[float, float]]
 # Of each arm: how likely a trial walks at first, and how much likelier with every trial.
@@ -33,18 +32,12 @@ def columns(arms: Chances, runs: int, trials: int, cost: str) -> dict[str, NDArr
     first, slope = np.array([arms[name] for name in arm]).T
     chance = luck * np.minimum(first + slope * trial, 0.9)
     completed = (rng.random(n) < chance) | (first >= 1.0)
-    speed = np.where(completed, rng.uniform(0.6, 1.5, n), rng.uniform(0.0, 1.5, n))
-    duration = np.where(completed, 100.0, rng.exponential(3.0, n) + 0.6)
-    distance = speed * duration
-    transport = rng.uniform(4.0, 9.0, n)
-    smooth = 1 / (1 + duration) + 0.3 / (1 + distance) + 0.01 * abs(speed - 1.3)
-    walking = np.where(completed, 100 * abs(speed - 1.3) + transport, 300 - distance)
-    value = smooth if cost == "smooth" else walking
+    least, walks, most = (0.012, 0.03, 0.8) if cost == "smooth" else (4.0, 80.0, 300.0)
+    value = np.where(completed, rng.uniform(least, walks, n), rng.uniform(walks, most, n))
     best = np.minimum.accumulate(value.reshape(-1, trials), axis=1).ravel()
-    gains = {gain.name: rng.uniform(gain.low, gain.high, n) for gain in GAINS}
     return {
         "experiment": np.full(n, "made-up"), "arm": arm, "run": run, "trial": trial,
-        **gains, "cost": value, "best_cost": best, "walked": completed,
+        "cost": value, "best_cost": best, "walked": completed,
     }  # fmt: skip
 
 
