@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 from study.report import numbers as counts
-from study.report.numbers import curve, holm, median, numbers, wilcoxon
+from study.report.numbers import curve, holm, median, numbers, wilcoxon, wilson
 from tests.study.report.synthetic import arm, counted
 
 
@@ -25,8 +25,7 @@ def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
 def test_walkers_are_counted() -> None:
     found = numbers(counted(arm("dog", [1, 3, 11, 30, np.inf]))).arms[0]
     assert (found.walkers, found.runs, found.trials) == (4, 5, 40)
-    share = found.share.value, found.share.low, found.share.high
-    assert share == pytest.approx((0.8, 0.3755, 0.9638), abs=1e-4)  # Wilson's interval of 4 of 5
+    assert found.share.value == 0.8
     assert found.first_walker.value == 11
     assert found.within == {1: 1, 3: 2, 10: 2, 30: 4}
     assert list(found.cost_after) == [10, 30]
@@ -55,6 +54,17 @@ def test_arms_are_compared_with_ours_or_the_papers_on_the_same_runs() -> None:
     plain = numbers(counted(arm("dog", [np.inf, np.inf]))).as_dict()
     assert plain["arms"][0]["first_walker"]["value"] is None
     assert plain["arms"][0]["within"]["30"] == 0
+
+
+@pytest.mark.parametrize(("successes", "count"), [(0, 50), (1, 8), (37, 50), (50, 50)])
+def test_wilson_has_the_closed_form(successes: int, count: int) -> None:
+    """Its ends solve (p - share)^2 = z^2 p (1 - p) / n (Wilson, 1927)."""
+    z, share = 1.959963984540054, successes / count
+    found = wilson(successes, count)
+    assert found.value == share
+    assert 0.0 <= found.low <= share <= found.high <= 1.0 and found.low < found.high
+    for p in (found.low, found.high):
+        assert (p - share) ** 2 == pytest.approx(z * z * p * (1 - p) / count, abs=1e-12)
 
 
 def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_certain() -> None:
