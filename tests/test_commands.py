@@ -166,7 +166,10 @@ TRIALS = 4
 SEARCHED = ("theta_ref", "exo_torque", "K_SOL_asymmetry")
 GOAL = """cost = "weighted"
 fell_cost = 50.0
-terms = {cost_of_transport_jpkgpm = 1.0, mean_speed_mps = {weight = 9.0, target = 1.2}}"""
+[objective.terms]
+cost_of_transport_jpkgpm = 1.0
+human_deviation = 0.5
+mean_speed_mps = {weight = 9.0, target = 1.2}"""
 OWN_WALKER = (ASSETS / "own-walker.toml").read_text()
 
 
@@ -180,7 +183,8 @@ class Real:
         self.store = folder / "store"
         rough8, store = ((ROOT / f"configs/{n}.toml").read_text() for n in ("rough8", "store"))
         searched = f"searched = {json.dumps(SEARCHED)}\n"
-        (folder / "store.toml").write_text(searched + store + OWN_WALKER)
+        kept = 'kept = ["human_deviation"]\n'
+        (folder / "store.toml").write_text(searched + kept + store + OWN_WALKER)
         text = searched + rough8.replace('cost = "smooth"', GOAL) + OWN_WALKER
         text = re.sub(r"duration_s = .*", "duration_s = 5.0", text)
         text = re.sub(r'"out/store[\w-]*"', f'"{self.store}"', text)
@@ -232,6 +236,7 @@ def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str, tmp_path: Pat
         assert known["world"]["prosthesis"]["stiffness_nmprad"] == 350.0
         assert known["world"]["exoskeleton"]["motion"] == "hip_extension"
     paid = row["cost_of_transport_jpkgpm"] + 9.0 * abs(row["mean_speed_mps"] - 1.2)
+    paid += 0.5 * of_folder["human_deviation"]
     lasted = row["survived_fraction"]
     assert row["cost"] == pytest.approx(paid if lasted >= 1.0 else 50.0 * (2.0 - lasted))
     best = real.store.with_name("live") / f"{arm}-run-001-best.json"
