@@ -153,7 +153,7 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
 
     def launch(packs: Packs, first_tick: int, ticks: int) -> None:
         nonlocal bound
-        if bound is None or bound[0] is not packs.rows or bound[1].stale:
+        if bound is None or bound[0] is not packs.rows:
             kernel = backend.BoundKernel(
                 advance, backend.lanes_a_turn(),
                 packs.rows, packs.constants, packs.terrains, heights, muscles,
