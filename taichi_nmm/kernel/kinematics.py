@@ -21,7 +21,10 @@ def directions(lane, state: Rows, work: Rows):
 
 @ti.func
 def contact_points(lane, state: Rows, work: Rows):
-    """Positions of ankles, heels and balls in the world, and each leg's length and angle."""
+    """Positions of ankles, heels and balls in the world, and each leg's length and angle.
+
+    They are those of the line hip - ankle; 90 deg is vertical, less is in front of the hip.
+    """
     for leg in ti.static(range(LEGS)):
         thigh, shank, foot = ti.static(1 + 3 * leg, 2 + 3 * leg, 3 + 3 * leg)
         ankle_x = (
@@ -35,6 +38,9 @@ def contact_points(lane, state: Rows, work: Rows):
             - SHANK_LENGTH_M * work[Work.cosine + shank, lane]
         )
         work[Work.ankle_x + leg, lane] = ankle_x
+        dx, dz = state[State.q + 0, lane] - ankle_x, state[State.q + 1, lane] - ankle_z
+        work[Work.leg_length + leg, lane] = ti.sqrt(dx * dx + dz * dz)
+        work[Work.leg_angle + leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
         for end in ti.static(range(2)):
             offset = ti.static((HEEL_OFFSET_M, BALL_OFFSET_M)[end])
             work[Work.point_x + 2 * leg + end, lane] = (
@@ -43,16 +49,6 @@ def contact_points(lane, state: Rows, work: Rows):
             work[Work.point_z + 2 * leg + end, lane] = (
                 ankle_z - offset * work[Work.sine + foot, lane]
             )
-        leg_geometry(lane, leg, ankle_x, ankle_z, state, work)
-
-
-@ti.func
-def leg_geometry(lane, leg: Rows, ankle_x, ankle_z, state: Rows, work: Rows):
-    """Length and angle of the line hip - ankle; 90 deg is vertical, less is in front of the hip."""
-    dx = state[State.q + 0, lane] - ankle_x
-    dz = state[State.q + 1, lane] - ankle_z
-    work[Work.leg_length + leg, lane] = ti.sqrt(dx * dx + dz * dz)
-    work[Work.leg_angle + leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
 
 
 @ti.func
