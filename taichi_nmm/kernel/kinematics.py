@@ -20,6 +20,18 @@ def directions(lane, state: Rows, work: Rows):
 
 
 @ti.func
+def slope_vector(lane, i: Rows, work: Rows):
+    """e_i, the derivative of link i's direction; feet (3, 6) lie a quarter turn ahead."""
+    s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
+    x = 0.0 - c
+    z = s
+    if ti.static(i in (3, 6)):
+        x = 0.0 - s
+        z = 0.0 - c
+    return x, z
+
+
+@ti.func
 def contact_points(lane, state: Rows, work: Rows):
     """Positions of ankles, heels and balls in the world, and each leg's length and angle.
 
@@ -75,23 +87,19 @@ def joints(lane, state: Rows, work: Rows):
 @ti.func
 def centre_of_mass(lane, state: Rows, const: Rows, work: Rows):
     """Position of the whole body's centre of mass, and its forward velocity."""
-    x = const[Const.a_hat, lane] * (0.0 - work[Work.sine + 0, lane])
-    z = const[Const.a_hat, lane] * (0.0 - work[Work.cosine + 0, lane])
-    v = const[Const.a_hat, lane] * (0.0 - work[Work.cosine + 0, lane] * state[State.qdot + 2, lane])
+    # Of the direction d of a link, of which e is the slope: d = (-e_z, e_x).
+    e0x, e0z = slope_vector(lane, 0, work)
+    x = const[Const.a_hat, lane] * (0.0 - e0z)
+    z = const[Const.a_hat, lane] * e0x
+    v = const[Const.a_hat, lane] * (e0x * state[State.qdot + 2, lane])
     for leg in ti.static(range(LEGS)):
         for link in ti.static(range(3)):
             i = ti.static(1 + 3 * leg + link)
             a = const[Const.a_leg + 3 * leg + link, lane]
-            s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
-            rate = state[State.qdot + 2 + i, lane]
-            if ti.static(link < 2):
-                x += a * (0.0 - s)
-                z += a * (0.0 - c)
-                v += a * (0.0 - c) * rate
-            else:
-                x += a * c
-                z += a * (0.0 - s)
-                v += a * (0.0 - s) * rate
+            ex, ez = slope_vector(lane, i, work)
+            x -= a * ez
+            z += a * ex
+            v += a * ex * state[State.qdot + 2 + i, lane]
     mass = const[Const.total_mass, lane]
     work[Work.com_x, lane] = state[State.q + 0, lane] + x / mass
     work[Work.com_z, lane] = state[State.q + 1, lane] + z / mass
