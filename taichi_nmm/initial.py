@@ -19,7 +19,7 @@ from taichi_nmm.kernel.layout import (
     State,
 )
 from taichi_nmm.kernel.muscle import ACTIVATION_FLOOR
-from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
+from taichi_nmm.kernel.muscle_table import OPTIMAL_LENGTH_M, SLACK_LENGTH_M, unit_lengths
 from taichi_nmm.kernel.nerves import TA_LENGTH_OFFSET
 from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
@@ -96,12 +96,10 @@ def muscles_and_nerves(
     fibres = np.zeros(Muscle.count)
     fibres[Muscle.activation : Muscle.activation + MUSCLE_COUNT] = ACTIVATION_FLOOR
     fibres[Muscle.stimulation : Muscle.stimulation + MUSCLE_COUNT] = ACTIVATION_FLOOR
-    slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
-    optimal_m = np.array([data.optimal_length_m for data in MUSCLE_DATA.values()])
     signals = np.zeros(Signal.count)
     for leg, angles_rad in enumerate(joints_rad):
         # The fibre of a relaxed muscle takes the unit's length less the tendon's slack.
-        lengths = (unit_lengths(*angles_rad) - slack_m) / optimal_m
+        lengths = (unit_lengths(*angles_rad) - SLACK_LENGTH_M) / OPTIMAL_LENGTH_M
         first = Muscle.length + MUSCLES_PER_LEG * leg
         fibres[first : first + MUSCLES_PER_LEG] = lengths
         signals[Signal.length_ta + leg] = max(lengths[TA] - TA_LENGTH_OFFSET, 0.0)

@@ -60,7 +60,11 @@ MUSCLE_DATA: dict[str, MuscleData] = {
 }  # fmt: skip
 assert tuple(MUSCLE_DATA) == MUSCLES
 
-FMAX_N: NDArray[np.float64] = np.array([data.fmax_n for data in MUSCLE_DATA.values()])
+# Of the seven muscles, [7] each.
+FMAX_N, OPTIMAL_LENGTH_M, VMAX_PER_S, SLACK_LENGTH_M = (
+    np.array([getattr(data, name) for data in MUSCLE_DATA.values()], dtype=np.float64)
+    for name in ("fmax_n", "optimal_length_m", "vmax_per_s", "slack_length_m")
+)
 
 # Columns of `muscle_table`, one row a muscle.
 (
@@ -74,10 +78,9 @@ FMAX_N: NDArray[np.float64] = np.array([data.fmax_n for data in MUSCLE_DATA.valu
 def muscle_table(step_s: float) -> NDArray[np.float64]:
     """Constants of contraction for a physics step, [7, TABLE_COLUMNS]."""
     table = np.zeros((MUSCLES_PER_LEG, TABLE_COLUMNS))
-    for row, data in zip(table, MUSCLE_DATA.values(), strict=True):
-        row[T_STRETCH] = step_s * data.vmax_per_s
-        row[T_STRAIN] = data.optimal_length_m / (data.slack_length_m * REFERENCE_STRAIN)
-        row[T_POWER] = data.fmax_n * data.optimal_length_m * data.vmax_per_s
+    table[:, T_STRETCH] = step_s * VMAX_PER_S
+    table[:, T_STRAIN] = OPTIMAL_LENGTH_M / (SLACK_LENGTH_M * REFERENCE_STRAIN)
+    table[:, T_POWER] = FMAX_N * OPTIMAL_LENGTH_M * VMAX_PER_S
     return table
 
 
@@ -115,13 +118,7 @@ def _span_tables() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return lengths, torques
 
 
-def _strain_table() -> NDArray[np.float64]:
-    """As the lengths' table: tendons' strains over the reference at fibre length 0, [7, 6]."""
-    slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
-    stretched_m = LENGTHS_M.copy()
-    stretched_m[:, 0] -= slack_m
-    return np.asarray(stretched_m / (slack_m * REFERENCE_STRAIN)[:, None])
-
-
 LENGTHS_M, TORQUES_NM = _span_tables()
-STRAINS = _strain_table()
+# As the lengths: the tendons' strains over the reference at fibre length 0, [7, 6].
+STRAINS = np.column_stack([LENGTHS_M[:, 0] - SLACK_LENGTH_M, LENGTHS_M[:, 1:]])
+STRAINS /= (SLACK_LENGTH_M * REFERENCE_STRAIN)[:, None]
