@@ -152,23 +152,19 @@ class BoundKernel:
         for argument, value in zip(compiler.parameters(self._primal), self._arguments, strict=True):
             if argument.annotation is Rows:
                 continue
-            self._slots[argument.name] = compiler.slot(len(self._slots))
-            self._set(argument.name, value)
+            slot = self._slots[argument.name] = compiler.slot(len(self._slots))
+            if isinstance(value, np.ndarray):
+                assert value.flags.c_contiguous
+                self._context.set_arg_external_array_with_shape(
+                    slot, int(value.ctypes.data), value.nbytes, value.shape, 0
+                )
+            elif isinstance(value, int):
+                self._context.set_arg_int(slot, value)
+            else:
+                self._context.set_arg_float(slot, float(value))
         with registers.without_remarks():
             self._compiled = compiler.compiled(function)
         _compiled.add(self._kernel.__name__)
-
-    def _set(self, name: str, value: Any) -> None:
-        slot = self._slots[name]
-        if isinstance(value, np.ndarray):
-            assert value.flags.c_contiguous
-            self._context.set_arg_external_array_with_shape(
-                slot, int(value.ctypes.data), value.nbytes, value.shape, 0
-            )
-        elif isinstance(value, int):
-            self._context.set_arg_int(slot, value)
-        else:
-            self._context.set_arg_float(slot, float(value))
 
 
 def _require_main_thread() -> None:
