@@ -10,7 +10,6 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import nbformat
 from mkdocs.config.defaults import MkDocsConfig
@@ -83,16 +82,13 @@ def markdown(
             if "image/png" in data:
                 picture = f"{name}-{len(pictures) + 1}.png"
                 pictures[picture] = base64.b64decode(data["image/png"])
-                yield f"![{alternative(output)}]({picture})"
+                # As display(..., metadata={"image/png": {"alt": ...}}) describes it.
+                said = output.metadata.get("image/png", {}).get("alt", "what the code drew")
+                yield f"![{said}]({picture})"
             elif output.get("name") == "stderr":
                 log.warning(f"{name}: {output.text.strip()}")
             else:
                 yield fenced(output.get("text") or data["text/plain"], "text")
-
-
-def alternative(output: Any) -> str:
-    """The description of a picture: `display(..., metadata={"image/png": {"alt": ...}})`."""
-    return str(output.metadata.get("image/png", {}).get("alt", "what the code drew"))
 
 
 def fenced(text: str, language: str) -> str:

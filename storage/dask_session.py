@@ -19,7 +19,6 @@ import signal
 import sys
 import threading
 import time
-import traceback
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
@@ -40,7 +39,7 @@ from storage.processes import Processes
 from storage.simulator import Simulator
 from storage.store import MANIFEST_NAME, Manifest
 from storage.tables import agree
-from taichi_nmm.errors import InputError, in_a_line, one_line, shortened
+from taichi_nmm.errors import InputError, in_a_line
 from taichi_nmm.reading import json_document, reading
 
 SESSION = "taichi-nmm-"  # and the client's name
@@ -112,8 +111,7 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
             try:
                 event["kind"] = pickle.loads(done.result())
             except Exception as error:
-                said = "".join(traceback.format_exception_only(error)).strip()
-                event["error"] = one_line(shortened(said))
+                event["error"] = in_a_line(error)
             worker.loop.add_callback(worker.log_event, self.name, event)
 
         self.call(pickle.dumps((self._describe, ()))).add_done_callback(introduce)

@@ -24,7 +24,6 @@ from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.neighbours import HiddenPackageError
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -110,7 +109,7 @@ def _one_line() -> Iterator[None]:
         except OSError:  # `2>&1 | head`: Python would try again at its end, and exit with 120
             _silence(STDERR)
         sys.exit(EXIT_NO_READER)
-    except (InputError, HiddenPackageError) as error:
+    except InputError as error:
         lines = str(error).splitlines()  # one, or the mistakes of a file
         _leave("\n".join(f"error: {line}" for line in lines), EXIT_BAD_INPUT)
     except ImportError as error:

@@ -5,14 +5,15 @@ The only module of this package that imports `study`.
 
 import sys
 
-from taichi_nmm.neighbours import HiddenPackageError, require_neighbours
+from taichi_nmm.errors import InputError
+from taichi_nmm.neighbours import require_neighbours
 
 
 def main() -> None:
     """Run the command that the process was called with, and leave with its exit code."""
     try:
         require_neighbours("study", "storage")
-    except HiddenPackageError as error:
+    except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     from study.cli import main as run  # after the check that it is ours

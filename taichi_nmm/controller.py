@@ -99,11 +99,7 @@ class Controller:
         """
         arrays = checks.instance(Observation)("observation", observation).checked(len(self))
         backend.start(self._settings)
-        packs = self._packs
-        if packs is None:
-            packs = self._bind(_first_rows(arrays))
-        elif self._kernel.stale:
-            packs = self._bind(packs.unfold(packs.rows))
+        packs = self._packs or self._bind(_first_rows(arrays))
         tick, within = divmod(self._step, self._settings.substeps)
         self._step += 1
         self._senses[...] = packs.fold(sense_rows(arrays))

@@ -19,7 +19,7 @@ from taichi_nmm.kernel.layout import (
     State,
 )
 from taichi_nmm.kernel.muscle import ACTIVATION_FLOOR
-from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, unit_lengths
+from taichi_nmm.kernel.muscle_table import OPTIMAL_LENGTH_M, SLACK_LENGTH_M, unit_lengths
 from taichi_nmm.kernel.nerves import TA_LENGTH_OFFSET
 from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
@@ -42,8 +42,8 @@ def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
     return np.concatenate([state, fibres, delay, events])
 
 
-def _foot_points(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Heel and ball of both feet relative to the hip, [leg, point, xz]."""
+def _feet(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Ankles, [leg, xz], and heel and ball of both feet, [leg, point, xz], relative to the hip."""
     legs = angles[1:].reshape(LEGS, 3)
     lengths = np.array([THIGH_LENGTH_M, SHANK_LENGTH_M])
     ankle = -np.stack(
@@ -52,22 +52,19 @@ def _foot_points(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     )
     forward = np.stack([np.cos(legs[:, 2]), -np.sin(legs[:, 2])], axis=1)
     offsets = np.array([HEEL_OFFSET_M, BALL_OFFSET_M])
-    return np.asarray(ankle[:, None, :] + offsets[None, :, None] * forward[:, None, :])
+    return ankle, ankle[:, None, :] + offsets[None, :, None] * forward[:, None, :]
 
 
 def _state(terrain: Terrain) -> NDArray[np.float64]:
     """Rows of `State`: the stance foot just in the ground, both feet's flags as they touch."""
     angles = np.concatenate([[0.0], np.cumsum(JOINTS_RAD, axis=1).ravel()])  # HAT, then both legs
-    points = _foot_points(angles)
+    ankle, points = _feet(angles)
     depth = terrain.height(points[0, :, 0]) - points[0, :, 1]  # with the hip at height zero
     state = np.zeros(State.count)
     state[State.q + 1] = depth.max() - PENETRATION_M
     state[State.q + 2 : State.q + 9] = angles
     state[State.qdot] = SPEED_MPS
     state[State.qdot + 3 : State.qdot + 5] = STANCE_LEG_RATE_RADPS
-    ankle = (points[:, 1] * -HEEL_OFFSET_M + points[:, 0] * BALL_OFFSET_M) / (
-        BALL_OFFSET_M - HEEL_OFFSET_M
-    )
     state[State.leg_angle_filter : State.leg_angle_filter + LEGS] = np.pi - np.arctan2(
         -ankle[:, 1], -ankle[:, 0]
     )
@@ -96,12 +93,10 @@ def muscles_and_nerves(
     fibres = np.zeros(Muscle.count)
     fibres[Muscle.activation : Muscle.activation + MUSCLE_COUNT] = ACTIVATION_FLOOR
     fibres[Muscle.stimulation : Muscle.stimulation + MUSCLE_COUNT] = ACTIVATION_FLOOR
-    slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
-    optimal_m = np.array([data.optimal_length_m for data in MUSCLE_DATA.values()])
     signals = np.zeros(Signal.count)
     for leg, angles_rad in enumerate(joints_rad):
         # The fibre of a relaxed muscle takes the unit's length less the tendon's slack.
-        lengths = (unit_lengths(*angles_rad) - slack_m) / optimal_m
+        lengths = (unit_lengths(*angles_rad) - SLACK_LENGTH_M) / OPTIMAL_LENGTH_M
         first = Muscle.length + MUSCLES_PER_LEG * leg
         fibres[first : first + MUSCLES_PER_LEG] = lengths
         signals[Signal.length_ta + leg] = max(lengths[TA] - TA_LENGTH_OFFSET, 0.0)

@@ -7,25 +7,21 @@
 from importlib.util import find_spec
 from pathlib import Path
 
+from taichi_nmm.errors import InputError
+
 BESIDE = Path(__file__).resolve().parents[1]
-
-
-class HiddenPackageError(ImportError):
-    """A file or a folder of the same name hides a package of ours."""
 
 
 def require_neighbours(*names: str) -> None:
     """Check that these packages are those beside this one; none of them is imported.
 
     Raises:
-        HiddenPackageError: a file or folder of the same name comes first on Python's path.
+        InputError: a file or folder of the same name comes first on Python's path.
     """
     for name in names:
         spec = find_spec(name)
         places = [] if spec is None else [spec.origin, *(spec.submodule_search_locations or ())]
         found = next((Path(place).resolve() for place in places if place), None)
         if found not in (None, BESIDE / name / "__init__.py"):
-            raise HiddenPackageError(
-                f"{name}: {str(found)!r} hides the package {name} of taichi-nmm; "
-                "allowed: another name for it, or another working directory"
-            )
+            allowed = f"another name, or working directory: it hides {name} of taichi-nmm"
+            raise InputError(name, str(found), allowed)

@@ -13,9 +13,8 @@ PRECISIONS = ("float32", "float64")
 GPUS = ("cuda", "vulkan")
 ARCHITECTURES = ("auto", "cpu", *GPUS)
 
-CONTACT_RELAXATION_SPEED_MPS = (
-    0.10  # gaits converge with the step; at 0.03 (Geyer & Herr 2010) they do not
-)
+# Gaits converge with the step; at 0.03 (Geyer & Herr 2010) they do not.
+CONTACT_RELAXATION_SPEED_MPS = 0.10
 
 OWN_ENGINE = "taichi"
 ENGINES = (OWN_ENGINE, "mujoco")

@@ -27,7 +27,7 @@ from taichi_nmm.kernel.layout import (
     Muscle,
 )
 from taichi_nmm.kernel.muscle import SHORTEST_FIBRE
-from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table
+from taichi_nmm.kernel.muscle_table import OPTIMAL_LENGTH_M, SLACK_LENGTH_M, muscle_table
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.outcome import Recorder, result_rows
 from taichi_nmm.packs import Packs
@@ -133,10 +133,7 @@ def start_packs(batch: Batch, settings: Settings) -> Packs:
     if np.any((fibre != 1.0) | (slack != 1.0)):  # relaxed fibres of other lengths: a row a walker
         rows, starts = rows[index], np.arange(len(batch), dtype=np.int32)
         lengths = rows[:, FIRST_FIBRE + Muscle.length :][:, :MUSCLE_COUNT]
-        slack_m, optimal_m = (
-            np.tile([getattr(data, name) for data in MUSCLE_DATA.values()], LEGS)
-            for name in ("slack_length_m", "optimal_length_m")
-        )
+        slack_m, optimal_m = (np.tile(each, LEGS) for each in (SLACK_LENGTH_M, OPTIMAL_LENGTH_M))
         lengths += (1.0 - slack) * slack_m / optimal_m
         lengths[:] = np.maximum(lengths / fibre, SHORTEST_FIBRE)
     return Packs(rows, constant_rows(batch, settings), index, starts=starts)
@@ -153,7 +150,7 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
 
     def launch(packs: Packs, first_tick: int, ticks: int) -> None:
         nonlocal bound
-        if bound is None or bound[0] is not packs.rows or bound[1].stale:
+        if bound is None or bound[0] is not packs.rows:
             kernel = backend.BoundKernel(
                 advance, backend.lanes_a_turn(),
                 packs.rows, packs.constants, packs.terrains, heights, muscles,

@@ -122,37 +122,15 @@ class BoundKernel:
         Raises:
             InputError: as `launch`.
         """
-        if kernel.__name__ not in _compiled:
-            _require_main_thread()
-        self._session, self._kernel = _session, kernel
-        self._arguments = arguments  # the arrays must outlive the launches
-        if _arch != "cpu":
-            return
-        primal = kernel._primal  # type: ignore[attr-defined]
-        function = compiler.specialised(primal, arguments)
-        self._program = ti.lang.impl.get_runtime().prog
-        self._context = function.make_launch_context()
-        self._slots: dict[str, Any] = {}
-        for argument, value in zip(compiler.parameters(primal), arguments, strict=True):
-            if argument.annotation is Rows:
-                continue
-            self._slots[argument.name] = compiler.slot(len(self._slots))
-            self._set(argument.name, value)
-        with registers.without_remarks():
-            self._compiled = compiler.compiled(function)
-        _compiled.add(kernel.__name__)
-
-    @property
-    def stale(self) -> bool:
-        """Whether Taichi was started again since, with other settings."""
-        return self._session != _session
+        self._kernel, self._arguments = kernel, arguments  # the arrays must outlive the launches
+        self._bind()
 
     def launch(self, **numbers: int) -> None:
         """Run the kernel with these whole numbers in place of those it was bound with."""
-        assert not self.stale
+        if self._session != _session:  # Taichi was started again, and has forgotten the kernel
+            self._bind()
         if _arch != "cpu":
-            primal = self._kernel._primal  # type: ignore[attr-defined]
-            names = [argument.name for argument in compiler.parameters(primal)]
+            names = [argument.name for argument in compiler.parameters(self._primal)]
             given = dict(zip(names, self._arguments, strict=True)) | numbers
             launch(self._kernel, *given.values())
             return
@@ -160,17 +138,33 @@ class BoundKernel:
             self._context.set_arg_int(self._slots[name], value)
         self._program.launch_kernel(self._compiled, self._context)
 
-    def _set(self, name: str, value: Any) -> None:
-        slot = self._slots[name]
-        if isinstance(value, np.ndarray):
-            assert value.flags.c_contiguous
-            self._context.set_arg_external_array_with_shape(
-                slot, int(value.ctypes.data), value.nbytes, value.shape, 0
-            )
-        elif isinstance(value, int):
-            self._context.set_arg_int(slot, value)
-        else:
-            self._context.set_arg_float(slot, float(value))
+    def _bind(self) -> None:
+        if self._kernel.__name__ not in _compiled:
+            _require_main_thread()
+        self._session = _session
+        self._primal = self._kernel._primal  # type: ignore[attr-defined]
+        if _arch != "cpu":
+            return
+        function = compiler.specialised(self._primal, self._arguments)
+        self._program = ti.lang.impl.get_runtime().prog
+        self._context = function.make_launch_context()
+        self._slots: dict[str, Any] = {}
+        for argument, value in zip(compiler.parameters(self._primal), self._arguments, strict=True):
+            if argument.annotation is Rows:
+                continue
+            slot = self._slots[argument.name] = compiler.slot(len(self._slots))
+            if isinstance(value, np.ndarray):
+                assert value.flags.c_contiguous
+                self._context.set_arg_external_array_with_shape(
+                    slot, int(value.ctypes.data), value.nbytes, value.shape, 0
+                )
+            elif isinstance(value, int):
+                self._context.set_arg_int(slot, value)
+            else:
+                self._context.set_arg_float(slot, float(value))
+        with registers.without_remarks():
+            self._compiled = compiler.compiled(function)
+        _compiled.add(self._kernel.__name__)
 
 
 def _require_main_thread() -> None:

@@ -1,7 +1,7 @@
 """The compiler of the kernels and its insides: Taichi or, on Python 3.14, its fork, Quadrants.
 
 This file alone imports them, as `ti`. Both run the same kernels to the same bits. What is used of
-their insides stands here, twice where they differ; pyproject.toml pins their versions.
+their insides stands here, side by side where they differ; pyproject.toml pins their versions.
 """
 
 import contextlib
@@ -77,24 +77,6 @@ if COMPILER == "taichi":
     transformer.ASTTransformerContext.get_pos_info = _short_position
     kernel_impl.getsourcefile = cache(kernel_impl.getsourcefile)
     kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
-
-    def parameters(primal: Any) -> Any:
-        """The parameters of a kernel, each with a name and an annotation."""
-        return primal.arguments
-
-    def specialised(primal: Any, arguments: tuple[Any, ...]) -> Any:
-        """The kernel for arguments of these types."""
-        return primal.compiled_kernels[primal.ensure_compiled(*arguments)]
-
-    def slot(number: int) -> Any:
-        """The place of an argument in a launch."""
-        return (number,)
-
-    def compiled(function: Any) -> Any:
-        """What a program launches."""
-        program = impl.get_runtime().prog
-        return program.compile_kernel(program.config(), program.get_device_caps(), function)
-
 else:
     KNOWS_WIDTH = True  # LLVM 22
     WHOLE_LOOPS = {"cpu_work_scheduling": core.CPUWorkScheduling.FIXED_SIZE}
@@ -113,21 +95,27 @@ else:
     _look_up = kernel_impl.Kernel._try_load_fastcache
     kernel_impl.Kernel._try_load_fastcache = _one_pass
 
-    def parameters(primal: Any) -> Any:
-        """The parameters of a kernel, each with a name and an annotation."""
-        return primal.arg_metas
 
-    def specialised(primal: Any, arguments: tuple[Any, ...]) -> Any:
-        """The kernel for arguments of these types."""
-        primal.raise_on_templated_floats = False  # else unset before a launch
-        return primal.materialized_kernels[primal.ensure_compiled(*arguments)]
+def parameters(primal: Any) -> Any:
+    """The parameters of a kernel, each with a name and an annotation."""
+    return primal.arguments if COMPILER == "taichi" else primal.arg_metas
 
-    def slot(number: int) -> Any:
-        """The place of an argument in a launch."""
-        return number
 
-    def compiled(function: Any) -> Any:
-        """What a program launches."""
-        program = impl.get_runtime().prog
-        result = program.compile_kernel(program.config(), program.get_device_caps(), function)
-        return result.compiled_kernel_data
+def specialised(primal: Any, arguments: tuple[Any, ...]) -> Any:
+    """The kernel for arguments of these types."""
+    if COMPILER == "taichi":
+        return primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+    primal.raise_on_templated_floats = False  # else unset before a launch
+    return primal.materialized_kernels[primal.ensure_compiled(*arguments)]
+
+
+def slot(number: int) -> Any:
+    """The place of an argument in a launch."""
+    return (number,) if COMPILER == "taichi" else number
+
+
+def compiled(function: Any) -> Any:
+    """What a program launches."""
+    program = impl.get_runtime().prog
+    result = program.compile_kernel(program.config(), program.get_device_caps(), function)
+    return result if COMPILER == "taichi" else result.compiled_kernel_data

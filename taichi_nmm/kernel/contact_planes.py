@@ -83,7 +83,9 @@ def nearest_points(x, z, ground, nodes: Array, heights: Array):
     """
     zero = ti.f64(0.0)
     cell = cell_under(x, nodes)
-    below = in_ground(x, z, cell, ground, nodes, heights)
+    share = (x - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
+    rise = heights[ground, cell + 1] - heights[ground, cell]
+    below = z < heights[ground, cell] + share * rise
     unused = ti.Vector([zero + ti.f64(NOWHERE_M), x, z - ti.f64(UNUSED_M), zero, zero + 1.0])
     first, second, way_out = unused, unused, unused
     before = zero  # where along the piece before the nearest point lies: at its end from 1 on
@@ -129,13 +131,6 @@ def cell_under(x, nodes: Array):
     zero = ti.f64(0.0)
     along = (x - nodes[1]) / ti.f64(GRID_SPACING_M) + 1.0
     return ti.cast(ti.floor(smaller(larger(zero, along), zero + (nodes.shape[0] - 2))), ti.i32)
-
-
-@ti.func
-def in_ground(x, z, cell, ground, nodes: Array, heights: Array):
-    """Whether the ground at x is above z."""
-    share = (x - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
-    return z < heights[ground, cell] + share * (heights[ground, cell + 1] - heights[ground, cell])
 
 
 @ti.func

@@ -14,6 +14,7 @@ from taichi_nmm.body import (
 )
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import FIRST_FACTOR, INCREMENT, TICK_FACTOR, larger, uniform
+from taichi_nmm.kernel.kinematics import slope_vector
 from taichi_nmm.kernel.layout import (
     CONTACTS,
     COORDINATES,
@@ -35,18 +36,6 @@ CATCH_S = 0.02  # ours: short beside a swing of 0.4 s
 CATCH_EVERY_S = 1.0  # of a leg; ours, about a stride (published gains: 1.14 s)
 CATCH_TICKS, CATCH_EVERY_TICKS = (round(t / CONTROL_TICK_S) for t in (CATCH_S, CATCH_EVERY_S))
 FIRST_CATCH_WORD = Signal.count + 1  # of the hash: after those of the noise
-
-
-@ti.func
-def slope_vector(lane, i: Rows, work: Rows):
-    """e_i, the derivative of link i's direction; feet (3, 6) lie a quarter turn ahead."""
-    s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
-    x = 0.0 - c
-    z = s
-    if ti.static(i in (3, 6)):
-        x = 0.0 - s
-        z = 0.0 - c
-    return x, z
 
 
 @ti.func

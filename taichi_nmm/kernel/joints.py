@@ -105,14 +105,7 @@ def hip_stops(lane, work: Rows):
     """Add the explicit torque of the extension stop to both hips' torques."""
     for leg in ti.static(range(LEGS)):
         hip = ti.static(3 * leg)
-        work[Work.joint_torque + hip, lane] += hip_stop_torque(
-            work[Work.joint + hip, lane], work[Work.joint_rate + hip, lane]
-        )
-
-
-@ti.func
-def hip_stop_torque(angle, rate):
-    """Explicit torque of the hip's extension stop."""
-    excess = larger(angle - HIP_EXTENSION_LIMIT_RAD, 0.0)
-    factor = smaller(larger(1.0 + rate / HIP_RELAXATION_RADPS, 0.0), HIP_LARGEST_FACTOR)
-    return 0.0 - STOP_STIFFNESS_NMPRAD * excess * factor
+        excess = larger(work[Work.joint + hip, lane] - HIP_EXTENSION_LIMIT_RAD, 0.0)
+        factor = 1.0 + work[Work.joint_rate + hip, lane] / HIP_RELAXATION_RADPS
+        factor = smaller(larger(factor, 0.0), HIP_LARGEST_FACTOR)
+        work[Work.joint_torque + hip, lane] += 0.0 - STOP_STIFFNESS_NMPRAD * excess * factor

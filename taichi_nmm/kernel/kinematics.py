@@ -20,8 +20,23 @@ def directions(lane, state: Rows, work: Rows):
 
 
 @ti.func
+def slope_vector(lane, i: Rows, work: Rows):
+    """e_i, the derivative of link i's direction; feet (3, 6) lie a quarter turn ahead."""
+    s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
+    x = 0.0 - c
+    z = s
+    if ti.static(i in (3, 6)):
+        x = 0.0 - s
+        z = 0.0 - c
+    return x, z
+
+
+@ti.func
 def contact_points(lane, state: Rows, work: Rows):
-    """Positions of ankles, heels and balls in the world, and each leg's length and angle."""
+    """Positions of ankles, heels and balls in the world, and each leg's length and angle.
+
+    They are those of the line hip - ankle; 90 deg is vertical, less is in front of the hip.
+    """
     for leg in ti.static(range(LEGS)):
         thigh, shank, foot = ti.static(1 + 3 * leg, 2 + 3 * leg, 3 + 3 * leg)
         ankle_x = (
@@ -35,6 +50,9 @@ def contact_points(lane, state: Rows, work: Rows):
             - SHANK_LENGTH_M * work[Work.cosine + shank, lane]
         )
         work[Work.ankle_x + leg, lane] = ankle_x
+        dx, dz = state[State.q + 0, lane] - ankle_x, state[State.q + 1, lane] - ankle_z
+        work[Work.leg_length + leg, lane] = ti.sqrt(dx * dx + dz * dz)
+        work[Work.leg_angle + leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
         for end in ti.static(range(2)):
             offset = ti.static((HEEL_OFFSET_M, BALL_OFFSET_M)[end])
             work[Work.point_x + 2 * leg + end, lane] = (
@@ -43,16 +61,6 @@ def contact_points(lane, state: Rows, work: Rows):
             work[Work.point_z + 2 * leg + end, lane] = (
                 ankle_z - offset * work[Work.sine + foot, lane]
             )
-        leg_geometry(lane, leg, ankle_x, ankle_z, state, work)
-
-
-@ti.func
-def leg_geometry(lane, leg: Rows, ankle_x, ankle_z, state: Rows, work: Rows):
-    """Length and angle of the line hip - ankle; 90 deg is vertical, less is in front of the hip."""
-    dx = state[State.q + 0, lane] - ankle_x
-    dz = state[State.q + 1, lane] - ankle_z
-    work[Work.leg_length + leg, lane] = ti.sqrt(dx * dx + dz * dz)
-    work[Work.leg_angle + leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
 
 
 @ti.func
@@ -79,23 +87,19 @@ def joints(lane, state: Rows, work: Rows):
 @ti.func
 def centre_of_mass(lane, state: Rows, const: Rows, work: Rows):
     """Position of the whole body's centre of mass, and its forward velocity."""
-    x = const[Const.a_hat, lane] * (0.0 - work[Work.sine + 0, lane])
-    z = const[Const.a_hat, lane] * (0.0 - work[Work.cosine + 0, lane])
-    v = const[Const.a_hat, lane] * (0.0 - work[Work.cosine + 0, lane] * state[State.qdot + 2, lane])
+    # Of the direction d of a link, of which e is the slope: d = (-e_z, e_x).
+    e0x, e0z = slope_vector(lane, 0, work)
+    x = const[Const.a_hat, lane] * (0.0 - e0z)
+    z = const[Const.a_hat, lane] * e0x
+    v = const[Const.a_hat, lane] * (e0x * state[State.qdot + 2, lane])
     for leg in ti.static(range(LEGS)):
         for link in ti.static(range(3)):
             i = ti.static(1 + 3 * leg + link)
             a = const[Const.a_leg + 3 * leg + link, lane]
-            s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
-            rate = state[State.qdot + 2 + i, lane]
-            if ti.static(link < 2):
-                x += a * (0.0 - s)
-                z += a * (0.0 - c)
-                v += a * (0.0 - c) * rate
-            else:
-                x += a * c
-                z += a * (0.0 - s)
-                v += a * (0.0 - s) * rate
+            ex, ez = slope_vector(lane, i, work)
+            x -= a * ez
+            z += a * ex
+            v += a * ex * state[State.qdot + 2 + i, lane]
     mass = const[Const.total_mass, lane]
     work[Work.com_x, lane] = state[State.q + 0, lane] + x / mass
     work[Work.com_z, lane] = state[State.q + 1, lane] + z / mass

@@ -60,7 +60,11 @@ MUSCLE_DATA: dict[str, MuscleData] = {
 }  # fmt: skip
 assert tuple(MUSCLE_DATA) == MUSCLES
 
-FMAX_N: NDArray[np.float64] = np.array([data.fmax_n for data in MUSCLE_DATA.values()])
+# Of the seven muscles, [7] each.
+FMAX_N, OPTIMAL_LENGTH_M, VMAX_PER_S, SLACK_LENGTH_M = (
+    np.array([getattr(data, name) for data in MUSCLE_DATA.values()], dtype=np.float64)
+    for name in ("fmax_n", "optimal_length_m", "vmax_per_s", "slack_length_m")
+)
 
 # Columns of `muscle_table`, one row a muscle.
 (
@@ -74,10 +78,9 @@ FMAX_N: NDArray[np.float64] = np.array([data.fmax_n for data in MUSCLE_DATA.valu
 def muscle_table(step_s: float) -> NDArray[np.float64]:
     """Constants of contraction for a physics step, [7, TABLE_COLUMNS]."""
     table = np.zeros((MUSCLES_PER_LEG, TABLE_COLUMNS))
-    for row, data in zip(table, MUSCLE_DATA.values(), strict=True):
-        row[T_STRETCH] = step_s * data.vmax_per_s
-        row[T_STRAIN] = data.optimal_length_m / (data.slack_length_m * REFERENCE_STRAIN)
-        row[T_POWER] = data.fmax_n * data.optimal_length_m * data.vmax_per_s
+    table[:, T_STRETCH] = step_s * VMAX_PER_S
+    table[:, T_STRAIN] = OPTIMAL_LENGTH_M / (SLACK_LENGTH_M * REFERENCE_STRAIN)
+    table[:, T_POWER] = FMAX_N * OPTIMAL_LENGTH_M * VMAX_PER_S
     return table
 
 
@@ -87,58 +90,35 @@ def unit_lengths(hip_rad: float, knee_rad: float, ankle_rad: float) -> NDArray[n
     return np.asarray(LENGTHS_M @ np.array([1.0, hip_rad, *knee, *ankle]))
 
 
-def _length_table() -> NDArray[np.float64]:
-    """Factors of 1, hip angle, sine and cosine of the knee, of the ankle in the lengths, m, [7, 6].
+def _span_tables() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Lengths of fibre and tendon together, m, [7, 6], and torques at Fmax, N m, [7, 5].
 
-    With a cosine arm, dl = rho r (sin(ref - max) - sin(phi - max)); with a constant one,
+    As factors of 1, the hip's angle, sine and cosine of the knee, of the ankle; of the torques, of
+    1 (at the hip), cosine and sine of the knee, of the ankle. With a cosine arm r cos(phi - max),
+    dl = rho r (sin(ref - max) - sin(phi - max)); with a constant one, that of the hip,
     dl = rho r (ref - phi).
     """
-    table = np.zeros((MUSCLES_PER_LEG, 6))
-    for row, data in zip(table, MUSCLE_DATA.values(), strict=True):
-        row[0] = data.optimal_length_m + data.slack_length_m
+    lengths, torques = np.zeros((MUSCLES_PER_LEG, 6)), np.zeros((MUSCLES_PER_LEG, 5))
+    for length, torque, data in zip(lengths, torques, MUSCLE_DATA.values(), strict=True):
+        length[0] = data.optimal_length_m + data.slack_length_m
         if data.hip is not None:
             scale = data.hip.sign * data.hip.pennation * data.hip.arm_m
-            row[0] += scale * np.deg2rad(data.hip.reference_angle_deg)
-            row[1] = -scale
-        for first, attachment in ((2, data.knee), (4, data.ankle)):
-            if attachment is not None:
-                scale = attachment.sign * attachment.pennation * attachment.arm_m
-                largest = _largest_arm_rad(attachment)
-                row[0] += scale * np.sin(np.deg2rad(attachment.reference_angle_deg) - largest)
-                row[first : first + 2] = -scale * np.cos(largest), scale * np.sin(largest)
-    return table
-
-
-def _strain_table() -> NDArray[np.float64]:
-    """The same factors in the tendons' strains over the reference at fibre length 0, [7, 6]."""
-    slack_m = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
-    stretched_m = LENGTHS_M.copy()
-    stretched_m[:, 0] -= slack_m
-    return np.asarray(stretched_m / (slack_m * REFERENCE_STRAIN)[:, None])
-
-
-def _torque_table() -> NDArray[np.float64]:
-    """Factors of 1, cosine and sine of the knee, of the ankle in the torques at Fmax, N m, [7, 5].
-
-    The arm is r cos(phi - max), or constant: that of the hip.
-    """
-    table = np.zeros((MUSCLES_PER_LEG, 5))
-    for row, data in zip(table, MUSCLE_DATA.values(), strict=True):
-        if data.hip is not None:
-            row[0] = data.hip.sign * data.hip.arm_m * data.fmax_n
+            length[0] += scale * np.deg2rad(data.hip.reference_angle_deg)
+            length[1] = -scale
+            torque[0] = data.hip.sign * data.hip.arm_m * data.fmax_n
         for first, attachment in ((1, data.knee), (3, data.ankle)):
             if attachment is not None:
-                torque_nm = attachment.sign * attachment.arm_m * data.fmax_n
-                largest = _largest_arm_rad(attachment)
-                row[first : first + 2] = torque_nm * np.cos(largest), torque_nm * np.sin(largest)
-    return table
+                assert attachment.angle_of_largest_arm_deg is not None
+                largest = np.deg2rad(attachment.angle_of_largest_arm_deg)
+                turn = np.array([np.cos(largest), np.sin(largest)])
+                scale = attachment.sign * attachment.pennation * attachment.arm_m
+                length[0] += scale * np.sin(np.deg2rad(attachment.reference_angle_deg) - largest)
+                length[first + 1 : first + 3] = scale * turn * (-1, 1)
+                torque[first : first + 2] = attachment.sign * attachment.arm_m * data.fmax_n * turn
+    return lengths, torques
 
 
-def _largest_arm_rad(attachment: Attachment) -> float:
-    assert attachment.angle_of_largest_arm_deg is not None
-    return float(np.deg2rad(attachment.angle_of_largest_arm_deg))
-
-
-LENGTHS_M = _length_table()
-STRAINS = _strain_table()
-TORQUES_NM = _torque_table()
+LENGTHS_M, TORQUES_NM = _span_tables()
+# As the lengths: the tendons' strains over the reference at fibre length 0, [7, 6].
+STRAINS = np.column_stack([LENGTHS_M[:, 0] - SLACK_LENGTH_M, LENGTHS_M[:, 1:]])
+STRAINS /= (SLACK_LENGTH_M * REFERENCE_STRAIN)[:, None]

@@ -51,7 +51,10 @@ class ContactPlanes:
         self._qpos = np.zeros((len(index), COORDINATES))
         self._positions = np.zeros((len(index), PLANES, 3))
         self._quaternions = np.zeros((len(index), PLANES, 4))
-        self._bind()
+        self._kernel = backend.BoundKernel(
+            lay_planes, 0, self._index, self._nodes, self._heights, self._qpos,
+            self._positions, self._quaternions,
+        )  # fmt: skip
 
     def keep(self, still: NDArray[np.bool_]) -> None:
         """Go on with these walkers alone."""
@@ -65,16 +68,8 @@ class ContactPlanes:
         """
         count = len(qpos)
         self._qpos[:count] = qpos
-        if self._kernel.stale:
-            self._bind()
         self._kernel.launch(count=count)
         return self._positions[:count], self._quaternions[:count]
-
-    def _bind(self) -> None:
-        self._kernel = backend.BoundKernel(
-            lay_planes, 0, self._index, self._nodes, self._heights, self._qpos,
-            self._positions, self._quaternions,
-        )  # fmt: skip
 
 
 class Herd:
@@ -179,7 +174,7 @@ class _Engine:
     def launch(self, packs: Packs, first_tick: int, ticks: int) -> None:
         """Advance the walkers of the packs, those that are up."""
         backend.start(self._settings.on_processor())
-        if packs.rows is not self._bound or self._drive.stale:
+        if packs.rows is not self._bound:
             self._bind(packs)
         active, substeps = packs.rows[:, State.active], self._settings.substeps
         with _no_warnings():

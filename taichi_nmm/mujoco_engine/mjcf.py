@@ -110,7 +110,10 @@ def limit(stop: Stop, inverse_inertia: float, step_s: float) -> tuple[Array, Arr
     slow = 2.0 * stop.relaxation_radps / (time_constant_s * stiffness * inverse_inertia)
     width = max(4.0 * slow, LEAST_RANGE_RAD)
     largest = 1.0 - slow / width  # = width/(width + rho), with rho = slow/largest
-    power = _nearest_power(largest, largest * width / slow)
+    # The power whose d/(1 - d) is nearest to D/rho, by the mean square of the logarithm.
+    impedance = largest * (1.0 - (1.0 - EXCESSES) ** POWERS[:, None])
+    error = np.log(impedance / (1.0 - impedance)) - np.log(EXCESSES * (largest * width / slow))
+    power = float(POWERS[np.argmin(np.mean(error**2, axis=1))])
     damping = 2.0 / (largest * time_constant_s)  # b
     # K: d^2 K/(1 - d) = k A at the width, and less below; the damper does the stopping.
     spring = stiffness * inverse_inertia * (1.0 - largest) / largest**2
@@ -118,13 +121,6 @@ def limit(stop: Stop, inverse_inertia: float, step_s: float) -> tuple[Array, Arr
         np.array([time_constant_s, damping / (2.0 * math.sqrt(spring))]),
         np.array([SMALLEST_IMPEDANCE, largest, width, 0.0, power]),
     )
-
-
-def _nearest_power(largest: float, widths_of_rho: float) -> float:
-    """The power whose d/(1 - d) is nearest to D/rho, by the mean square of the logarithm."""
-    impedance = largest * (1.0 - (1.0 - EXCESSES) ** POWERS[:, None])
-    error = np.log(impedance / (1.0 - impedance)) - np.log(EXCESSES * widths_of_rho)
-    return float(POWERS[np.argmin(np.mean(error**2, axis=1))])
 
 
 IMPRATIO = 10.0  # of friction to normal impedance: feet creep less

@@ -18,7 +18,7 @@ QUICK = [["--help"], [], *([name, "--help"] for name in COMMANDS), ["walk", "--l
 def test_help_and_import_load_nothing_that_is_slow() -> None:
     code = f"""
 import sys
-import study
+import study, taichi_nmm.conditions, taichi_nmm.kernel.layout
 from storage.pool import cores
 from study import cli
 from study.cli import main

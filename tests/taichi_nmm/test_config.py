@@ -17,15 +17,6 @@ def refused(call: Callable[[], object]) -> InputError:
     return caught.value
 
 
-def test_a_file_is_read_into_tables(tmp_path: Path) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text('name = "x"\n[body]\ndisturbance = 0.1\n')
-    table = read_toml(path)
-    assert table.text("name") == "x"
-    assert table.table("body").number("disturbance") == 0.1
-    table.done()
-
-
 @pytest.mark.parametrize("content", [b"name = ", b"a = 1\na = 2\n", b"\xff\xfe"])
 def test_a_file_that_is_not_toml_or_is_missing_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "bad.toml"

@@ -102,18 +102,25 @@ def gains_text(**changes: object) -> str:
     return json.dumps({name: value for name, value in data.items() if value is not None})
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    *((row.get("text") or gains_text(**row["changes"]), row["message"])
+@pytest.mark.parametrize(("load", "text", "message"), [
+    *((load_gains, row.get("text") or gains_text(**row["changes"]), row["message"])
       for row in asset("bad-gains.toml").values()),
-    (gains_text(C_d=None), r"gains\.C_d: None"),
-    (gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
-    ("", r"gains: 'nobody'.*one of published.*or a JSON file"),
+    (load_gains, gains_text(C_d=None), r"gains\.C_d: None"),
+    (load_gains, gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
+    (load_gains, "", r"gains: 'nobody'.*one of published.*or a JSON file"),
+    (load_all_gains, gains_text(theta_ref=2),
+     r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$"),
+    (load_all_gains, gains_text(theta_ref="much"), r"gains\.theta_ref: 'much' .*0\.523599"),
+    (load_all_gains, gains_text(theta=0.1), r"gains: 'theta'.*only the names K_GAS .* theta_ref"),
+    (load_all_gains, gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
 ])  # fmt: skip
-def test_files_and_names_of_no_gains_are_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_files_and_names_of_no_gains_are_refused(
+    load: Any, text: str, message: str, tmp_path: Path
+) -> None:
     path = tmp_path / "bad.json"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
-        load_gains(str(path) if text else "nobody")
+        load(str(path) if text else "nobody")
 
 
 DEFAULTS = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])
@@ -132,18 +139,7 @@ def test_low_level_gains_have_defaults_and_a_file_may_name_them(tmp_path: Path) 
     assert changed == {"theta_ref": 0.2, "k_ext": 0.0}
 
 
-@pytest.mark.parametrize(("text", "message"), [
-    (gains_text(theta_ref=2), r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$"),
-    (gains_text(theta_ref="much"), r"gains\.theta_ref: 'much' .*0\.523599"),
-    (gains_text(theta=0.1), r"gains: 'theta'.*only the names K_GAS .* theta_ref"),
-    (gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
-])  # fmt: skip
-def test_low_level_gains_are_checked_too(tmp_path: Path, text: str, message: str) -> None:
-    path = tmp_path / "bad.json"
-    path.write_text(text)
-    with pytest.raises(InputError, match=message):
-        load_all_gains(str(path))
-    # And under the field of another caller.
+def test_low_level_gains_are_checked_under_the_field_of_a_caller() -> None:
     values = dict(zip(LOW_LEVEL_NAMES, DEFAULTS.tolist(), strict=True))
     np.testing.assert_array_equal(check_gains(values, LOW_LEVEL_GAINS), DEFAULTS)
     with pytest.raises(InputError, match=r"^best\.k_ext: -1"):

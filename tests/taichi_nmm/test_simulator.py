@@ -272,9 +272,3 @@ def test_simulation_in_a_fork_of_a_process_that_simulated_is_refused() -> None:
     """Taichi's threads do not survive a fork: the child would wait for them without end."""
     (line,) = printed("-c", ATTEMPT + FORK).splitlines()
     assert line.startswith("process: ") and "multiprocessing.get_context('spawn')" in line
-
-
-def test_import_is_cheap() -> None:
-    imports = "import sys, taichi_nmm, taichi_nmm.conditions, taichi_nmm.kernel.layout"
-    code = f"{imports}; print({{'taichi', 'quadrants'}} & set(sys.modules))"
-    assert printed("-c", code) == "set()\n"

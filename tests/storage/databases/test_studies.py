@@ -128,13 +128,6 @@ def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.Monkey
     assert [path.name for path in tmp_path.iterdir() if path.suffix == ".tmp"] == []
 
 
-@pytest.mark.parametrize("name", ["%00", "a%00.db", "?", "", ":memory:", "%3Amemory:"])
-def test_what_names_no_file_is_one_line(name: str) -> None:
-    for use in (open_studies, studies.studies_path, studies.shown_url):
-        with pytest.raises(InputError, match=r"^storage: .* cannot be used; allowed: sqlite:///"):
-            use(f"sqlite:///{name}")
-
-
 def test_what_is_read_is_not_written(tmp_path: Path) -> None:
     """Also beside a log that another process left, and of a name that URLs would quote."""
     url = file_url(tmp_path / "a b{1}#%20?.db")

@@ -14,7 +14,6 @@ from taichi_nmm import InputError, Settings
 from taichi_nmm.kernel import backend, compiler, registers
 from taichi_nmm.kernel.backend import ti
 from taichi_nmm.kernel_cache import COMPILER
-from tests.processes import python
 
 REFUSAL = "no shader float64\nin driver"
 
@@ -90,10 +89,6 @@ def test_a_kernel_in_a_class_of_the_user_is_still_a_method() -> None:
 
 
 PINNED = {"taichi": "1.7.4", "quadrants": "1.4.0"}
-QUIET = (
-    "import taichi_nmm as t; "
-    "t.simulate(t.PUBLISHED_GAINS, duration_s=0.1, settings=t.Settings(arch='cpu'))"
-)
 
 
 def test_each_python_has_its_compiler_and_results_name_it() -> None:
@@ -110,12 +105,6 @@ def test_the_source_of_a_kernel_is_read_once_and_no_class_is_looked_for() -> Non
     name = "getsourcelines" if COMPILER == "taichi" else "get_source_info_and_src"
     assert hasattr(getattr(module, name), "cache_info")
     assert compiler.kernel_impl._inside_class is compiler._inside_class
-
-
-@pytest.mark.slow
-def test_nothing_is_printed() -> None:
-    done = python("-c", QUIET)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 LIBRARY, VERSION = compiler.core.__file__, registers.TAICHI_VERSION

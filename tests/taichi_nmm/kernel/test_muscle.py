@@ -14,7 +14,7 @@ from taichi_nmm import GAINS, PUBLISHED_GAINS, Settings, Worlds, terrain
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import layout
 from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Muscle, State, Sums, Work
-from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, muscle_table, unit_lengths
+from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, SLACK_LENGTH_M, muscle_table, unit_lengths
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.walkers import blends, check_batch, constant_rows
 from tests.parity.interpreter import AllLanes, interpreted_walker
@@ -84,12 +84,9 @@ def isometric(m: int, own: bool) -> Any:
     fibres, work = (np.repeat(rows, len(lanes), axis=1) for rows in interpreted_rows(angles))
     data, worlds = list(MUSCLE_DATA.values())[m], Worlds.nominal(len(lanes))
     if own:  # a fibre 10 % shorter, a tendon 2 % longer
-        fibre, slack, every = (
-            0.9 * data.optimal_length_m,
-            1.02 * data.slack_length_m,
-            np.ones((3, 14)),
-        )
+        fibre, slack = 0.9 * data.optimal_length_m, 1.02 * data.slack_length_m
         data = replace(data, optimal_length_m=fibre, slack_length_m=slack)
+        every = np.ones((3, 14))
         worlds = replace(worlds, optimal_length=0.9 * every, slack_length=1.02 * every)
     batch = check_batch(np.tile(PUBLISHED_GAINS, (len(lanes), 1)), worlds=worlds)
     const = constant_rows(batch, Settings()).T
@@ -263,8 +260,7 @@ def test_strains_follow_the_lengths() -> None:
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     _fibres, work = interpreted_rows(angles)
     interpreted_walker().joints.stretch_tendons(np.arange(1), work)
-    slack = np.array([data.slack_length_m for data in MUSCLE_DATA.values()])
-    expected = (unit_lengths(*angles) / slack - 1.0) / REFERENCE
+    expected = (unit_lengths(*angles) / SLACK_LENGTH_M - 1.0) / REFERENCE
     for leg in range(2):
         first = Work.strain + MUSCLES_PER_LEG * leg
         assert np.allclose(work[first : first + MUSCLES_PER_LEG, 0], expected, rtol=1e-12)
