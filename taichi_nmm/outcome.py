@@ -25,7 +25,7 @@ from taichi_nmm.kernel.layout import (
     State,
     Sums,
 )
-from taichi_nmm.kernel.muscle_table import FMAX_N, MUSCLE_DATA, TORQUES_NM
+from taichi_nmm.kernel.muscle_table import FMAX_N, OPTIMAL_LENGTH_M, TORQUES_NM, VMAX_PER_S
 from taichi_nmm.packs import Packs
 from taichi_nmm.result import COLUMNS, EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
@@ -94,8 +94,7 @@ def _quotient(a: Array, b: Array) -> Array:
     return np.divide(a, b, out=np.zeros(len(a)), where=b > 0)
 
 
-OPTIMAL_M = np.tile([muscle.optimal_length_m for muscle in MUSCLE_DATA.values()], LEGS)
-FASTEST_PER_S = np.tile([muscle.vmax_per_s for muscle in MUSCLE_DATA.values()], LEGS)
+OPTIMAL_M, FASTEST_PER_S = np.tile(OPTIMAL_LENGTH_M, LEGS), np.tile(VMAX_PER_S, LEGS)
 
 
 class Recorder:
