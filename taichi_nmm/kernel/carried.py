@@ -50,7 +50,7 @@ def before(tick, commands, activation_blend,
     for lane in range(lanes):
         joints.turn_joints(lane, fibres, work)
         walker.add_ideal_torques(lane, state, const, work)
-        gait.follow_torques(lane, state, events, work)
+        gait.follow_torques(lane, events, work)
     for lane in range(lanes):
         for i in ti.static(range(COORDINATES)):
             work[Work.momentum + i, lane] = 0.0

@@ -43,36 +43,43 @@ def add(sums: Rows, row, lane, condition, value):
 
 
 @ti.func
-def observe_leg(
-    lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, sums: Rows, work: Rows
-):
-    """Strike, mid-stance, contact and take-off of one leg at this tick."""
+def notice(lane, leg: Rows, state: Rows, gait: Rows, work: Rows):
+    """Whether a leg strikes the ground at this tick, or is seen to have left it (`left`)."""
     alive = state[State.active, lane] > 0.5
     down = alive & (on_ground(lane, leg, state) > 0.5)
-    knee = work[Work.joint + 3 * leg + 1, lane]
-    ankle = work[Work.joint + 3 * leg + 2, lane]
-    hip_x = state[State.q + 0, lane]
-    com = work[Work.com_z, lane] - ground_at_ankle(lane, leg, work)
     was_standing = gait[Gait.in_stance + leg, lane] > 0.5
     rested = gait[Gait.air_ticks + leg, lane] >= DEBOUNCE_TICKS
     strike = down & rested & (was_standing == False)  # noqa: E712
-    commit = alive & was_standing & rested & (down == False)  # noqa: E712
-    scored = commit & (gait[Gait.struck + leg, lane] > 0.5)
+    left = alive & was_standing & rested & (down == False)  # noqa: E712
+    work[Work.strike + leg, lane] = ti.select(strike, 1.0, 0.0)
+    work[Work.left + leg, lane] = ti.select(left, 1.0, 0.0)
+    if ti.static(leg == 0):
+        work[Work.event, lane] = 0.0
+    latch(work, Work.event, lane, strike | left, 1.0)
 
-    score_step(lane, leg, scored, gait, sums)
-    latch(gait, Gait.tick_takeoff + leg, lane, commit, gait[Gait.tick_last + leg, lane])
+
+@ti.func
+def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work: Rows):
+    """Score the step of a leg that has left the ground, and begin the stance of one that strikes.
+
+    It changes nothing of other legs.
+    """
+    strike, left = work[Work.strike + leg, lane] > 0.5, work[Work.left + leg, lane] > 0.5
+    score_step(lane, leg, left & (gait[Gait.struck + leg, lane] > 0.5), gait, sums)
+    latch(gait, Gait.tick_takeoff + leg, lane, left, gait[Gait.tick_last + leg, lane])
     for joint in ti.static(range(3)):
-        latch(gait, Gait.torque_peak + 3 * leg + joint, lane, commit, 0.0)
+        latch(gait, Gait.torque_peak + 3 * leg + joint, lane, left, 0.0)
 
     count_strike(lane, leg, strike, tick, gait, sums, work)
     took_off = ti.select(gait[Gait.tick_takeoff + leg, lane] > 0.0, 1.0, 0.0)
+    com = work[Work.com_z, lane] - ground_at_ankle(lane, leg, work)
     latch(gait, Gait.struck + leg, lane, strike, took_off)
     latch(gait, Gait.knee_peak_swing + leg, lane, strike, gait[Gait.knee_peak + leg, lane])
-    latch(gait, Gait.ankle_strike + leg, lane, strike, ankle)
+    latch(gait, Gait.ankle_strike + leg, lane, strike, work[Work.joint + 3 * leg + 2, lane])
     latch(gait, Gait.com_strike + leg, lane, strike, com)
     latch(gait, Gait.com_mid + leg, lane, strike, 0.0)
     latch(gait, Gait.past_middle + leg, lane, strike, 0.0)
-    latch(gait, Gait.hip_x_strike + leg, lane, strike, hip_x)
+    latch(gait, Gait.hip_x_strike + leg, lane, strike, state[State.q + 0, lane])
     latch(gait, Gait.tick_strike + leg, lane, strike, tick)
     for row in ti.static(
         (
@@ -81,21 +88,29 @@ def observe_leg(
         )
     ):  # fmt: skip
         latch(gait, row + leg, lane, strike, 0.0)
+    latch(gait, Gait.in_stance + leg, lane, left, 0.0)
+    latch(gait, Gait.in_stance + leg, lane, strike, 1.0)
 
-    standing = ti.select(strike, 1.0, ti.select(commit, 0.0, gait[Gait.in_stance + leg, lane]))
-    gait[Gait.in_stance + leg, lane] = standing
+
+@ti.func
+def follow_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, work: Rows):
+    """Mid-stance, peaks and latest values of one leg."""
+    alive = state[State.active, lane] > 0.5
+    down = alive & (on_ground(lane, leg, state) > 0.5)
+    knee = work[Work.joint + 3 * leg + 1, lane]
+    com = work[Work.com_z, lane] - ground_at_ankle(lane, leg, work)
     middle = (
         alive
-        & (standing > 0.5)
+        & (gait[Gait.in_stance + leg, lane] > 0.5)
         & (gait[Gait.past_middle + leg, lane] < 0.5)
-        & (hip_x >= work[Work.ankle_x + leg, lane])
+        & (state[State.q + 0, lane] >= work[Work.ankle_x + leg, lane])
     )
     latch(gait, Gait.com_mid + leg, lane, middle, com)
     latch(gait, Gait.past_middle + leg, lane, middle, 1.0)
     follow_contact(lane, leg, tick, down, com, state, const, gait, work)
     highest = larger(gait[Gait.knee_peak + leg, lane], knee)
     gait[Gait.knee_peak + leg, lane] = ti.select(down, knee, highest)
-    latch(gait, Gait.ankle_last + leg, lane, down, ankle)
+    latch(gait, Gait.ankle_last + leg, lane, down, work[Work.joint + 3 * leg + 2, lane])
     air = ti.select(down, 0.0, gait[Gait.air_ticks + leg, lane] + 1.0)
     latch(gait, Gait.air_ticks + leg, lane, alive, air)
 
@@ -123,12 +138,11 @@ def follow_contact(
 
 
 @ti.func
-def follow_torques(lane, state: Rows, gait: Rows, work: Rows):
-    """Peaks of the joint torques, before stops add theirs."""
-    alive = state[State.active, lane] > 0.5
+def follow_torques(lane, gait: Rows, work: Rows):
+    """Peaks of the joint torques, before stops add theirs. Who has fallen is scored no more."""
     for joint in ti.static(range(3 * LEGS)):
-        torque = work[Work.joint_torque + joint, lane]
-        raise_to(gait, Gait.torque_peak + joint, lane, alive, larger(torque, 0.0 - torque))
+        torque, row = work[Work.joint_torque + joint, lane], ti.static(Gait.torque_peak + joint)
+        gait[row, lane] = larger(gait[row, lane], larger(torque, 0.0 - torque))
 
 
 @ti.func
@@ -230,14 +244,14 @@ def add_up_posture(lane, state: Rows, muscle: Rows, sums: Rows, work: Rows):
 @ti.func
 def add_up_motors(lane, state: Rows, sums: Rows, work: Rows):
     """Positive work of ideal torques and exoskeleton at each joint by itself, in the last tick."""
-    up = state[State.active, lane] > 0.5
+    up, power_w = state[State.active, lane] > 0.5, 0.0
     for leg in ti.static(range(LEGS)):
         for joint in ti.static(range(3)):
             torque = state[State.device_torque + 3 * leg + joint, lane]
             if ti.static(joint < 2):
                 torque += state[ti.static((State.hip_torque, State.knee_torque)[joint]) + leg, lane]
-            power_w = torque * work[Work.joint_rate + 3 * leg + joint, lane]
-            add(sums, Sums.motor_energy, lane, up, larger(power_w, 0.0) * (1.0 / TICKS_PER_SECOND))
+            power_w += larger(torque * work[Work.joint_rate + 3 * leg + joint, lane], 0.0)
+    add(sums, Sums.motor_energy, lane, up, power_w * (1.0 / TICKS_PER_SECOND))
 
 
 @ti.func

@@ -61,7 +61,7 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
         for lane in range(lanes):
             joints.turn_joints(lane, fibres, work)
             add_ideal_torques(lane, state, const, work)
-            gait.follow_torques(lane, state, events, work)
+            gait.follow_torques(lane, events, work)
             joints.hip_stops(lane, work)
             contact.spring_forces(lane, step_s, state, const, work)
             joints.knee_and_ankle_stops(lane, step_s, work)
@@ -107,7 +107,14 @@ def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: R
     for lane in range(lanes):
         kinematics.centre_of_mass(lane, state, const, work)
         for leg in ti.static(range(LEGS)):
-            gait.observe_leg(lane, leg, time, state, const, events, sums, work)
+            gait.notice(lane, leg, state, events, work)
+    if highest(Work.event, lanes, work) > 0.0:  # at most ticks, nobody's foot comes or goes
+        for lane in range(lanes):
+            for leg in ti.static(range(LEGS)):
+                gait.note_events(lane, leg, time, state, events, sums, work)
+    for lane in range(lanes):
+        for leg in ti.static(range(LEGS)):
+            gait.follow_leg(lane, leg, time, state, const, events, work)
         gait.add_up_posture(lane, state, fibres, sums, work)
         gait.add_up_motors(lane, state, sums, work)
     command(tick, lanes, state, fibres, delay, const, work)
