@@ -214,23 +214,26 @@ class Covariance:
 
         Distances are taken in 64 bits always; what is of size [n, m] after that may be in 32.
         """
-        sides = []
+        weights = np.zeros(a.shape[1])  # of the columns of linear terms, which are one product
+        curved = []
         for term, variance, scales in self.valued(theta):
-            own = a[:, term.first : term.end]
-            left = _left(_scaled(own, scales)).T if len(scales) else own
-            sides.append((term, variance, scales, left))
+            columns = slice(term.first, term.end)
+            if not len(scales):
+                weights[columns] += variance
+                continue
+            curved.append((columns, variance, scales, _left(_scaled(a[:, columns], scales)).T))
+        used = np.flatnonzero(weights)
+        straight = slice(used[0], used[-1] + 1) if len(used) else slice(0)
+        slopes = a[:, straight] * weights[straight]
 
         def cross(x: Floats) -> AnyFloats:
-            total: Any = None
-            for term, variance, scales, left in sides:
-                seen = x[:, term.first : term.end]
-                right = _right(_scaled(seen, scales)) if len(scales) else seen.T
-                k = (left @ right).astype(precision, copy=False)
-                if len(scales):
-                    np.exp(k, out=k)
+            total = (slopes @ x[:, straight].T).astype(precision, copy=False)
+            for columns, variance, scales, left in curved:
+                k = (left @ _right(_scaled(x[:, columns], scales))).astype(precision, copy=False)
+                np.exp(k, out=k)
                 k *= variance
-                total = k if total is None else np.add(total, k, out=total)
-            return np.asarray(total)
+                total += k
+            return total
 
         return cross
 

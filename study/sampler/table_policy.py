@@ -284,7 +284,8 @@ class TablePolicy(Policy):
             if rows.worlds.goals != k:
                 allowed = f"those of {k} goals, as many as the study has: [n, w, {k}]"
                 raise InputError("table.outcomes", f"costs of {rows.worlds.goals}", allowed)
-            known = rows.worlds.costs[rows.numbers].reshape(-1, k)
+            if k > 1:
+                known = rows.worlds.costs[rows.numbers].reshape(-1, k)
         return self.one_goal(found, turn(study, trial), known)
 
     @property
