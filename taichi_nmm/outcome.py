@@ -86,6 +86,13 @@ def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
     rows["grf_vertical_mean_bw"] = _quotient(vertical, weight_n * rows["duration_s"])
     for m, muscle in enumerate(MUSCLES):
         rows[f"activation_{muscle.lower()}_mean"] = _quotient(sums[:, Sums.activation + m], ticks)
+    for name, number in (("step_length", "strikes"), ("step_duration", "step_durations")):
+        (total, count), (left, lefts) = (
+            (sums[:, getattr(Sums, side + name)], sums[:, getattr(Sums, side + number)])
+            for side in ("", "left_")
+        )
+        left, right = _quotient(left, lefts), _quotient(total - left, count - lefts)
+        rows[f"{name}_asymmetry"] = _quotient(left - right, left + right)
     deviations = [(rows[name] - mean) / sd for name, (mean, sd) in COLUMNS["human"].items()]
     rows["human_deviation"] = np.sqrt(np.mean(np.square(deviations), axis=0))
 

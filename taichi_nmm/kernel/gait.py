@@ -174,6 +174,11 @@ def count_strike(lane, leg: Rows, strike, tick, gait: Rows, sums: Rows, work: Ro
     add(sums, Sums.step_durations, lane, timed, 1.0)
     add(sums, Sums.step_duration, lane, timed, duration)
     add(sums, Sums.step_duration_squared, lane, timed, duration * duration)
+    if ti.static(leg == 0):
+        add(sums, Sums.left_strikes, lane, strike, 1.0)
+        add(sums, Sums.left_step_length, lane, strike, length)
+        add(sums, Sums.left_step_durations, lane, timed, 1.0)
+        add(sums, Sums.left_step_duration, lane, timed, duration)
     latch(gait, Gait.last_strike_tick, lane, strike, tick)
 
 

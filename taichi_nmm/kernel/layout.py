@@ -258,6 +258,7 @@ Sums = blocks(
     strikes=1,
     step_length=1, step_length_squared=1,
     step_durations=1, step_duration=1, step_duration_squared=1,
+    left_strikes=1, left_step_length=1, left_step_durations=1, left_step_duration=1,
     trunk=1, trunk_squared=1,
     hip_height=1, hip_height_squared=1,
     hip_speed=1, hip_speed_squared=1,

@@ -11,6 +11,7 @@ import pytest
 from mujoco.batch import Batch as Simulations
 from mujoco.batch import SimulationError
 
+from study.pictures.stick_figure import leg
 from taichi_nmm import Result, Trajectory, simulate, terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel_cache import COMPILER
@@ -81,6 +82,16 @@ def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
     work_j = np.maximum(motors[1:] * np.diff(path.joint_rad, axis=0), 0.0).sum()
     more = row["cost_of_transport_powered_jpkgpm"] - row["cost_of_transport_jpkgpm"]
     assert more * 80.0 * row["distance_m"] == pytest.approx(work_j, rel=2e-3)
+    ankles = np.stack([leg(path.q, side).ankle[:, 0] for side in (0, 1)])
+    struck = path.events[path.events["kind"] == 0]
+    ahead = (ankles[0] - ankles[1])[np.searchsorted(path.time_s, struck["time_s"])]
+    is_left, after = struck["side"] == 0, np.diff(struck["time_s"])
+    for name, left, right in (
+        ("length", ahead[is_left], -ahead[~is_left]),
+        ("duration", after[is_left[1:]], after[~is_left[1:]]),
+    ):
+        uneven = (left.mean() - right.mean()) / (left.mean() + right.mean())
+        assert row[f"step_{name}_asymmetry"] == pytest.approx(uneven, abs=2e-3) and uneven != 0.0
     events, steps = path.events[path.events["kind"] == 1], list[Any]()
     torque = np.abs(path.joint_torque_nm).reshape(-1, 2, 3)
     for side in (0, 1):
