@@ -98,9 +98,11 @@ class TablePolicy(Policy):
         self._table = table
         self._suggested: Rows | None = None
         self._looked_up: LookedUp = {}
-        if options.kernel == WORLDS and self.own_rows.worlds is not None:
-            # Costs in worlds are a model before any trial. What only ranks tells no cost.
-            self.first_trials = 1 if self.own_rows.worlds.better is None else RANKED
+        worlds = self.own_rows.worlds if options.kernel == WORLDS else None
+        # Costs in worlds are a model before any trial. What only ranks tells no cost.
+        self._in_costs = worlds is not None and worlds.better is None
+        if worlds is not None:
+            self.first_trials = 1 if self._in_costs and options.success is None else RANKED
 
     @cached_property
     def own_rows(self) -> Rows:
@@ -268,13 +270,23 @@ class TablePolicy(Policy):
         if not offered.any() and not (self.options.off_grid and len(history.cost)):
             self._refuse_exhausted(history)
             return None
-        if len(history.cost) < self.first_trials and offered.any():
+        if self._begins(history) and offered.any():
             return self._first_row(offered, own_turn, self._ensemble(history))
         try:
             return self._best_candidate(history, offered, own_turn)
         except InputError as error:  # of the feature function
             self.misfit(error)
             return None
+
+    def _begins(self, history: History) -> bool:
+        """Whether this is one of the first trials; with costs in worlds, none of them succeeded.
+
+        Two falls do not yet tell which worlds a robot is like.
+        """
+        if not self._in_costs or (success := self.options.success) is None:
+            return len(history.cost) < self.first_trials
+        failed = bool((history.cost > history.sign * success).all())
+        return failed and len(history.cost) < self.first_trials
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows = self.rows
