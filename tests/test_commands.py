@@ -183,8 +183,8 @@ class Real:
         self.store = folder / "store"
         rough8, store = ((ROOT / f"configs/{n}.toml").read_text() for n in ("rough8", "store"))
         searched = f"searched = {json.dumps(SEARCHED)}\n"
-        kept = 'kept = ["human_deviation"]\n'
-        (folder / "store.toml").write_text(searched + kept + store + OWN_WALKER)
+        store = f'kept = ["human_deviation"]\n{searched}{store}{OWN_WALKER}'
+        (folder / "store.toml").write_text(store)
         text = searched + rough8.replace('cost = "smooth"', GOAL) + OWN_WALKER
         text = re.sub(r"duration_s = .*", "duration_s = 5.0", text)
         text = re.sub(r'"out/store[\w-]*"', f'"{self.store}"', text)

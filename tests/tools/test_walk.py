@@ -111,13 +111,14 @@ def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk: Walk, tmp_pa
 def test_the_front_of_a_store_is_listed(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
     experiment = front(tmp_path)
     words = ("walk", "--front", "--store", experiment.stores["worlds"])
-    rows = tool.json(*words, "--config", tmp_path / "toy.toml")
-    assert tool(*words, "--config", tmp_path / "toy.toml") == 0
+    config = ("--config", tmp_path / "toy.toml")
+    rows = tool.json(*words, *config)
+    assert tool(*words, *config) == 0
     head, *lines = tool.out.splitlines()
     assert head.split() == ["row", "effort", "slow"] and len(lines) == len(rows) > 2
     assert [int(line.split()[0]) for line in lines] == [row["row"] for row in rows]
     tool.refuses("front: 'flat' .* two goals", *words, "--config", FLAT)
-    tool.refuses("store: None .* lists rows", "walk", "--front", "--config", tmp_path / "toy.toml")
+    tool.refuses("store: None .* lists rows", "walk", "--front", *config)
 
 
 def test_of_several_speeds_each_has_its_part_of_the_walk(walk: Walk, tmp_path: Path) -> None:

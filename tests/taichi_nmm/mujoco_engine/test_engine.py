@@ -17,7 +17,6 @@ from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import (
     LOW_LEVEL_GAINS,
-    LOW_LEVEL_NAMES,
     PUBLISHED_GAINS,
     load_gains,
     lower_bounds,
@@ -70,8 +69,7 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
 
 def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
     """Of the engine whose recorded torques have no stops; a step goes from take-off to take-off."""
-    worn = [gain.default for gain in LOW_LEVEL_GAINS]
-    worn[LOW_LEVEL_NAMES.index("exo_torque")] = 20.0
+    worn = [20.0 if gain.name == "exo_torque" else gain.default for gain in LOW_LEVEL_GAINS]
     found = simulate(PUBLISHED_GAINS, duration_s=6.0, settings=MUJOCO, record=[0],
                      record_rate_hz=1000, low_level_gains=worn)  # fmt: skip
     (row,), (path,) = found.rows, found.trajectories
