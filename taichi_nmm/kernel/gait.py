@@ -44,31 +44,31 @@ def add(sums: Rows, row, lane, condition, value):
 
 @ti.func
 def notice(lane, leg: Rows, state: Rows, gait: Rows, work: Rows):
-    """Whether a leg strikes the ground at this tick, or is seen to have left it (`left`)."""
+    """Whether a leg strikes the ground at this tick, or its take-off is sure."""
     alive = state[State.active, lane] > 0.5
     down = alive & (on_ground(lane, leg, state) > 0.5)
     was_standing = gait[Gait.in_stance + leg, lane] > 0.5
     rested = gait[Gait.air_ticks + leg, lane] >= DEBOUNCE_TICKS
     strike = down & rested & (was_standing == False)  # noqa: E712
-    left = alive & was_standing & rested & (down == False)  # noqa: E712
+    takeoff = alive & was_standing & rested & (down == False)  # noqa: E712
     work[Work.strike + leg, lane] = ti.select(strike, 1.0, 0.0)
-    work[Work.left + leg, lane] = ti.select(left, 1.0, 0.0)
+    work[Work.takeoff + leg, lane] = ti.select(takeoff, 1.0, 0.0)
     if ti.static(leg == 0):
         work[Work.event, lane] = 0.0
-    latch(work, Work.event, lane, strike | left, 1.0)
+    latch(work, Work.event, lane, strike | takeoff, 1.0)
 
 
 @ti.func
 def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work: Rows):
     """Score the step of a leg that has left the ground, and begin the stance of one that strikes.
 
-    It changes nothing of other legs.
+    Of what both legs share it changes the tick of the last strike alone.
     """
-    strike, left = work[Work.strike + leg, lane] > 0.5, work[Work.left + leg, lane] > 0.5
-    score_step(lane, leg, left & (gait[Gait.struck + leg, lane] > 0.5), gait, sums)
-    latch(gait, Gait.tick_takeoff + leg, lane, left, gait[Gait.tick_last + leg, lane])
+    strike, takeoff = work[Work.strike + leg, lane] > 0.5, work[Work.takeoff + leg, lane] > 0.5
+    score_step(lane, leg, takeoff & (gait[Gait.struck + leg, lane] > 0.5), gait, sums)
+    latch(gait, Gait.tick_takeoff + leg, lane, takeoff, gait[Gait.tick_last + leg, lane])
     for joint in ti.static(range(3)):
-        latch(gait, Gait.torque_peak + 3 * leg + joint, lane, left, 0.0)
+        latch(gait, Gait.torque_peak + 3 * leg + joint, lane, takeoff, 0.0)
 
     count_strike(lane, leg, strike, tick, gait, sums, work)
     took_off = ti.select(gait[Gait.tick_takeoff + leg, lane] > 0.0, 1.0, 0.0)
@@ -88,7 +88,7 @@ def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work
         )
     ):  # fmt: skip
         latch(gait, row + leg, lane, strike, 0.0)
-    latch(gait, Gait.in_stance + leg, lane, left, 0.0)
+    latch(gait, Gait.in_stance + leg, lane, takeoff, 0.0)
     latch(gait, Gait.in_stance + leg, lane, strike, 1.0)
 
 

@@ -147,7 +147,7 @@ _control = blocks(
     leg_angle_rate=LEGS,
     sensed=Signal.count,  # delayed signals
     strike=LEGS,  # 1 where the leg strikes the ground at this tick
-    left=LEGS,  # 1 where it has left the ground for long enough
+    takeoff=LEGS,  # 1 where it has been in the air for long enough
     event=1,  # 1 where one of these is 1
 )
 _contraction = blocks(
