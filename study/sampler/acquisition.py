@@ -28,6 +28,7 @@ NODES_A_LENGTH = 100
 WORK = 1e10  # multiplications for the variance of all candidates; beyond, a part of them
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
+MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
 CACHED_CONSTANTS = 8
 # Up to so many trials, constants are learned anew after so many: they change ever more slowly.
 REFITS = ((32, 1), (128, 4), (np.inf, 16))
@@ -178,7 +179,7 @@ class Model:
         count = len(self.costs) + len(self.running)
         most = max(int(WORK / count**2), LEAST_CANDIDATES)
         if self.kernel.by_order:
-            most = min(most, MOST_CANDIDATES)
+            most = min(most, MOST_CANDIDATES if self.ensemble is None else MOST_IN_WORLDS)
         free = np.flatnonzero(offered)
         if len(points) <= most and len(free) > len(points) // 2:
             return np.arange(len(points))  # leaving out a few would cost a copy of the others
@@ -200,7 +201,7 @@ class Model:
             slopes = np.linalg.solve(seen.T @ seen + np.eye(k), seen.T @ residual)
         else:  # the same by fewer equations
             slopes = seen.T @ np.linalg.solve(seen @ seen.T + np.eye(n), residual)
-        learned = self.posterior.cost_sd * (points.features @ slopes)
+        learned = self.posterior.cost_sd * (points.single @ slopes.astype(np.float32))
         return np.asarray(-(learned + self.expected(points, self.cost())))
 
     def _utility(self, points: Points) -> Floats:

@@ -96,6 +96,11 @@ class Rows:
         return np.vstack([self.space.unit(block) for block in blocks])
 
     @cached_property
+    def _lengths(self) -> Floats:
+        """|u|^2 of `unit`, [m]."""
+        return np.einsum("me,me->m", self.unit, self.unit)
+
+    @cached_property
     def numbers(self) -> NDArray[np.int64]:
         """Numbers of the rows that may be proposed, ascending, [m]."""
         return np.flatnonzero(self.offered)
@@ -144,12 +149,13 @@ class Rows:
         # |a|^2 + |b|^2 - 2 a . b, with one product of matrices.
         squares = (points**2).sum(axis=1)[:, None] + (unit**2).sum(axis=1) - 2.0 * points @ unit.T
         count = min(NEAR_ROWS, len(pool))
-        near = np.argpartition(squares, count - 1, axis=1)[:, :count]
-        square = np.maximum(np.take_along_axis(squares, near, axis=1), 0.0)
-        weight = 1.0 / (np.sqrt(square) + 1e-3) ** NEAR_POWER
-        weight /= weight.sum(axis=1, keepdims=True)
-        starts = np.arange(0, near.size + 1, count)
-        matrix = scipy.sparse.csr_array((weight.ravel(), near.ravel(), starts), squares.shape)
+        # Of rows as far as the last one all count. To find how far is a third of finding which.
+        near = squares <= np.partition(squares, count - 1, axis=1)[:, count - 1 : count]
+        weight = 1.0 / (np.sqrt(np.maximum(squares[near], 0.0)) + 1e-3) ** NEAR_POWER
+        starts = np.append(0, near.sum(axis=1).cumsum())
+        weight /= np.repeat(np.add.reduceat(weight, starts[:-1]), np.diff(starts))
+        places = near.nonzero()[1]
+        matrix = scipy.sparse.csr_array((weight, places, starts), squares.shape)
         return np.asarray(matrix @ columns[pool])
 
     def mixed_at(self, points: Points, place: Floats) -> Floats:
@@ -159,7 +165,7 @@ class Rows:
 
     def _pool(self, centre: Floats) -> NDArray[np.int64]:
         """Places of the rows that are nearest to a point of the unit cube [e]."""
-        squares = ((self.unit - centre) ** 2).sum(axis=1)
+        squares = self._lengths - 2.0 * (self.unit @ centre)  # less |centre|^2, which all share
         count = min(NEAR_POOL, len(squares))
         return np.argpartition(squares, count - 1)[:count]
 

@@ -82,14 +82,14 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
 def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
     """Costs follow them but for a hundredth."""
     rng = np.random.default_rng(1)
-    outcomes = rng.standard_normal((2 * acquisition.MOST_CANDIDATES, 3))
+    outcomes = rng.standard_normal((2 * acquisition.MOST_IN_WORLDS, 3))
     ensemble = Ensemble(Worlds.of(outcomes, "lower"), outcomes)
     many = Points(ensemble.columns, rng.uniform(size=(len(outcomes), 2)))
     seen = many.take(np.arange(12))
     cost = np.exp(ensemble.mean[:12] + 0.01 * rng.standard_normal(12))
     model = model_of(seen, cost, WORLDS, ensemble)
     looked_at = model._looked_at(many, np.ones(len(many), dtype=bool), rng)
-    assert len(looked_at) == acquisition.MOST_CANDIDATES
+    assert len(looked_at) == acquisition.MOST_IN_WORLDS
     best = np.argsort(ensemble.mean)[:200]  # half of what is looked at: ten times as many
     assert len(set(best) & set(looked_at)) > 190
 
