@@ -98,7 +98,7 @@ class Rows:
     @cached_property
     def _lengths(self) -> Floats:
         """|u|^2 of `unit`, [m]."""
-        return np.einsum("me,me->m", self.unit, self.unit)
+        return np.asarray(np.einsum("me,me->m", self.unit, self.unit))
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
