@@ -14,7 +14,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
 .PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-torso store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
 
