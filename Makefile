@@ -13,8 +13,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-# Many tests wait for processes that they start, so there are more workers than cores.
-PARALLEL := --numprocesses $(shell expr 3 \* $$(env -u OMP_NUM_THREADS nproc) / 2) --dist loadfile
+PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
 .PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-torso store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
