@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
+from io import TextIOWrapper
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
@@ -95,6 +96,7 @@ def guarded_imports() -> Iterator[None]:
 @contextmanager
 def _one_line() -> Iterator[None]:
     _open_closed()
+    _escape_foreign()
     try:
         try:
             yield
@@ -159,6 +161,13 @@ def _open_closed() -> None:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest free number
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, mode, closefd=False))
+
+
+def _escape_foreign() -> None:
+    """Print characters that the terminal's encoding lacks as escapes: nothing fails over a name."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _require_posix() -> None:

@@ -8,6 +8,7 @@ configurations. An option that cannot be used is an `InputError`: one line, as f
 import argparse
 import ast
 import os
+import re
 import sys
 import tomllib
 import unicodedata
@@ -28,7 +29,11 @@ MOST_WORKERS = 1024  # processes; each takes hundreds of MB
 LARGEST_SEED = 2**63 - 1  # as in configurations
 LONGEST_NAME_BYTES = 255  # NAME_MAX of Linux and of macOS
 LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
+NEGATIVE = re.compile(
+    r"-[.,]?\d"
+)  # the begin of a number, which is no option; also of -1e5 and -0,5
 UNPRINTABLE = ("Cc", "Cs", "Zl", "Zp")  # Unicode's control characters, half characters, line ends
+OTHERS = "--COLUMN"  # stands for options of names that a file gives
 BOTH_ENGINES = "both"
 WALKED_ENGINES = (*ENGINES, BOTH_ENGINES)
 
@@ -45,6 +50,16 @@ def looked_up(place: str) -> Any:
     return getattr(import_module(module), name)
 
 
+class _Once(argparse.Namespace):
+    """Options of which each is given once: of two numbers that are typed, none may vanish."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        before = getattr(self, name, None)
+        if before is not None:
+            _refuse_second(name.replace("_", "-"), value, before)
+        super().__setattr__(name, value)
+
+
 class Options(argparse.ArgumentParser):
     """The parser of the command in a file, which is called `prog`; by default, as this process was.
 
@@ -58,13 +73,16 @@ class Options(argparse.ArgumentParser):
         super().__init__(prog, description=about, formatter_class=raw)
         self.bounds: dict[str, tuple[int, int | str]] = {}  # of whole numbers
         self.takes_others = False  # options of names that a file gives, as `others`
+        self._negative_number_matcher = NEGATIVE
 
     def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:  # type: ignore[override]
         """The options of a command line; by default that of this process.
 
+        `given` of them has those that may be missing and are not: `require_used` refuses some.
+
         Raises:
-            InputError: a number out of its bounds, a word that is not text of one line, or a path
-                that no file can have.
+            InputError: a number out of its bounds, a word that is not text of one line, a path
+                that no file can have, or an option that is given twice where it must not be.
         """
         words = list(sys.argv[1:] if words is None else words)
         others = self._others(words) if self.takes_others else {}
@@ -72,6 +90,11 @@ class Options(argparse.ArgumentParser):
             flag, _, value = word.partition("=")
             if flag.startswith("--") and value == "--":  # argparse makes a list of it
                 raise InputError(flag.removeprefix("--"), value, "a value")
+        # Options of a file's names enter numbers; of others the last one counts, as in shells.
+        kind = _Once if self.takes_others else argparse.Namespace
+        blank = kind(**dict.fromkeys(action.dest for action in self._actions))
+        given = vars(super().parse_args(words, blank))
+        may_be_missing = {action.dest for action in self._actions if not action.required}
         found = super().parse_args(words)
         for name, value in vars(found).items():
             field = name.replace("_", "-")
@@ -79,21 +102,36 @@ class Options(argparse.ArgumentParser):
                 _check_word(field, word)
             if name in self.bounds and isinstance(value, str):
                 setattr(found, name, _whole(field, value, *self.bounds[name]))
+        found.given = {
+            name: value
+            for name, value in given.items()
+            if value is not None and name in may_be_missing
+        }
         if self.takes_others:
             found.others = others
         return found
 
     def _others(self, words: list[str]) -> dict[str, str]:
-        """Take options of other names, with the words that follow them, out of a command line."""
+        """Take options of other names, with their values, out of a command line.
+
+        A value is the word that follows, or what stands behind an equals sign.
+        """
         found, place = dict[str, str](), 0
-        while place < len(words) - 1:
-            flag, value = words[place : place + 2]
-            is_name = flag.startswith("--") and flag != "--" and "=" not in flag
-            if is_name and flag not in self._option_string_actions:
-                found[flag.removeprefix("--")] = value
-                del words[place : place + 2]
-            else:
+        while place < len(words):
+            flag, equals, value = words[place].partition("=")
+            is_other = (
+                flag.startswith("--") and flag != "--" and flag not in self._option_string_actions
+            )
+            if not is_other or (not equals and place + 1 == len(words)):
                 place += 1
+                continue
+            name = flag.removeprefix("--")
+            if not equals:
+                value = words[place + 1]
+            if name in found:
+                _refuse_second(name, value, found[name])
+            found[name] = value
+            del words[place : place + (1 if equals else 2)]
         return found
 
     def error(self, message: str) -> NoReturn:
@@ -147,6 +185,32 @@ def parser_of(name: str) -> Options:
     for option in command["options"]:
         parser.declare(option)
     return parser
+
+
+def require_used(args: argparse.Namespace, used: Sequence[str], by: str) -> None:
+    """Refuse options that were given and that nothing would come of.
+
+    Args:
+        args: of `Options.parse_args`.
+        used: the options that count, as a person writes them: `--seconds`; `WHAT` for one without
+            a name; `--COLUMN` for those of names that a file gives.
+        by: what uses these, such as an action of the command.
+
+    Raises:
+        InputError: naming the first option that is not among them.
+    """
+    others = getattr(args, "others", {})
+    given = {name.replace("_", "-"): value for name, value in args.given.items()}
+    known = {each.lstrip("-").lower() for each in used}
+    if OTHERS in used:
+        known |= others.keys()
+    for name, value in (given | others).items():
+        if name not in known:
+            raise InputError(name, value, f"{by} takes {' '.join(used) or 'no options'}")
+
+
+def _refuse_second(name: str, value: object, before: object) -> NoReturn:
+    raise InputError(name, str(value), f"one value; {str(before)!r} was given before")
 
 
 def overview() -> str:
@@ -211,13 +275,18 @@ def _check_word(field: str, word: object) -> None:
     """Refuse a word of several lines, or of no encoding; and a path that is too long."""
     if not isinstance(word, str | Path):
         return
-    if any(unicodedata.category(character) in UNPRINTABLE for character in str(word)):
+    if not is_printable(str(word)):
         raise InputError(field, str(word), "text of one line, without control characters")
     if isinstance(word, Path):
         longest = max((len(os.fsencode(part)) for part in word.parts), default=0)
         if longest > LONGEST_NAME_BYTES or len(os.fsencode(word)) > LONGEST_PATH_BYTES:
             allowed = f"a path of at most {LONGEST_PATH_BYTES} bytes, {LONGEST_NAME_BYTES} a name"
             raise InputError(field, str(word), allowed)
+
+
+def is_printable(text: str) -> bool:
+    """Whether a text is of one line, without control characters."""
+    return not any(unicodedata.category(character) in UNPRINTABLE for character in text)
 
 
 def _whole(field: str, text: str, low: int, high: int | str) -> int:

@@ -51,6 +51,12 @@ OF_TRIALS = tuple(
 COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
 
 
+ATTRIBUTES = """
+SELECT key, value_json FROM study_user_attributes JOIN studies USING (study_id)
+WHERE study_name = :name
+"""
+
+
 def open_studies(url: str) -> RDBStorage:
     """The study database `sqlite:///FILE`, made where it is missing, or one of PostgreSQL.
 
@@ -64,6 +70,7 @@ def open_studies(url: str) -> RDBStorage:
     if is_postgresql(url):
         return postgresql.open_database(url)
     path = studies_path(url)
+    require_writable(path, "storage")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _make(path)
@@ -89,33 +96,73 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
     Raises:
         InputError: as `open_studies`, which would open it or make it; or the block raised.
     """
-    shown, address, options = shown_url(url), url, postgresql.READING_OPTIONS
-    if not is_postgresql(url):
-        path = studies_path(url)
-        require_writable(path, "storage")
-        if not path.exists():
-            yield None
-            return
-        address, options = SQLITE, _sqlite_options(path)
     storage, verbosity = None, optuna.logging.get_verbosity()
     try:
-        with read_errors(url):
-            engine = sql.create_engine(address, **options)
-            try:
-                with engine.connect() as connection:
-                    empty = _is_empty(connection, shown)
-                    if not empty:
-                        _check_whole(connection, shown)
-            finally:
-                engine.dispose()
-            if not empty:
-                storage = RDBStorage(address, engine_kwargs=dict(options), skip_table_creation=True)
+        with _read_tables(url) as engine:
+            if engine is not None:
+                address, options = _reading(url)
+                storage = RDBStorage(address, engine_kwargs=options, skip_table_creation=True)
             optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
             yield storage
     finally:
         optuna.logging.set_verbosity(verbosity)
         if storage is not None:
             storage.engine.dispose()
+
+
+def read_attributes(url: str, study_name: str) -> tuple[dict[str, Any] | None, list[str]]:
+    """The attributes that users have given to a study, None without it; and all studies' names.
+
+    Optuna itself takes half a second to load what upgrades databases, which reading does not need.
+
+    Raises:
+        InputError: as `read_studies`.
+    """
+    with _read_tables(url) as engine:
+        if engine is None:
+            return None, []
+        with engine.connect() as connection:
+            names = connection.execute(sql.text("SELECT study_name FROM studies")).scalars().all()
+            if study_name not in names:
+                return None, list(names)
+            found = connection.execute(sql.text(ATTRIBUTES), {"name": study_name})
+            return {key: json.loads(value) for key, value in found}, list(names)
+
+
+@contextmanager
+def _read_tables(url: str) -> Iterator[sql.Engine | None]:
+    """An engine that reads a database which was checked; None where there is none, or an empty one.
+
+    Raises:
+        InputError: as `read_studies`.
+    """
+    shown = shown_url(url)
+    if not is_postgresql(url):
+        path = studies_path(url)
+        with writable(path, "storage"):
+            there = path.exists()
+        if not there:
+            require_writable(path, "storage")
+            yield None
+            return
+    address, options = _reading(url)
+    with read_errors(url):
+        engine = sql.create_engine(address, **options)
+        try:
+            with engine.connect() as connection:
+                empty = _is_empty(connection, shown)
+                if not empty:
+                    _check_whole(connection, shown)
+            yield None if empty else engine
+        finally:
+            engine.dispose()
+
+
+def _reading(url: str) -> tuple[str, dict[str, Any]]:
+    """Address and options of an engine that reads a database."""
+    if is_postgresql(url):
+        return url, dict(postgresql.READING_OPTIONS)
+    return SQLITE, _sqlite_options(studies_path(url))
 
 
 def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:

@@ -6,8 +6,6 @@ leaves no trace in later proposals. What was learned in other contexts is one mo
 worlds.
 """
 
-import getpass
-import socket
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,10 +21,11 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution, distribution_to_json, json_to_distribution
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
-from storage.databases.studies import read_errors
+from storage.databases.studies import read_errors, shown_url
 from storage.tables import difference
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
 from study.bench.plan import Plan, Safety, read_plan
+from study.bench.words import operator_here, require_names
 from study.sampler.diagnostics import Best, Prediction
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.space import as_suggested
@@ -61,7 +60,7 @@ class Bench:
 
     def __init__(self, path: str | Path, operator: str | None = None) -> None:
         self.plan: Plan = read_plan(Path(path))
-        self.operator = operator or f"{getpass.getuser()}@{socket.gethostname()}"
+        self.operator = operator or operator_here()
         self._journal = Journal(self.plan.url, self.plan.name)
         self._entries = self._journal.entries()
         if not self._entries:
@@ -82,6 +81,7 @@ class Bench:
         with bench._turn():
             if not bench._entries:
                 space = simulated.rows.space.as_dict()
+                require_names(bench.plan.columns, space)
                 begun = {
                     "plan": bench.plan.document, "digest": simulated.digest,
                     "space": {name: distribution_to_json(of) for name, of in space.items()},
@@ -92,8 +92,20 @@ class Bench:
 
     def look(self) -> State:
         """What all entries come to, also those that others have made since."""
-        self._entries = self._journal.entries()
+        self._entries = self._read()
         return self.state
+
+    def _read(self) -> list[Entry]:
+        """All entries, which are those that were read before and perhaps more.
+
+        Raises:
+            InputError: the database is gone, or is another one now.
+        """
+        found = self._journal.entries()
+        if self._entries and found[:1] != list(self._entries[:1]):
+            allowed = "the database with this bench, which was removed or replaced"
+            raise InputError("storage", shown_url(self.plan.url), allowed)
+        return found
 
     @property
     def state(self) -> State:
@@ -162,20 +174,27 @@ class Bench:
         Raises:
             InputError: no pending trial, no finite number, or a column that the file has not.
         """
-        if failed_s is not None:
-            value = self.plan.goal.of_failure(failed_s)
-        if value is None:
+        if value is None and failed_s is None:
             raise InputError("value", None, "the trial's value, or after how long it failed")
         kind = "record" if failed_s is None else "fail"
-        self._tell(kind, number, self._checked(value, columns, note))
+        self._tell(kind, number, self._checked(value, columns, note, failed_s))
 
-    @checks.checked(number=WHOLE, value=VALUE, columns=COLUMNS, note=checks.text)
+    @checks.checked(number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text)
     def correct(
-        self, number: int, value: float | None = None, *,
+        self, number: int, value: float | None = None, *, failed_s: float | None = None,
         columns: Mapping[str, float] | None = None, note: str = "",
     ) -> None:  # fmt: skip
-        """Replace what was entered of a finished trial; what is not given stays."""
-        self._tell("correct", number, self._checked(value, columns, note))
+        """Replace what was entered of a finished trial; what is not given stays.
+
+        With a value, a trial that failed is a failure no longer; with `failed_s`, it is one.
+
+        Raises:
+            InputError: nothing to replace; or as `record`.
+        """
+        if value is None and failed_s is None and not columns and not note:
+            allowed = "something to correct: the value, the time of a failure, a column or the note"
+            raise InputError("correct", number, allowed)
+        self._tell("correct", number, self._checked(value, columns, note, failed_s))
 
     @checks.checked(number=WHOLE, note=checks.text)
     def abort(self, number: int, note: str = "") -> None:
@@ -262,18 +281,27 @@ class Bench:
 
     def _tell(self, kind: str, number: int, result: dict[str, Any]) -> None:
         with self._turn() as state:
-            state.trial(number, finished=kind == "correct")
+            trial = state.trial(number, finished=kind == "correct")
+            if trial.failed and result["value"] is not None and "seconds" not in result:
+                result["failed"] = False
             self._add(kind, {"trial": number} | result)
 
     def _checked(
-        self, value: float | None, columns: Mapping[str, float] | None, note: str
-    ) -> dict[str, Any]:
+        self, value: float | None, columns: Mapping[str, float] | None, note: str,
+        failed_s: float | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
         """A result as an entry has it."""
+        if value is not None and failed_s is not None:
+            allowed = "the value, or after how long it failed, not both"
+            raise InputError("seconds", failed_s, allowed)
         for name, given in (COLUMNS("columns", columns) or {}).items():
             if name not in self.plan.columns:
                 known = ", ".join(self.plan.columns) or "none: [columns] of the file names them"
                 raise InputError(name, given, f"one of the columns {known}")
-        return {"value": value, "columns": dict(columns or {}), "note": note}
+        result = {"value": value, "columns": dict(columns or {}), "note": note}
+        if failed_s is None:
+            return result
+        return result | {"value": self.plan.goal.of_failure(failed_s), "seconds": failed_s}
 
     def odd(self, value: float) -> str:
         """A warning of a value that no simulated world has, such as one of the wrong sign."""
@@ -299,7 +327,7 @@ class Bench:
     def _turn(self) -> Iterator[State]:
         """Alone, after the entries of others; in the end what is shown follows from all entries."""
         with self._journal.turn():
-            self._entries = self._journal.entries()
+            self._entries = self._read()
             yield self.state
             show(self)
 
@@ -338,7 +366,8 @@ class Bench:
         """What is expected of a candidate, in a sentence."""
         value, parts = float(found.value[0]), list[str]()
         if np.isfinite(value):
-            parts.append(f"{value:.4g} ({found.low[0]:.4g} to {found.high[0]:.4g})")
+            interval = f"{found.low[0]:.4g} to {found.high[0]:.4g}"
+            parts.append(f"{value:.4g} ({interval}, the mean without noise)")
         if np.isfinite(found.success[0]):
             parts.append(f"success {100 * found.success[0]:.0f} %")
         if any(column.limits("", 0.0) for column in self.plan.columns.values()):
@@ -349,8 +378,12 @@ class Bench:
         """Why a proposal is made, in a sentence."""
         told = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         if not told:
-            known = BEFORE if self._others(self.state) else "simulated"
-            return f"The first one: the best {known}, or one of several to begin with."
+            known = ""
+            if self._others(self.state):
+                known = f"the best {BEFORE}, or "
+            elif self.candidates.rows.worlds is not None:
+                known = "the best simulated, or "
+            return f"The first one: {known}one of several to begin with."
         kept = [trial for trial in told if all(v <= 0.0 for v in trial.constraints.values())]
         if not kept:
             return "No trial has kept all limits yet: the one that most likely does."

@@ -22,6 +22,7 @@ from storage.simulator import WALKER
 from storage.store import open_store
 from study.bench.bench import Bench
 from study.bench.journal import MOST_DIGITS, Trial
+from study.bench.words import shown, times
 from study.experiment.experiment import experiment_of
 from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
@@ -134,14 +135,21 @@ def application(
             bottle.response.set_cookie(cookie, token, **kept)
             return bottle.redirect("/")
         with operated():
-            try:
-                return page(bench, bottle.request.query.entry, filmed=films is not None)
-            except InputError as error:  # the database cannot be read now
-                return bottle.abort(503, str(error))
+            return page_or_line(bench, bottle.request.query.entry)
+
+    def page_or_line(bench: Bench, entry: str = "", **told: Any) -> str:
+        """The page; or one line, where the database cannot be read now."""
+        try:
+            return page(bench, entry, filmed=films is not None, **told)
+        except InputError as error:
+            raise bottle.HTTPError(503, told.get("error") or str(error)) from None
 
     def film(trial: int) -> Any:
         with operated():
-            known = bench.look().trials
+            try:
+                known = bench.look().trials
+            except InputError as error:
+                return bottle.abort(503, str(error))
         if films is None or trial not in known:
             return bottle.abort(404, "no such film")
         try:
@@ -167,9 +175,15 @@ def application(
                 ENTRIES[action](bench, given)
             except InputError as error:
                 bottle.response.status = 400
-                return page(bench, error=str(error), given=given, filmed=films is not None)
+                return page_or_line(bench, error=str(error), given=given)
             return bottle.redirect(f"/?entry={bench.entries[-1].number}")
 
+    def say(error: Any) -> str:
+        """An error as one line."""
+        line = bottle.html_escape(str(error.body))
+        return f'<!DOCTYPE html><title>bench</title><p role="alert">{line}'
+
+    app.default_error_handler = say
     app.add_hook("before_request", require_token)
     app.get("/", callback=show)
     app.get("/film/<trial:int>", callback=film)
@@ -190,7 +204,8 @@ def page(
     filmed: bool = False,
 ) -> str:  # fmt: skip
     """The page after an entry of this number, or with an error and what was typed."""
-    state, told = bench.look(), list[str]()
+    state = bench.look()
+    told = list[str]()
     if entry.isdecimal() and int(entry[:MOST_DIGITS]) < len(bench.entries):
         made = bench.entries[int(entry[:MOST_DIGITS])]
         value = made.data.get("value")
@@ -199,15 +214,11 @@ def page(
     return str(PAGE.render(
         plan=bench.plan, context=state.context, operator=bench.operator, told=" ".join(told),
         error=error, given=given or {}, shown=shown, undone=state.undone, filmed=filmed,
+        times=times, remark=bench.plan.horizon_note(),
         pending=[trial for trial in trials if trial.value is None],
         finished=[trial for trial in reversed(trials) if trial.value is not None],
         entries=bench.entries[: -SHOWN_ENTRIES - 1 : -1],
     ))  # fmt: skip
-
-
-def shown(value: Any) -> str:
-    """A number as the page has it."""
-    return f"{value:.8g}" if isinstance(value, float) else str(value)
 
 
 def number(given: Fields, name: str) -> float | None:
@@ -238,21 +249,17 @@ def rest(bench: Bench, given: Fields) -> dict[str, Any]:
     return {"columns": columns, "note": given.get("note", "")}
 
 
-def record(bench: Bench, given: Fields) -> None:
-    """The result of a pending trial, or that it failed."""
-    value, seconds = number(given, "value"), number(given, "seconds")
-    if value is not None and seconds is not None:
-        raise InputError("seconds", seconds, "the value, or after how long it failed, not both")
-    bench.record(trial_of(given), value, failed_s=seconds, **rest(bench, given))
+def result(bench: Bench, given: Fields) -> dict[str, Any]:
+    """The value of a trial, or after how long it failed, with the rest."""
+    value = number(given, "value")
+    return {"value": value, "failed_s": number(given, "seconds"), **rest(bench, given)}
 
 
 ENTRIES: dict[str, Callable[[Bench, Fields], Any]] = {
     "next": lambda bench, given: bench.next(trial_of(given, "batch")),
-    "record": record,
+    "record": lambda bench, given: bench.record(trial_of(given), **result(bench, given)),
     "abort": lambda bench, given: bench.abort(trial_of(given), given.get("note", "")),
-    "correct": lambda bench, given: bench.correct(
-        trial_of(given), number(given, "value"), **rest(bench, given)
-    ),
+    "correct": lambda bench, given: bench.correct(trial_of(given), **result(bench, given)),
     "undo": lambda bench, given: bench.undo(trial_of(given, "entry")),
     "context": lambda bench, given: bench.context(given.get("name", "").strip()),
 }

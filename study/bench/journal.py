@@ -10,16 +10,25 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from typing import Any
 
 import optuna
+from optuna.storages import RDBStorage
 
-from storage.databases.studies import only_run, open_studies, read_errors, storage_errors
+from storage.databases.studies import (
+    only_run,
+    open_studies,
+    read_attributes,
+    read_errors,
+    storage_errors,
+)
 from taichi_nmm.errors import InputError
 
 LOG = " (log)"  # after the name of the study whose attributes are the entries
 KEY = "entry {:06d}"
 WAIT_S = 20.0  # for another command on the same bench
+MOST_TOLD = 6  # results of an entry that are shown with it
 MOST_DIGITS = 9  # of the number of a trial, or of an entry, that somebody types
 
 
@@ -35,10 +44,30 @@ class Entry:
 
     def __str__(self) -> str:
         """One line."""
-        trials = ", ".join(map(str, trials_of(self)))
-        what = f"entry {self.data['entry']}" if self.kind == "undo" else trials
-        what = self.data.get("name", what) if self.kind == "context" else what
-        return f"{self.number:>4}  {self.time}  {self.operator}: {self.kind} {what}".rstrip()
+        what = ", ".join(map(str, trials_of(self)))
+        if self.kind == "undo":
+            what = f"entry {self.data['entry']}"
+        elif self.kind == "context":
+            what = self.data.get("name", what)
+        results = self.data.get("trials", [self.data])
+        told = "; ".join(filter(None, map(result_text, results[:MOST_TOLD])))
+        if told and len(results) > MOST_TOLD:
+            told += f"; and {len(results) - MOST_TOLD} more"
+        head = f"{self.number:>4}  {self.time}  {self.operator}: {self.kind} {what}".rstrip()
+        return f"{head}: {told}" if told else head
+
+
+def result_text(data: Mapping[str, Any]) -> str:
+    """The numbers of a result as somebody has entered them; "": there are none."""
+    parts = list[str]()
+    if data.get("seconds") is not None:
+        parts.append(f"failed after {data['seconds']:.12g} s")
+    if data.get("value") is not None:
+        parts.append(f"{data['value']:.12g}")
+    if data.get("failed") is False:
+        parts.append("no longer a failure")
+    parts += [f"{name} {value:.12g}" for name, value in data.get("columns", {}).items()]
+    return ", ".join(parts)
 
 
 @dataclass
@@ -89,8 +118,16 @@ class Journal:
     """The entries of one bench in a study database."""
 
     def __init__(self, url: str, name: str) -> None:
-        self.url, self.name = url, name
-        self.storage = open_studies(url)
+        self.url = url
+        self.name = name
+
+    @cached_property
+    def storage(self) -> RDBStorage:
+        """The database, to be written; it is made where it is missing.
+
+        Reading does without: also where nothing may be written, and before Optuna is loaded.
+        """
+        return open_studies(self.url)
 
     @contextmanager
     def turn(self) -> Iterator[None]:
@@ -114,13 +151,11 @@ class Journal:
 
     def entries(self) -> list[Entry]:
         """All entries, in their order; none where the bench has not begun."""
-        with storage_errors(self.url):
-            names = optuna.get_all_study_names(self.storage)
-            if self.name + LOG not in names:
-                if self.name in names:
-                    raise InputError("name", self.name, "a name that no other study has")
-                return []
-            known = optuna.load_study(study_name=self.name + LOG, storage=self.storage).user_attrs
+        known, names = read_attributes(self.url, self.name + LOG)
+        if known is None:
+            if self.name in names:
+                raise InputError("name", self.name, "a name that no other study has")
+            return []
         found, number = list[Entry](), 0
         with read_errors(self.url):
             while (data := known.get(KEY.format(number))) is not None:
@@ -172,7 +207,8 @@ def read_state(entries: list[Entry]) -> State:
             trial.note = data.get("note") or trial.note
             trial.columns |= data.get("columns", {})
             if data.get("value") is not None:
-                trial.value, trial.failed = data["value"], entry.kind == "fail"
+                trial.value = data["value"]
+                trial.failed = data.get("seconds") is not None or entry.kind == "fail"
     return state
 
 

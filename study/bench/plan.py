@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pyarrow as pa
@@ -18,9 +18,9 @@ from optuna.study import StudyDirection
 from storage.databases.studies import shown_url
 from storage.databases.urls import file_url
 from storage.simulator import SURVIVED
+from storage.store import open_store
 from storage.tables import read_any
-from study.experiment.features import Cost, world_table
-from study.experiment.objective import PRINTED, Objective, Term, named_function
+from study.bench.words import horizon
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
@@ -28,6 +28,10 @@ from taichi_nmm import checks
 from taichi_nmm.config import Table, read_whole
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import reading, toml_document
+
+if TYPE_CHECKING:
+    from study.experiment.features import Cost
+    from study.experiment.objective import Term
 
 Floats = NDArray[np.float64]
 
@@ -59,7 +63,7 @@ class Goal:
         first, last = self.failed
         return first + (last - first) * seconds / self.duration_s
 
-    def in_worlds(self, term: Term) -> Cost:
+    def in_worlds(self, term: "Term") -> "Cost":
         """Values by a column of a store, or a function of them; runs that fell are failures.
 
         They count by how far they came. None that lasted is worse than a failure at the end.
@@ -131,6 +135,15 @@ class Plan:
             found = _of_store(table, self.goal) if "store" in table.unread else _of_file(table)
         table.done()
         return found
+
+    def horizon_note(self) -> str:
+        """A sentence on runs of the store that last longer or shorter than a trial; "": none."""
+        given = self.candidates.unread
+        if "store" not in given or given.get("features"):
+            return ""
+        store = open_store(self.candidates.folder / given["store"])
+        runs_s = [float(store.settings_of(name)["horizon_s"]) for name in store.families]
+        return horizon(runs_s, self.goal.duration_s)
 
     def sampler(
         self, candidates: FeatureTable, allowed: NDArray[np.bool_] | None = None
@@ -233,6 +246,10 @@ def _better(table: Table) -> Better | None:
 
 def _of_store(table: Table, goal: Goal) -> FeatureTable:
     """The rows of a store: with features, or else in the worlds of its families."""
+    # Of the walker: what has no store does without, as `status` does.
+    from study.experiment.features import world_table
+    from study.experiment.objective import PRINTED, Objective, Term, named_function
+
     path, features = table.folder / table.text("store"), table.texts("features")
     cost = table.text("cost", "smooth")
     better = _better(table)

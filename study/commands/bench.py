@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shlex
 import socket
 import sys
 import tempfile
@@ -15,13 +16,13 @@ from typing import Any
 import numpy as np
 import optuna
 
-from storage.commit import commit_text
-from storage.processes import Processes
+from storage.commit import commit_text, require_writable
+from study.bench import words
 from study.bench.bench import Bench
 from study.bench.journal import MOST_DIGITS, Trial
 from study.bench.plan import read_columns
-from study.loopback import HOST, wsgi_server
-from study.sampler.diagnostics import RankCorrelation
+from study.bench.words import PROGRAM
+from study.options import COMMANDS, require_used
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import json_document, toml_document
@@ -36,12 +37,15 @@ def main(args: Namespace) -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     if args.action not in ACTIONS:
         raise InputError("action", args.action, ", ".join(ACTIONS))
+    used = COMMANDS["bench"]["uses"][args.action]
     if args.action == "new":
+        require_used(args, used, args.action)
         bench = Bench.new(needed(args.what, "what", "the TOML file of the bench"), args.operator)
         rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
-        print(f"next: taichi-nmm bench next --bench {bench.plan.path}")
+        print(f"next: {shlex.join([*PROGRAM, 'next', '--bench', str(bench.plan.path)])}")
         return
+    require_used(args, [*used, "--bench"], args.action)
     bench = Bench(args.bench or only_bench(), args.operator)
     if not bench.entries:
         new = f"a bench that was begun: taichi-nmm bench new {bench.plan.path}"
@@ -63,45 +67,44 @@ def only_bench() -> Path:
 
 def next_trials(bench: Bench, args: Namespace) -> None:
     """Propose, and print a sheet."""
+    if args.json is not None:
+        require_writable(args.json, "json")  # before the entry
     trials = bench.next(args.batch, args.repeat)
     for trial in trials:
-        print(sheet(bench, trial))
+        print(sheet(bench, trial, args.bench))
     if args.json is not None:
         known = [{"trial": trial.number, "params": trial.params} for trial in trials]
-        commit_text(args.json, json.dumps(known, indent=1) + "\n")
+        commit_text(args.json, json.dumps(known, indent=1, ensure_ascii=False) + "\n")
 
 
-def sheet(bench: Bench, trial: Trial) -> str:
-    """A trial to run, for paper."""
-    width = max(map(len, trial.params))
-    head = " | ".join(filter(None, [f"trial {trial.number}", bench.plan.name, trial.context]))
-    again = f" (again: broken off {trial.aborted} times)" if trial.aborted else ""
-    values = [
-        f"  {name:<{width}}  {value:.8g}" if isinstance(value, float) else
-        f"  {name:<{width}}  {value}"
-        for name, value in trial.params.items()
-    ]  # fmt: skip
-    asked = "".join(f" --{name} ..." for name in bench.plan.columns)
-    enter = f"taichi-nmm bench record {trial.number} --cost ...{asked}"
-    return "\n".join([f"{head}{again}", *values, trial.why, f"enter: {enter}", ""])
+def sheet(bench: Bench, trial: Trial, file: Path | None = None) -> str:
+    """A trial to run, for paper; the command line on it names the file of the bench, if any."""
+    plan = bench.plan
+    return words.sheet(
+        trial, name=plan.name, columns=plan.columns, parameters=bench.space,
+        remark=plan.horizon_note(), file=file,
+    )  # fmt: skip
 
 
 def record(bench: Bench, args: Namespace) -> None:
     """Enter, correct or add the result of a trial."""
-    value, columns = args.cost, others(args)
+    value = args.value
+    columns = others(args)
     if args.log is not None:
-        value = of_log(bench, args.log) if value is None else value
+        if value is not None:
+            raise InputError("value", value, "the value, or --log, which gives it, not both")
+        value = of_log(bench, args.log)
     if args.action == "fail":
         seconds = needed(args.seconds, "seconds", "a time")
         bench.record(number(args), failed_s=seconds, columns=columns, note=args.note)
     elif args.action == "correct":
-        bench.correct(number(args), value, columns=columns, note=args.note)
+        bench.correct(number(args), value, failed_s=args.seconds, columns=columns, note=args.note)
     elif args.action == "add":
         gains = json_document("gains", needed(args.gains, "gains", PARAMETERS), PARAMETERS)
-        value = needed(value, "cost", "the trial's value")
+        value = needed(value, "value", "the trial's value")
         print(f"trial {bench.add([(gains, value, columns, args.note)])[0]}")
     else:
-        value = needed(value, "cost", "the trial's value, or --log")
+        value = needed(value, "value", "the trial's value, or --log")
         bench.record(number(args), value, columns=columns, note=args.note)
     if value is not None and (odd := bench.odd(value)):
         print(f"warning: {odd}", file=sys.stderr)
@@ -126,6 +129,9 @@ def status(bench: Bench, args: Namespace) -> None:
     """Print the trials, and the entries."""
     state = bench.state
     print(" | ".join(filter(None, [bench.plan.name, bench.plan.about, state.context])))
+    for field, name, why in words.clashes(bench.plan.columns, bench.space):
+        warning = f"{field} {name}: {why}; what was typed may stand in another place"
+        print(f"warning: {warning}", file=sys.stderr)
     for trial in state.trials.values():
         value = "pending" if trial.value is None else f"{trial.value:.6g}"
         marks = ", ".join(filter(None, ["failed" * trial.failed, trial.context, trial.note]))
@@ -136,11 +142,21 @@ def status(bench: Bench, args: Namespace) -> None:
 
 
 def recommend(bench: Bench, args: Namespace) -> None:
-    """Print the best gains by the model, and what to repeat."""
+    """Print the best gains by the model, and what to repeat; or that nothing is known yet."""
+    state = bench.state
+    finished = [trial for trial in state.trials.values()
+                if trial.value is not None and trial.context == state.context]  # fmt: skip
+    if not finished:
+        where = f" in {state.context}" if state.context else ""
+        print(f"Nothing to recommend yet: no trial is finished{where}.")
+        return
     best = bench.best()
     print(best)
-    print(json.dumps(dict(best.params)))
-    print(f"A repeat of trial {(number := bench.repeat())} would tell most: --repeat {number}")
+    print(json.dumps(dict(best.params), ensure_ascii=False))
+    print("The interval is that of the mean, without the noise of a single trial.")
+    number = bench.repeat()
+    if number is not None:
+        print(f"A repeat of trial {number} would tell most: --repeat {number}")
 
 
 def compare_to_simulator(bench: Bench, args: Namespace) -> None:
@@ -148,6 +164,7 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
     from optuna_dashboard import save_note
 
     from study.pictures import style
+    from study.sampler.diagnostics import RankCorrelation
 
     trials, simulated = bench.state.trials, bench.simulated()
     told = np.array([(simulated[n], trials[n].value) for n in simulated], dtype=float)
@@ -216,7 +233,9 @@ def other(bench: Bench, args: Namespace) -> None:
 
 def serve(bench: Bench, args: Namespace) -> None:
     """Serve the page with forms until Ctrl-C."""
+    from storage.processes import Processes
     from study.bench.form import Films, application, filming_of
+    from study.loopback import HOST, wsgi_server
 
     address, filming = args.listen or HOST, filming_of(bench, args.simulator)
     with tempfile.TemporaryDirectory() as folder, Processes(1) as makers:

@@ -1,6 +1,7 @@
 """`taichi-nmm bench`: the sheet, results by hand, files in and out, one line for what is wrong."""
 
 import json
+import os
 import re
 import shlex
 from pathlib import Path
@@ -11,7 +12,10 @@ from study.bench.bench import Bench
 from study.cli import main
 from study.commands.bench import ACTIONS
 from tests.study.bench import robot
-from tests.tools.running import ROOT
+from tests.tools.running import ROOT, finish, start
+from tests.tools.test_hostile import without_the_rights_of_root
+
+MODULE = ("-m", "taichi_nmm")
 
 
 @pytest.fixture
@@ -73,8 +77,22 @@ def test_a_log_of_a_walk_gives_the_cost(folder: Path, capsys: pytest.CaptureFixt
     ("status --bench nothing.toml", "bench: 'nothing.toml'"),
     ("record one --cost 1", "what: 'one' cannot be used; allowed: a number"),
     (f"undo {'9' * 5000}", "what: '999"),
-    ("record 0", "cost: 'missing'"),
+    ("record 0", "value: 'missing'"),
     ("record 0 --cost 1 --torque much", "torque: 'much' cannot be used; allowed: a number"),
+    ("record 0 --value 1 --cost 2", "value: '2.0' cannot be used; allowed: one value; '1.0'"),
+    ("record 0 --value 1 --torque 1 --torque=2", "torque: '2' cannot be used; allowed: one value"),
+    ("record 0 --value 1 --seconds 2", "seconds: 2.0 cannot be used; allowed: record takes WHAT"),
+    ("record 0 --value 1 --log walk.csv", "value: 1.0 cannot be used; allowed: the value, or"),
+    ("correct 0 --value 1 --seconds 3", "seconds: 3.0 cannot be used; allowed: the value, or"),
+    ("correct 0", "correct: 0 cannot be used; allowed: something to correct"),
+    ("fail 0 --seconds 2 --value 1", "value: 1.0 cannot be used; allowed: fail takes"),
+    ("next 0", "what: '0' cannot be used; allowed: next takes --batch"),
+    ("next --cost 1", "value: 1.0 cannot be used; allowed: next takes"),
+    ("next --torque 81", "torque: '81' cannot be used; allowed: next takes"),
+    ("abort 0 --value 1", "value: 1.0 cannot be used; allowed: abort takes"),
+    ("undo 1 --note slip", "note: 'slip' cannot be used; allowed: undo takes"),
+    ("status --operator me", "operator: 'me' cannot be used; allowed: status takes --bench"),
+    ("add --gains mine.json --batch 3 --value 1", "batch: '3' cannot be used; allowed: add"),
     ("fail 0", "seconds: 'missing'"),
     ("add --cost 1", "gains: 'missing'"),
 ])  # fmt: skip
@@ -96,6 +114,188 @@ def test_a_folder_needs_one_bench_that_was_begun(
     robot.write(folder).rename(folder / "second.toml")
     robot.write(folder)
     assert "bench: 'second.toml, walk.toml'" in bench("next", capsys, 2)
+
+
+def toml_with(folder: Path, more: str) -> None:
+    """The bench, whose file has more tables."""
+    robot.write(folder, more=more)
+
+
+@pytest.mark.parametrize("name", [
+    "cost", "value", "Value", "note", "log", "seconds", "help", "h", "bench", "port", "operator",
+    "trial", "context", "failed", "why", "row", "stiffness", "Stiffness", "TORQUE", "a=b", " ",
+    "-x", "",
+])  # fmt: skip
+def test_a_column_whose_name_has_another_meaning_is_refused(
+    folder: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    toml_with(folder, f"[columns.{json.dumps(name)}]\nmost = 1\n")
+    assert f"error: columns: {name!r} cannot be used; allowed: another name" in bench(
+        "new walk.toml", capsys, 2
+    )
+    assert Bench("walk.toml").entries == ()
+
+
+def test_names_that_differ_in_dashes_alone_are_one(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    toml_with(folder, '[columns."step length"]\n[columns.Step-Length]\n')
+    said = bench("new walk.toml", capsys, 2)
+    assert "columns: 'Step-Length'" in said and "step length is another column" in said
+    text = (
+        (folder / "walk.toml").read_text().replace('"damping"', '"note"').partition("[columns.")[0]
+    )
+    (folder / "walk.toml").write_text(text)
+    rows = (folder / "candidates.csv").read_text().replace("damping", "note")
+    (folder / "candidates.csv").write_text(rows)
+    assert "candidates.parameters: 'note'" in bench("new walk.toml", capsys, 2)
+
+
+def test_the_line_of_a_sheet_can_be_typed_as_it_is_printed(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With blanks in names, umlauts, and a file in another folder."""
+    (folder / "my bench").mkdir()
+    toml_with(folder / "my bench", '[columns."time limit"]\n[columns."größe"]\n')
+    said = bench("new", capsys, 2)
+    main(["bench", "new", "my bench/walk.toml"])
+    begun = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
+    main(shlex.split(begun)[1:])
+    said = capsys.readouterr().out
+    (line,) = (each for each in said.splitlines() if each.startswith("enter: "))
+    words = shlex.split(line.removeprefix("enter: "))
+    assert words.count("...") == 4
+    numbers = iter(("0.5", "81", "7", "-1e-2"))
+    main([next(numbers) if word == "..." else word for word in words][1:])
+    trial = Bench("my bench/walk.toml").state.trials[0]
+    assert (trial.value, trial.columns) == (
+        0.5, {"torque": 81.0, "time limit": 7.0, "größe": -0.01},
+    )  # fmt: skip
+    assert "record 0: 0.5, torque 81, time limit 7, größe -0.01\n" in capsys.readouterr().out
+
+
+def test_an_old_bench_with_such_a_column_opens_and_says_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    toml_with(folder, "[columns.cost]\n")
+    with monkeypatch.context() as patch:
+        patch.setattr("study.bench.bench.require_names", lambda *_: None)
+        bench("new walk.toml", capsys)
+    said = bench("next", capsys)
+    assert "record 0 --value ... --torque ...\n" in said and "alone: cost\n" in said
+    assert "value: '2.0'" in bench("record 0 --cost 1 --cost 2", capsys, 2)
+    assert "warning: columns cost: --cost is an option" in bench("status", capsys)
+
+
+def test_what_a_correction_does_to_a_failure_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench("new walk.toml", capsys)
+    bench("next", capsys)
+    assert "fail 0: failed after 2.1 s, 5.79\n" in bench("fail 0 --seconds 2.1", capsys)
+    said = bench("correct 0 --seconds 21", capsys)
+    assert "correct 0: failed after 21 s, 3.9\n" in said
+    trial = Bench("walk.toml").state.trials[0]
+    assert (trial.value, trial.failed) == (pytest.approx(3.9), True)
+    assert "correct 0: torque 70\n" in bench("correct 0 --torque 70", capsys)
+    assert Bench("walk.toml").state.trials[0].failed
+    said = bench("correct 0 --value 0.4", capsys)
+    assert "correct 0: 0.4, no longer a failure\n" in said
+    assert not Bench("walk.toml").state.trials[0].failed
+    bench("undo", capsys)
+    assert Bench("walk.toml").state.trials[0].failed
+    bench("next", capsys)
+    assert "record 1: 0.92\n" in bench("record 1 --value 0.92", capsys)
+    bench("correct 1 --seconds 30", capsys)
+    assert Bench("walk.toml").state.trials[1].failed
+
+
+def test_nothing_is_recommended_before_a_trial_is_finished(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench("new walk.toml", capsys)
+    nothing = "Nothing to recommend yet: no trial is finished"
+    assert bench("recommend", capsys) == f"{nothing}.\n"
+    bench("next", capsys)
+    bench("record 0 --value 1", capsys)
+    assert "without the noise" in bench("recommend", capsys)
+    bench("context gravel", capsys)
+    assert bench("recommend", capsys) == f"{nothing} in gravel.\n"
+
+
+def test_words_of_a_sheet(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot.write(folder, robot.FEATURES)
+    bench("new walk.toml", capsys)
+    assert "simulated" not in bench("next", capsys)
+    for times in ("once", "twice", "3 times"):
+        bench("abort 0", capsys)
+        assert f"(again: broken off {times})" in bench("next", capsys)
+    bench("record 0 --value 1", capsys)
+    assert "the mean without noise)" in bench("next", capsys)
+
+
+def test_who_has_no_entry_among_the_users_is_a_number(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", lambda number: {}[number])
+    monkeypatch.setattr("socket.gethostname", lambda: "")
+    assert f"begun by uid-{os.getuid()}@localhost\n" in bench("new walk.toml", capsys)
+
+
+@pytest.mark.slow
+def test_what_is_only_read_needs_no_place_to_write(folder: Path) -> None:
+    """A folder that is read-only, also for root."""
+    folder.joinpath("own").mkdir()
+    began = Bench.new(robot.write(folder / "own"))
+    robot.run(began, 3)
+    del began
+    os.chdir(folder / "own")
+    rights = without_the_rights_of_root()
+    for file in ("walk.db", "walk.toml", "candidates.csv"):
+        Path(file).chmod(0o444)
+    Path().chmod(0o555)
+    try:
+        before = sorted(Path().iterdir())
+        for line in ("status", "recommend", f"export {folder}/trials.csv"):
+            done = finish(start("bench", *line.split(), shell=rights, program=MODULE))
+            assert (done.code, done.error) == (0, ""), done
+        done = finish(start("bench", "next", shell=rights, program=MODULE))
+        assert done.code == 2 and len(done.lines) == 1 and "storage: " in done.error
+        assert sorted(Path().iterdir()) == before
+    finally:
+        Path().chmod(0o755)
+    assert (folder / "trials.csv").read_text().count("\n") == 4
+
+
+@pytest.mark.slow
+def test_a_terminal_without_umlauts_gets_escapes_and_nothing_is_lost(folder: Path) -> None:
+    rows = (folder / "candidates.csv").read_text().replace("damping", "dämpfung")
+    (folder / "candidates.csv").write_text(rows)
+    toml = (folder / "walk.toml").read_text().replace("damping", "dämpfung")
+    (folder / "walk.toml").write_text(toml.replace("torque", "'größe'"))
+    ascii_alone = 'export PYTHONIOENCODING=ascii PYTHONUTF8=0 LC_ALL=C; exec "$@"'
+    for line in ("new walk.toml", "next", "record 0 --value 1", "status", "recommend", "undo 9"):
+        done = finish(start("bench", *line.split(), shell=ascii_alone, program=MODULE))
+        assert done.code == (2 if line == "undo 9" else 0) and "Traceback" not in done.error
+        assert line not in ("next", "recommend") or "d\\xe4mpfung" in done.out
+    assert [entry.kind for entry in Bench("walk.toml").entries] == ["begin", "next", "record"]
+
+
+@pytest.mark.slow
+def test_status_loads_little(folder: Path) -> None:
+    robot.run(Bench.new("walk.toml"), 2)
+    code = """
+import sys
+from study.cli import main
+main(["bench", "status"])
+found = set(sys.modules) & {"alembic", "sqlalchemy.orm", "matplotlib", "taichi", "quadrants",
+                            "sklearn", "scipy.stats", "bottle", "optuna_dashboard", "mujoco"}
+assert not found, found
+"""
+    done = finish(start("-c", code, program=()))
+    assert done.code == 0, done.error
 
 
 def test_the_page_runs_from_top_to_bottom(
@@ -122,12 +322,15 @@ def test_the_page_runs_from_top_to_bottom(
     assert "warning" not in said.err
     for words in (
         "walk: FeatureTable(300 rows", "trial 0 | walk\n", "Expected: ",
-        "enter: taichi-nmm bench record 1 --cost ... --torque ...", "again: broken off 1 times",
-        "trial   0  0.92        torque 81  slipped on the mat\n", "correct 2 (undone)", "undone: ",
-        "\ntrial 6\n", "trial   3  simulated", "worlds the robot is like", "trial 8 | walk | gravel"
+        "enter: taichi-nmm bench record 1 --value ... --torque ...", "again: broken off once",
+        "trial   0  0.92        torque 81  slipped on the mat\n", "correct 2: 0.51 (undone)",
+        "undone: ", "\ntrial 6\n", "trial   3  simulated", "worlds the robot is like",
+        "trial 8 | walk | gravel"
     ):  # fmt: skip
         assert words in said.out
-    assert re.search(r"^Trial \d.*\n\{.*\}\nA repeat of trial \d", said.out, re.MULTILINE)
+    assert re.search(
+        r"^Trial \d.*\n\{.*\}\nThe interval .*\nA repeat of trial \d", said.out, re.MULTILINE
+    )
     asked = json.loads((tmp_path / "next.json").read_text())
     assert [trial["trial"] for trial in asked] == [3, 4, 5] and len(asked[0]["params"]) == 2
     assert (tmp_path / "walk-simulator.png").stat().st_size > 5000

@@ -119,6 +119,35 @@ def test_a_database_that_cannot_be_read_is_one_line(
     assert status == 503 and "storage: &#039;walk.db&#039;" in text
 
 
+def test_a_database_that_is_gone_is_one_line_whatever_is_asked(serve: Serve) -> None:
+    address, _, bench = serve(HOST)
+    ask(f"{address}/next", {"batch": 1})
+    file = bench.plan.path.with_suffix(".db")
+    for ending in ("", "-wal", "-shm"):
+        file.with_name(file.name + ending).unlink(missing_ok=True)
+    for place, form in (
+        ("record", {"trial": 0, "value": 1}), ("next", {"batch": 1}), ("undo", {"entry": 1}),
+        ("correct", {"trial": 0, "value": 1}), ("", None), ("film/0", None),
+    ):  # fmt: skip
+        status, text = ask(f"{address}/{place}", form)
+        assert status == 503 and text.count("\n") == 0, (place, status, text)
+        assert "storage: " in text and "removed" in text
+    assert not file.exists()
+
+
+def test_what_was_entered_is_said_and_a_time_is_corrected(serve: Serve) -> None:
+    address, _, bench = serve(HOST)
+    ask(f"{address}/next", {"batch": 1})
+    form = {"trial": 0, "value": 0.92, "column torque": 81}
+    assert "record 0: 0.92, torque 81" in ask(f"{address}/record", form)[1]
+    said = ask(f"{address}/correct", {"trial": 0, "seconds": 21})[1]
+    assert "correct 0: failed after 21 s, 3.9" in said and bench.look().trials[0].failed
+    said = ask(f"{address}/correct", {"trial": 0, "value": 0.5})[1]
+    assert "correct 0: 0.5, no longer a failure" in said
+    assert ask(f"{address}/correct", {"trial": 0, "value": 1, "seconds": 2})[0] == 400
+    assert ask(f"{address}/correct", {"trial": 0})[0] == 400
+
+
 def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
     address, token, bench = serve("0.0.0.0")
     for end in ("", "/?token=x", "/?token=", f"/next?token={token}"):
