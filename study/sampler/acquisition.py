@@ -127,6 +127,18 @@ class Model:
         return mean if self._in_costs is not None else (float(cost.std()) or 1.0) * mean
 
     @property
+    def in_table_units(self) -> bool:
+        """Whether costs are those of a table's worlds, and infinity is beyond these."""
+        return self._in_costs is not None
+
+    @cached_property
+    def knows_scale(self) -> bool:
+        """Whether anything tells how far costs lie apart: the table's, or trials that differ."""
+        if self._in_costs is not None:
+            return self._in_costs.varies
+        return bool(self.costs.min() < self.costs.max())
+
+    @property
     def _in_costs(self) -> Ensemble | None:
         """Worlds whose outcomes are in the unit of the study's values."""
         found = self.ensemble

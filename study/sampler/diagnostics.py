@@ -2,17 +2,18 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import atanh, sqrt, tanh
+from math import atanh, isinf, isnan, sqrt, tanh
 from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
+from scipy.special import stdtr, stdtrit
 
 from study.sampler.acquisition import Model, log_kept
 from study.sampler.gp import JITTER, Posterior, misfit
-from study.sampler.history import read_limits
+from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble
 
@@ -29,6 +30,9 @@ BAR = 30  # characters of the longest bar
 HEAD = ("feature", "rank correlation with the cost")
 LEAST_RANKED = 4  # trials with a feature, for its correlation
 NORMAL_95 = 1.959964  # 97.5 % quantile of the normal distribution
+SHOWN_CANDIDATES = 10
+LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
+LEAST_SPREAD = 1e-6  # of worlds, in standard deviations of the table: below, they agree by chance
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 
 
@@ -298,10 +302,12 @@ class Best:
         number: of the trial, the first of these parameters.
         params: its parameters.
         row: of the table; None off it, or without one.
-        value: as likely too high as too low.
-        low: end of the interval that holds its value, without noise, with 95 %.
+        value: as likely too high as too low; infinite where the best one is.
+        low: end of the interval that holds its value, without noise, with 95 %; NaN where nothing
+            tells how far the value may be off: an infinite one, or all trials gave the same.
         high: its other end.
         trials: finished ones of these parameters.
+        untold: limits of which other trials have told, and this one has not.
     """
 
     number: int
@@ -311,12 +317,14 @@ class Best:
     low: float
     high: float
     trials: int
+    untold: tuple[str, ...]
 
     def __str__(self) -> str:
         row = "" if self.row is None else f", row {self.row}"
+        limits = f" Whether it keeps {', '.join(self.untold)} is unknown." if self.untold else ""
         return (
-            f"Trial {self.number}{row}: {self.value:.4g} ({self.low:.4g} to {self.high:.4g}), "
-            f"by {_trials(self.trials)} of it and what the others tell."
+            f"Trial {self.number}{row}: {self.value:.4g} ({_interval_text(self.low, self.high)}), "
+            f"by {_trials(self.trials)} of it and what the others tell.{limits}"
         )
 
 
@@ -329,52 +337,140 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     mean, variance = _over_noise(model)
     mean += model.expected(model.trials, model.cost())
     kept = ~(read_limits(trials) > 0).any(axis=1)
-    best = int(np.argmin(np.where(kept | ~kept.any(), mean, np.inf)))
-    away = NORMAL_95 * sqrt(float(variance[best]))
-    ends = model.in_units(mean[best] + away * np.array([0.0, -1.0, 1.0]))
-    value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
+    told = np.array([trial.values[0] for trial in trials])
+    # To the model infinity is a number beyond the others, which noise may bring near to them.
+    told = np.where(np.isfinite(told), 0.0, -told if maximised else told)
+    order = np.lexsort((mean, told, ~kept))
+    best = int(order[0])
     trial, row = trials[best], present.rows[best]
+    value, low, high = trial.values[0], np.nan, np.nan
+    if np.isfinite(value):
+        away = NORMAL_95 * sqrt(float(variance[best]))
+        ends = model.in_units(mean[best] + away * np.array([0.0, -1.0, 1.0]))
+        value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
+    if not model.knows_scale:
+        low, high = np.nan, np.nan
     same = sum(other.params == trial.params for other in trials)
-    return Best(trial.number, dict(trial.params), row, value, low, high, same)
+    names = sorted({name for other in trials for name in other.constraints})
+    untold = tuple(name for name in names if name not in trial.constraints)
+    return Best(trial.number, dict(trial.params), row, value, low, high, same, untold)
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What the trials of a study, and all that was known before, let expect of m candidates."""
+    """What the trials of a study, and all that was known before, let expect of m candidates.
 
-    rows: NDArray[np.int64]  # of the table, [m]; -1 off it
-    value: Floats  # as likely too high as too low, [m]; NaN where nothing is known
-    low: Floats  # end of the interval that holds the next trial's value with 95 %, [m]
-    high: Floats  # its other end, [m]
-    success: Floats  # chance of a value that is a success, [m]; NaN where none is defined
-    kept: Floats  # chance that all limits are kept, [m]
+    NaN stands for what is not known, never for 0 or for 1; `str` says "unknown".
+
+    Attributes:
+        rows: of the table, [m]; -1 off it.
+        value: as likely too high as too low, [m]; NaN where nothing is known.
+        low: end of the interval that holds the next trial's value with 95 %, [m]; NaN where
+            nothing tells how far the value may be off: one world, worlds that agree, trials that
+            all gave the same.
+        high: its other end, [m].
+        success: chance of a value that is a success, [m]; NaN where the interval is, or where no
+            success is defined.
+        kept: chance that all limits are kept, [m]; NaN before trials have told of them, and while
+            fewer than three have, none of which broke one.
+    """
+
+    rows: NDArray[np.int64]
+    value: Floats
+    low: Floats
+    high: Floats
+    success: Floats
+    kept: Floats
+
+    def __str__(self) -> str:
+        """A line for each of the first candidates."""
+        lines = []
+        for place, row in enumerate(self.rows[:SHOWN_CANDIDATES].tolist()):
+            name = "off the table" if row < 0 else f"row {row}"
+            value = _number_text(float(self.value[place]))
+            interval = _interval_text(float(self.low[place]), float(self.high[place]))
+            success, kept = (_share_text(float(each[place])) for each in (self.success, self.kept))
+            lines.append(f"{name}: {value} ({interval}), success {success}, limits kept {kept}")
+        if (more := len(self.rows) - len(lines)) > 0:
+            lines.append(f"and {more} more")
+        return "\n".join(lines)
 
 
-def prediction_of(model: Model, points: Points, rows: NDArray[np.int64], sign: float) -> Prediction:
-    """The prediction at points; `sign` is -1 where values are maximised.
+def _number_text(value: float) -> str:
+    return "unknown" if isnan(value) else f"{value:.4g}"
+
+
+def _interval_text(low: float, high: float) -> str:
+    return "interval unknown" if isnan(low) or isnan(high) else f"{low:.4g} to {high:.4g}"
+
+
+def _share_text(share: float) -> str:
+    return "unknown" if isnan(share) else f"{100.0 * share:.0f} %"
+
+
+def prediction_of(
+    model: Model, points: Points, rows: NDArray[np.int64], history: History
+) -> Prediction:
+    """The prediction at points, after the trials of a history.
 
     Before any trial only worlds in the study's units tell something: their mean and spread.
     """
-    visible, unknown = model.visible(points), np.full(len(points), np.nan)
-    kept = np.zeros(len(points))
+    unknown, sign = np.full(len(points), np.nan), history.sign
+    kept = _chance_kept(model, points)
+    freedom = np.inf
     if len(model.costs):
-        mean, variance = model.posterior.predict(visible)
+        mean, variance = model.posterior.predict(model.visible(points))
         mean += model.expected(points, model.cost())
-        for posterior in model.limit_posteriors:
-            kept += log_kept(*posterior.predict(visible))
+        is_known = np.full(len(points), model.knows_scale)
+        finite = np.isfinite([trial.values[0] for trial in history.trials])
+        if not finite.any() and not model.in_table_units:
+            return Prediction(rows, unknown, unknown, unknown, unknown, kept)
     elif isinstance(model.ensemble, Ensemble) and model.ensemble.in_costs:
         w = model.ensemble.parts.shape[1]
         mean, variance = points.features[:, -1], (points.features[:, -w - 2 : -2] ** 2).sum(axis=1)
+        is_known = np.sqrt(variance) > LEAST_SPREAD
+        freedom = model.ensemble.freedom
+        if freedom > 0.0:  # of a further world, by those that were drawn
+            variance = variance * (freedom + 2.0) / freedom
     else:
-        return Prediction(rows, *(unknown,) * 4, np.exp(kept))
-    away = NORMAL_95 * np.sqrt(variance)
+        return Prediction(rows, unknown, unknown, unknown, unknown, kept)
+    away = (NORMAL_95 if isinf(freedom) else float(stdtrit(freedom, 0.975))) * np.sqrt(variance)
     value, low, high = (sign * model.in_units(y) for y in (mean, mean - away, mean + away))
     low, high = (low, high) if sign > 0 else (high, low)
     success = unknown
     if model.success is not None:
         (goal,) = model.standard(np.array([model.success]), model.costs)
-        success = np.exp(log_kept(mean - goal, variance))
-    return Prediction(rows, value, low, high, success, np.exp(kept))
+        success = _chance_below(goal - mean, variance, freedom)
+    low, high, success = (np.where(is_known, each, np.nan) for each in (low, high, success))
+    return Prediction(rows, value, low, high, success, kept)
+
+
+def _chance_below(away: Floats, variance: Floats, freedom: float) -> Floats:
+    """P(y <= mean + away), [m]; by Student's t where the variance is that of few samples."""
+    if isinf(freedom):
+        return np.exp(log_kept(-away, variance))
+    return np.asarray(stdtr(freedom, away / np.sqrt(np.maximum(variance, 1e-24))))
+
+
+def _chance_kept(model: Model, points: Points) -> Floats:
+    """The chance that all limits are kept, [m]; NaN where too few trials have told of one.
+
+    Where all trials gave the same of a limit (a flag), nothing is known of its scale: it is
+    Laplace's rule of succession. Else it is the model's, with Student's t for the few trials that
+    its scale was learned from.
+    """
+    chance = np.full(len(points), 1.0 if model.limits.shape[1] else np.nan)
+    for limit, posterior in zip(model.limits.T, model.limit_posteriors, strict=True):
+        told = limit[np.isfinite(limit)]
+        n, is_broken = len(told), bool((told > 0.0).any())
+        if n < LEAST_TOLD and not is_broken:
+            chance[:] = np.nan
+        elif (told == told[0]).all():
+            chance *= (1.0 if is_broken else n + 1.0) / (n + 2.0)
+        else:
+            mean, variance = posterior.predict(model.visible(points))
+            chance *= _chance_below(-mean, variance, n - 1.0)
+    return chance
 
 
 def _over_noise(model: Model) -> tuple[Floats, Floats]:

@@ -20,7 +20,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from study.sampler.goals import Goals
 from study.sampler.space import Number, Space
 from study.sampler.table import Rows
-from study.sampler.transforms import clip_infinities, squarable
+from study.sampler.transforms import by_side, stand_ins, without_infinities
 from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -42,7 +42,7 @@ class History:
     trials: tuple[FrozenTrial, ...]  # the n finished ones that can be learned from, by number
     parameters: Floats  # of each, [n, d]
     rows: NDArray[np.int64]  # of each, the row that it is, or OFF_TABLE, [n]
-    cost: Floats  # of each, lower is better, finite, [n]
+    cost: Floats  # of each, lower is better, finite, [n]; infinity is beyond the others
     costs: Floats  # of each, for each of the k goals of the study, [n, k]
     signs: Floats  # of costs in the study's values: -1 where these are maximised, [k]
     running: Floats  # parameters of those running elsewhere, [r, d]
@@ -72,12 +72,14 @@ def read_history(
     table: Rows | None = None,
     places_all: bool = True,
     known: LookedUp | None = None,
+    compared: Sequence[Floats] = (),
 ) -> History:
     """The history that the trial `before`, which is left out itself, is proposed from.
 
     A trial must have the parameters of the space to be learned from. If it is no row of the table,
     it must also have features, unless all have a place. Trials that were looked up before in the
-    table are known, new ones added.
+    table are known, new ones added. An infinite value is beyond all others, and beyond what it is
+    `compared` with: numbers for each of the k goals, in the study's values.
     """
     known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
@@ -108,7 +110,11 @@ def read_history(
     values = np.array([trial.values for trial in trials], dtype=np.float64)
     values = values.reshape(len(trials), len(study.directions))
     signs = [-1.0 if each is StudyDirection.MAXIMIZE else 1.0 for each in study.directions]
-    costs = np.column_stack([s * clip_infinities(v) for s, v in zip(signs, values.T, strict=True)])
+    others = compared or [np.empty(0)] * len(signs)
+    columns = []
+    for sign, column, other in zip(signs, values.T, others, strict=True):
+        columns.append(sign * without_infinities(column, stand_ins(column, other)))
+    costs = np.column_stack(columns)
     settled = values_of(before)
     fixed = {name: settled[name] for name in space.names if name in settled}
     done, running = points(TrialState.COMPLETE), points(TrialState.RUNNING)
@@ -185,12 +191,15 @@ def notes_of(row: int, features: Floats) -> dict[str, Any]:
 
 
 def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
-    """The constraints of trials, [n, c], set by `trial.set_constraint`; NaN where unknown."""
+    """The constraints of trials, [n, c], by their names; NaN where unknown, kept where <= 0.
+
+    As `transforms.by_side` has what `trial.set_constraint` was told.
+    """
     keys = sorted({key for trial in trials for key in trial.constraints})
     limits = [[trial.constraints.get(key, np.nan) for key in keys] for trial in trials]
     columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
-    clipped = [squarable(clip_infinities(column)) for column in columns]
-    return np.array(clipped).reshape(len(keys), len(trials)).T
+    found = [by_side(column) for column in columns]
+    return np.array(found).reshape(len(keys), len(trials)).T
 
 
 # What a study suggests, and whether a table fits it.

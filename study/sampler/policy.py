@@ -106,6 +106,11 @@ class Policy:
         """The proposal for a trial, which is forgotten."""
         return self._proposals.pop((trial.number, trial.datetime_start), None)
 
+    def compared(self, study: optuna.Study) -> list[Floats]:
+        """What infinite values of a study lie beyond, for each goal: the value of a success."""
+        success = self.options.success
+        return [np.array([] if success is None else [success])] * len(study.directions)
+
     def one_goal(self, history: History, turn: int, known: Floats | None = None) -> History:
         """The history with one cost in place of several; `known` [n, k] tells their scale."""
         if len(history.signs) == 1:

@@ -79,7 +79,7 @@ class FeatureKernelSampler(BaseSampler):
 
     What it promises: everything is recomputed from the study's trials, and each draw is seeded by
     the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED
-    trials are not learned from; infinite values count as the worst or best finite one.
+    trials are not learned from; infinite values are worse, or better, than all finite ones.
 
     Args:
         features: see above. A function gets its columns in the order of `space` or, without it, of

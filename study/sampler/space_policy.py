@@ -62,7 +62,8 @@ class SpacePolicy(Policy):
         try:
             self._require_declared(study, search_space)
             own_turn = turn(study, trial)
-            history = self.one_goal(read_history(study, trial, space), own_turn)
+            found = read_history(study, trial, space, compared=self.compared(study))
+            history = self.one_goal(found, own_turn)
             with one_thread():
                 if len(history.cost) < self.first_trials:
                     point, features = self._first(space, own_turn)
@@ -96,7 +97,7 @@ class SpacePolicy(Policy):
         if not known:
             return None
         space = Space.of(known)
-        history = read_history(study, trial, space)
+        history = read_history(study, trial, space, compared=self.compared(study))
         if not len(history.cost):
             return None
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))

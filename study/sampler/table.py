@@ -208,7 +208,8 @@ class Rows:
             matrices.append(self.alike)
         if self.worlds is not None:
             head += [*self.worlds.names, *filter(None, [self.worlds.better])]
-            matrices.append(self.worlds.costs)
+            before = self.worlds.as_before
+            matrices.append(self.worlds.costs if before is None else before)
         digest = hashlib.sha256("\n".join(head).encode())
         for values in matrices:
             digest.update(np.ascontiguousarray(values).data)

@@ -289,8 +289,13 @@ class TablePolicy(Policy):
         return failed and len(history.cost) < self.first_trials
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
-        rows = self.rows
-        found = read_history(study, trial, rows.space, rows, self._places_all, self._looked_up)
+        rows, compared = self.rows, self.compared(study)
+        if self._in_costs and rows.worlds is not None and rows.worlds.goals == len(compared):
+            pairs = zip(compared, rows.worlds.ends, strict=True)
+            compared = [np.append(known, ends) for known, ends in pairs]
+        found = read_history(
+            study, trial, rows.space, rows, self._places_all, self._looked_up, compared
+        )
         known, k = None, len(found.signs)
         if rows.worlds is not None and self.options.kernel.worlds:
             if rows.worlds.goals != k:
@@ -458,7 +463,8 @@ class TablePolicy(Policy):
         rows, history = self.rows, self._history(study, next_trial(study))
         model = self._model(history, len(history.cost))
         if params is None:
-            return prediction_of(model, self._points(model.ensemble), rows.numbers, history.sign)
+            points, numbers = self._points(model.ensemble), rows.numbers
+            return prediction_of(model, points, numbers, history)
         places = np.empty((len(params), len(rows.names)))
         for place, values in enumerate(params):
             known = rows.space.row(values)
@@ -468,7 +474,7 @@ class TablePolicy(Policy):
         found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
         numbers = np.array(found, dtype=np.int64)
         points = self._seen(places, numbers, (), model.ensemble)
-        return prediction_of(model, points, numbers, history.sign)
+        return prediction_of(model, points, numbers, history)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.

@@ -13,8 +13,12 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 LARGEST = float(np.finfo(np.float64).max)
+QUARTERS = -LARGEST / 4, LARGEST / 4  # so that excess, and two of them, are finite
 MOST = 2.0**500
+INFINITE = 1e6  # times the usual size of a limit: what is larger stands for infinity
+USUAL_EXPONENT = 20  # of 2: limits from 1e-6 to 1e6 stay as they are, to the bit
 LEAST_GAPS = 0.02  # share of missing values from which having none is a feature of its own
+NOTHING: Floats = np.empty(0)
 PATIENCE = 3  # trials without a better cost
 
 
@@ -68,16 +72,15 @@ def log_excess(values: Floats, cost: Floats) -> Floats:
     does not hide what is at its foot. Costs beyond a quarter of the largest float count as that.
     Below the least, what is as far below is minus what is above.
     """
-    ends = -LARGEST / 4, LARGEST / 4  # so that excess, and two of them, are finite
-    cost = np.clip(cost, *ends)
+    cost = np.clip(cost, *QUARTERS)
     with np.errstate(over="ignore"):
-        ratio = (np.clip(values, *ends) - cost.min()) / typical_excess(cost)
+        ratio = (np.clip(values, *QUARTERS) - cost.min()) / typical_excess(cost)
     return np.asarray(np.copysign(np.log1p(np.minimum(np.abs(ratio), LARGEST)), ratio))
 
 
 def of_log_excess(y: Floats, cost: Floats) -> Floats:
     """The costs [m] whose `log_excess` among the costs [n] is y [m]."""
-    cost = np.clip(cost, -LARGEST / 4, LARGEST / 4)
+    cost = np.clip(cost, *QUARTERS)
     with np.errstate(over="ignore"):
         above = np.copysign(np.expm1(np.abs(y)), y)
         return np.asarray(cost.min() + typical_excess(cost) * above)
@@ -98,37 +101,108 @@ def squarable(values: Floats) -> Floats:
     return np.clip(values, -MOST, MOST)
 
 
+def stand_ins(values: Floats, known: Floats = NOTHING) -> tuple[float, float]:
+    """The numbers for minus infinity and for infinity among values: beyond all that are finite.
+
+    They are as far beyond as the finite values reach: no infinity becomes as good as a number.
+
+    Args:
+        values: of any shape; NaN is no value.
+        known: others that infinity is beyond, too, such as the value of a success.
+    """
+    every = np.append(values, known)
+    finite = every[np.isfinite(every)]
+    if not len(finite):
+        return -1.0, 1.0
+    low, high = np.clip([finite.min(), finite.max()], *QUARTERS).tolist()
+    size = max(abs(low), abs(high))
+    reach = high - low
+    if reach <= 1e-9 * size:  # of equal values nothing is known but their size
+        reach = size or 1.0
+    return low - reach, high + reach
+
+
+def without_infinities(values: Floats, ends: tuple[float, float]) -> Floats:
+    """The values, those that are infinite replaced by two `stand_ins`."""
+    low, high = ends
+    return np.where(values == np.inf, high, np.where(values == -np.inf, low, values))
+
+
 def clip_infinities(values: Floats) -> Floats:
-    """Infinite values replaced by the largest and the smallest finite one (zero if none is)."""
+    """Infinite values replaced by the largest and the smallest finite one (zero if none is).
+
+    Digests of tables of version 0.3.0 are of values like these. They decide nothing else: what is
+    infinitely bad must not be as good as the worst number.
+    """
     finite = values[np.isfinite(values)]
     low, high = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
-    return np.where(values == np.inf, high, np.where(values == -np.inf, low, values))
+    return without_infinities(values, (low, high))
+
+
+def by_side(limit: Floats) -> Floats:
+    """What n trials told of one limit, as a process takes it, [n]: above 0 broken, else kept.
+
+    NaN, a trial that told nothing, stays. The side stays always; the size may not:
+
+    - infinity, and what stands for it (more than `INFINITE` of the usual size on either side),
+      becomes as large as the largest of its side or, if there is none, of the other;
+    - where none is below 0, as of max(0, excess), 0 becomes as far below as the others are above;
+    - very small or large numbers are scaled, so that squares of them have a size.
+    """
+    found = squarable(limit)
+    size = np.abs(found)
+    sides = limit > 0.0, limit < 0.0
+    usual = [size[side & np.isfinite(limit)] for side in sides]
+    unit = min((float(np.median(some)) for some in usual if len(some)), default=1.0)
+    is_usual = size <= INFINITE * unit
+    most = max(size[is_usual], default=0.0) or 1.0
+    for side, sign in zip(sides, (1.0, -1.0), strict=True):
+        largest = max(size[side & is_usual], default=most)
+        found[side & ~is_usual] = sign * largest
+    if not sides[1].any():
+        above = found[found > 0.0]
+        found[limit == 0.0] = -float(np.median(above)) if len(above) else -1.0
+    exponent = np.frexp(np.max(np.abs(found), initial=0.0, where=~np.isnan(found)))[1]
+    if abs(exponent) > USUAL_EXPONENT:
+        found = np.ldexp(found, 1 - exponent)
+        found[sides[0]] = np.maximum(found[sides[0]], np.finfo(np.float64).tiny)
+    return found
 
 
 @dataclass(frozen=True)
 class Standard:
-    """Subtract the mean, divide by the spread, [k] each; infinite values count as gaps.
+    """Subtract the mean, divide by the spread, [k] each; infinity is beyond all finite values.
 
     A feature without information has the spread infinity: it becomes zero everywhere.
     """
 
     mean: Floats
     sd: Floats
+    ends: Floats  # what stands for minus infinity and for infinity, [k, 2]
 
     @classmethod
     def of(cls, features: Floats) -> "Standard":
         """The scale of features [n, k]."""
-        known, features = np.isfinite(features), squarable(features)
+        ends = np.array([stand_ins(column) for column in features.T]).reshape(-1, 2)
+        known, features = ~np.isnan(features), _finite(features, ends)
         count = np.maximum(known.sum(axis=0), 1)
         filled = np.where(known, features, 0.0)
         mean = filled.sum(axis=0) / count
         sd = np.sqrt((np.where(known, filled - mean, 0.0) ** 2).sum(axis=0) / count)
-        return cls(mean, np.where(sd > 1e-12 * np.abs(mean), sd, np.inf))
+        return cls(mean, np.where(sd > 1e-12 * np.abs(mean), sd, np.inf), ends)
 
     def standard(self, features: Floats) -> Floats:
         """Features [m, k] as columns of about unit variance, [m, k]; a gap becomes 0."""
-        finite = np.where(np.isfinite(features), squarable(features), self.mean)
-        return np.asarray((finite - self.mean) / self.sd)
+        finite = _finite(features, self.ends)
+        return np.asarray((np.where(np.isnan(finite), self.mean, finite) - self.mean) / self.sd)
+
+
+def _finite(features: Floats, ends: Floats) -> Floats:
+    """Features [n, k], infinite ones replaced by the ends [k, 2] of their columns; NaN stays."""
+    low, high = ends.T
+    return squarable(
+        np.where(features == np.inf, high, np.where(features == -np.inf, low, features))
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ m and d of its nearest rows, by distance. Outcomes in other units than the study
 survived, scores) tell which rows are better, not what they cost: there is no shift then.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -25,7 +25,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from study.sampler.goals import Goals
-from study.sampler.transforms import clip_infinities, squarable
+from study.sampler.transforms import (
+    MOST,
+    clip_infinities,
+    squarable,
+    stand_ins,
+    without_infinities,
+)
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
@@ -47,6 +53,8 @@ class Worlds:
     costs: Floats  # [n, w], or [n, w, k] of k goals; NaN where unknown
     weights: Floats  # of the worlds, sum 1, [w]
     better: Better | None = None  # of outcomes in units of their own; None: the study's
+    # The costs as version 0.3.0 had them, where some are infinite: digests are of these.
+    as_before: Floats | None = None
 
     @classmethod
     def of(cls, outcomes: Outcomes, better: Better | None = None) -> "Worlds":
@@ -54,7 +62,8 @@ class Worlds:
 
         [n, w, k] are those of k goals, in the units of the study's k values.
 
-        Refused are, by family: no numbers, other rows than the others', no row without gaps.
+        Infinity is worse, or better, than all that is finite in any world. Refused are, by family:
+        no numbers, other rows than the others', no row without gaps.
         """
         families = outcomes if isinstance(outcomes, Mapping) else {"world": outcomes}
         if not families:
@@ -63,8 +72,6 @@ class Worlds:
         for family, given in families.items():
             field = f"table.outcomes.{family}" if outcomes is families else "table.outcomes"
             part = matrix_of(field, given, "w")
-            for goal in np.moveaxis(part, -1, 0) if part.ndim > 2 else (part,):
-                goal[:] = squarable(clip_infinities(goal))  # infinities as the worst or the best
             if parts and len(part) != len(parts[0]):
                 raise InputError(field, f"{len(part)} rows", f"{len(parts[0])}, as the others")
             if part.ndim > 2 and better is not None:
@@ -77,7 +84,11 @@ class Worlds:
             names += [f"{family} {world}" for world in range(count)]
             parts.append(part)
             weights.append(np.full(count, 1.0 / len(families) / count))
-        worlds = cls(tuple(names), np.hstack(parts), np.concatenate(weights), better)
+        before = None
+        if any(np.isinf(part).any() for part in parts):
+            before = np.hstack([_each_goal(part, _clipped) for part in parts])
+        costs = _each_goal(np.hstack(parts), _without_infinities)
+        worlds = cls(tuple(names), costs, np.concatenate(weights), better, before)
         if not worlds.known.any():
             allowed = "a row with its cost in all worlds"
             raise InputError("table.outcomes", "gaps in all rows", allowed)
@@ -87,6 +98,12 @@ class Worlds:
     def known(self) -> NDArray[np.bool_]:
         """Rows with a cost in every world, [n]."""
         return np.asarray(~np.isnan(self.costs.reshape(len(self.costs), -1)).any(axis=1))
+
+    @cached_property
+    def ends(self) -> Floats:
+        """The least and the largest outcome of each of k goals, [k, 2]."""
+        columns = self.costs.reshape(-1, self.goals).T
+        return np.array([[np.nanmin(column), np.nanmax(column)] for column in columns])
 
     @property
     def goals(self) -> int:
@@ -99,6 +116,21 @@ class Worlds:
             return goals.cost(signs * self.costs[rows].reshape(len(rows), len(self.names), -1))
         sign = {"higher": -1.0, "lower": 1.0, None: float(signs[0])}[self.better]
         return sign * self.costs[rows].reshape(len(rows), -1)
+
+
+def _each_goal(outcomes: Floats, changed: Callable[[Floats], Floats]) -> Floats:
+    """Outcomes [n, w] or [n, w, k], those of each goal changed on their own."""
+    if outcomes.ndim == 2:
+        return changed(outcomes)
+    return np.stack([changed(goal) for goal in np.moveaxis(outcomes, -1, 0)], axis=-1)
+
+
+def _without_infinities(goal: Floats) -> Floats:
+    return squarable(without_infinities(goal, stand_ins(goal)))
+
+
+def _clipped(goal: Floats) -> Floats:
+    return squarable(clip_infinities(goal))
 
 
 def matrix_of(field: str, given: Any, count: str) -> Floats:
@@ -123,12 +155,17 @@ class Ensemble:
     def __init__(self, worlds: Worlds, costs: Floats) -> None:
         """Of costs [m, w], as `Worlds.of_rows` has them."""
         self.names = worlds.names
+        # How many worlds of one weight tell as much, less one: of one world nothing is known of
+        # how far others are from it.
+        self.freedom = 1.0 / float((worlds.weights**2).sum()) - 1.0
         self.kept: dict[Any, Any] = {}  # what was computed of it, for whoever asks again
         self.in_costs = worlds.better is None  # whether outcomes and values have one unit
         # Units of their own may have any zero: no logarithm.
         self._least = float(costs.min()) if self.in_costs else 0.0
         own = self._spread(costs)
-        self._middle, self._unit = float(own.mean()), float(own.std()) or 1.0
+        spread = float(own.std())
+        self.varies = spread > 1e-12 * float(np.abs(own).max())
+        self._middle, self._unit = float(own.mean()), spread if self.varies else 1.0
         own = self.standard(costs)
         self.mean = own @ worlds.weights  # m, [m]
         self.parts = (own - self.mean[:, None]) * np.sqrt(worlds.weights)  # d, [m, w]
@@ -156,6 +193,7 @@ class Ensemble:
     def _spread(self, costs: Floats) -> Floats:
         if self._least <= 0.0:
             return costs
-        ratio = costs / self._least
+        with np.errstate(over="ignore"):
+            ratio = np.minimum(costs / self._least, MOST)
         below = np.log(np.clip(ratio, LEAST_SHARE, 1.0))
         return np.asarray(np.log1p(np.maximum(ratio - 1.0, 0.0) / NEARNESS) + below)

@@ -27,16 +27,41 @@ def test_the_cost_is_the_logarithm_of_the_excess_in_typical_units():
     assert_allclose(log_excess(np.full(4, 3.0), np.full(4, 3.0)), 0.0)
 
 
-def test_the_order_of_large_costs_is_kept_and_infinities_become_the_extremes():
+def test_the_order_of_large_costs_is_kept():
     cost = np.array([-1e307, 4e307, 3e307, 1.0, LARGEST, -LARGEST])
     found = log_excess(cost, cost)
     assert np.isfinite(found).all()
     assert np.argsort(found).tolist() == np.argsort(cost).tolist()
-    for given, clipped in (
-        ([INF, 1.0, -INF, 3.0], [3.0, 1.0, 1.0, 3.0]),
-        ([INF, -INF], [0.0, 0.0]),
-    ):
-        assert transforms.clip_infinities(np.array(given)).tolist() == clipped
+
+
+@pytest.mark.parametrize(("given", "known", "ends"), [
+    ([INF, 1.0, -INF, 3.0, NAN], [], (-1.0, 5.0)),  # as far beyond as the values reach
+    ([INF, -INF], [], (-1.0, 1.0)), ([NAN], [], (-1.0, 1.0)), ([], [], (-1.0, 1.0)),
+    ([INF, 5.0], [], (0.0, 10.0)),  # the only number is neither the worst nor the best
+    ([INF, 0.0], [], (-1.0, 1.0)), ([INF, 0.3], [0.5], (0.1, 0.7)), ([INF], [0.5], (0.0, 1.0)),
+])  # fmt: skip
+def test_infinity_is_beyond_all_numbers(given, known, ends):
+    assert transforms.stand_ins(np.array(given), np.array(known)) == pytest.approx(ends)
+
+
+@pytest.mark.parametrize(("told", "expected"), [
+    ([INF, -1.0, -2.0], [2.0, -1.0, -2.0]), ([-INF, 1.0, 3.0], [-3.0, 1.0, 3.0]),
+    ([INF, INF], [1.0, 1.0]), ([-INF], [-1.0]), ([INF, -INF, NAN], [1.0, -1.0, NAN]),
+    ([INF, 5.0, -1.0], [5.0, 5.0, -1.0]), ([1e300, -1.0, 4.0], [4.0, -1.0, 4.0]),
+    ([LARGEST, -3.0], [3.0, -3.0]), ([1e300, 1e300, -3.0], [3.0, 3.0, -3.0]),
+    ([0.0, 2.0, 4.0], [-3.0, 2.0, 4.0]), ([0.0, 0.0], [-1.0, -1.0]), ([0.0, INF], [-1.0, 1.0]),
+    ([0.0, -2.0, 4.0], [0.0, -2.0, 4.0]), ([], []), ([NAN], [NAN]),
+])  # fmt: skip
+def test_a_limit_keeps_its_side_whatever_stands_for_infinity(told, expected):
+    assert_allclose(transforms.by_side(np.array(told)), expected)
+
+
+@pytest.mark.parametrize("factor", [1e-300, 5e-324, 1e-13, 1e12, 1e300])
+def test_a_limit_keeps_its_side_in_any_unit(factor):
+    told = factor * np.array([3.0, -1.0, 2.0, -INF, INF, -2.0])
+    found = transforms.by_side(told)
+    assert ((found > 0.0) == (told > 0.0)).all()
+    assert 1.0 <= np.abs(found).max() < 4.0 and np.isfinite(found).all()
 
 
 # Scales of features.
@@ -104,12 +129,19 @@ def test_hardly_any_gaps_or_hardly_any_values_are_no_column(missing, columns):
     assert NormalScores.of(rows).standard(rows).shape == (100, columns)
 
 
-def test_the_affine_scale_is_numpys_and_takes_infinities_for_gaps():
+def test_the_affine_scale_is_numpys_and_infinity_is_beyond_all_values():
     rows = np.column_stack([drawn(3), np.full(60, 5.0)])
-    known = rows[np.isfinite(rows[:, 0]), 0]
-    expected = np.where(np.isfinite(rows[:, 0]), (rows[:, 0] - known.mean()) / known.std(), 0.0)
-    found = Standard.of(rows).standard(rows)
+    column = rows[:, 0].copy()
+    finite = column[np.isfinite(column)]
+    reach = finite.max() - finite.min()
+    column[column == INF] = finite.max() + reach
+    column[column == -INF] = finite.min() - reach
+    known = column[~np.isnan(column)]
+    expected = np.where(np.isnan(column), 0.0, (column - known.mean()) / known.std())
+    scale = Standard.of(rows)
+    found = scale.standard(rows)
     assert_allclose(found, np.column_stack([expected, np.zeros(60)]), atol=1e-12)
+    assert np.argsort(scale.standard(np.array([[INF, 5.0], [-INF, 5.0]]))[:, 0]).tolist() == [1, 0]
 
 
 A, B = np.random.default_rng(4).uniform(size=(2, 50))
