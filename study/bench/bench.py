@@ -366,12 +366,16 @@ class Bench:
         """What is expected of a candidate, in a sentence."""
         value, parts = float(found.value[0]), list[str]()
         if np.isfinite(value):
-            interval = f"{found.low[0]:.4g} to {found.high[0]:.4g}"
-            parts.append(f"{value:.4g} ({interval}, the mean without noise)")
+            interval = "interval unknown"
+            if np.isfinite(found.low[0]):
+                interval = f"{found.low[0]:.4g} to {found.high[0]:.4g}, the mean without noise"
+            parts.append(f"{value:.4g} ({interval})")
         if np.isfinite(found.success[0]):
             parts.append(f"success {100 * found.success[0]:.0f} %")
         if any(column.limits("", 0.0) for column in self.plan.columns.values()):
-            parts.append(f"all limits kept {100 * found.kept[0]:.0f} %")
+            unknown = np.isnan(found.kept[0])
+            chance = "unknown" if unknown else f"{100 * found.kept[0]:.0f} %"
+            parts.append(f"all limits kept {chance}")
         return f"Expected: {', '.join(parts)}." if parts else ""
 
     def _why(self, study: optuna.Study) -> str:
@@ -396,7 +400,7 @@ class Bench:
         """Rows within the limits of [safety]; one at least."""
         safety, rows = self.plan.safety, self.candidates.rows
         found = sampler.predict(study)
-        keeps = (found.kept >= safety.least_kept) & ~(found.success < safety.least_success)
+        keeps = ~(found.kept < safety.least_kept) & ~(found.success < safety.least_success)
         told = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
         good = self._successful(told)
         if good and safety.most_step < 1.0:

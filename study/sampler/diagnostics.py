@@ -365,9 +365,9 @@ class Prediction:
     Attributes:
         rows: of the table, [m]; -1 off it.
         value: as likely too high as too low, [m]; NaN where nothing is known.
-        low: end of the interval that holds the next trial's value with 95 %, [m]; NaN where
-            nothing tells how far the value may be off: one world, worlds that agree, trials that
-            all gave the same.
+        low: end of the interval that holds the value with 95 %, [m], without noise unless the
+            model is over features alone; NaN where nothing tells how far the value may be off: one
+            world, worlds that agree, trials that all gave the same.
         high: its other end, [m].
         success: chance of a value that is a success, [m]; NaN where the interval is, or where no
             success is defined.
