@@ -11,6 +11,10 @@ from taichi_nmm.kernel.layout import LEGS, Sense
 
 JOINTS = 3 * LEGS
 
+# Beyond, sines are of rounding errors, and squares leave float32: torques would be noise, or NaN.
+LARGEST_ANGLE_RAD = 100.0  # 16 turns
+LARGEST_SENSE = 1e6  # of any other number, in its unit
+
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -49,8 +53,8 @@ class Observation:
         """The arrays by name.
 
         Raises:
-            InputError: an array of another shape, one with NaN or infinity, or a contact that is
-                neither 0 nor 1.
+            InputError: an array of another shape, one with NaN, infinity or a number beyond all
+                bodies, or a contact that is neither 0 nor 1.
         """
         checks.whole(0)("count", count)
         arrays = {}
@@ -59,8 +63,8 @@ class Observation:
             array = arrays[name] = checks.numbers(field, getattr(self, name))
             if array.shape != shape:
                 raise InputError(f"{field}.shape", array.shape, f"{list(shape)}")
-            if not np.isfinite(array).all():
-                raise InputError(field, "nan or inf", "finite numbers")
+            largest = LARGEST_ANGLE_RAD if name.endswith("_rad") else LARGEST_SENSE
+            require_within(field, array, largest)
         contact = arrays["contact"]
         if not np.all((contact == 0) | (contact == 1)):
             other = contact[(contact != 0) & (contact != 1)][0].item()
@@ -68,6 +72,18 @@ class Observation:
                 "observation.contact", other, "0 or 1: whether, not how many or how much"
             )
         return arrays
+
+
+def require_within(field: str, values: NDArray[np.float64], largest: float) -> None:
+    """Refuse an array, of any shape, with a number that is not from -`largest` to `largest`.
+
+    Raises:
+        InputError: naming the first such number.
+    """
+    outside = values[~(np.abs(values) <= largest)]
+    if outside.size:
+        allowed = f"finite numbers, from {-largest:g} to {largest:g}"
+        raise InputError(field, float(outside[0]), allowed)
 
 
 WIDTHS = {

@@ -147,11 +147,12 @@ def gain_rows(
     """Check a batch of gains and return it as float64 [n, len(group)].
 
     Values outside the search bounds are allowed (a published vector may lie there); values that
-    are not finite, or another shape, are an `InputError`.
+    are not finite, no rows, or another shape, are an `InputError`.
     """
     rows = np.atleast_2d(checks.numbers(field, values))
-    if rows.ndim != 2 or rows.shape[1] != len(group):
-        raise InputError(f"{field}.shape", np.shape(values), f"[n, {len(group)}] or [{len(group)}]")
+    if rows.ndim != 2 or rows.shape[1] != len(group) or not len(rows):
+        allowed = f"[n, {len(group)}] or [{len(group)}], of one row at least"
+        raise InputError(f"{field}.shape", np.shape(values), allowed)
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
         row, column = (int(index) for index in bad[0])

@@ -29,6 +29,7 @@ from taichi_nmm.kernel.layout import (
 from taichi_nmm.kernel.muscle import SHORTEST_FIBRE
 from taichi_nmm.kernel.muscle_table import OPTIMAL_LENGTH_M, SLACK_LENGTH_M, muscle_table
 from taichi_nmm.mujoco_engine import require_mujoco
+from taichi_nmm.observation import LARGEST_ANGLE_RAD, require_within
 from taichi_nmm.outcome import Recorder, result_rows
 from taichi_nmm.packs import Packs
 from taichi_nmm.parameters import PUBLISHED_GAINS
@@ -176,9 +177,11 @@ def forward_dynamics(
         bodies: one for all or n of them; None is the nominal body.
 
     Raises:
-        InputError: a shape that does not fit, or a number that is not finite.
+        InputError: a shape that does not fit; a number that is not finite, or so large that sines
+            of angles are noise, or accelerations no numbers.
     """
     angles = _matrix("q", q, COORDINATES)
+    require_within("q: angles in rad", angles[:, 2:], LARGEST_ANGLE_RAD)
     count = len(angles)
     rates = _matrix("qdot", qdot, COORDINATES, count)
     torques = _matrix("joint_torque", joint_torque, 3 * LEGS, count)
@@ -190,7 +193,14 @@ def forward_dynamics(
     backend.launch(
         accelerate, packs.lanes, packs.rows, packs.fold(torques), packs.constants, accelerations
     )
-    return packs.unfold(accelerations)
+    found = packs.unfold(accelerations)
+    broken = np.flatnonzero(~np.isfinite(found).all(axis=1))
+    if len(broken):
+        row = int(broken[0])
+        rate, torque = np.abs(rates[row]).max(), np.abs(torques[row]).max()
+        name, largest = ("qdot", rate) if rate > torque else ("joint_torque", torque)
+        raise InputError(f"{name}[{row}]", float(largest), "numbers whose accelerations are finite")
+    return found
 
 
 def _matrix(

@@ -8,19 +8,18 @@ physics is plain scalar code; on a GPU the same code runs with one walker a thre
 the walkers of a warp, whose threads read side by side.
 """
 
-import contextlib
-import io
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from taichi_nmm.errors import InputError
-from taichi_nmm.kernel import compiler, registers
+from taichi_nmm.kernel import compiler, program, registers
 from taichi_nmm.kernel.compiler import local_rows, ti
-from taichi_nmm.kernel_cache import COMPILER, settled_environment
+from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.settings import Settings
 
 __all__ = [
@@ -30,15 +29,6 @@ __all__ = [
 
 LANES_CPU = 8  # where the registers' width is unknown
 LANES_GPU = 32  # a warp
-
-# Measured, not assumed: with Taichi's control-flow-graph pass a loop nest holding a comparison lost
-# its stores without an error. Strict floating point keeps NaN checks honest and results portable.
-CFG_OPTIMIZATION = False
-FAST_MATH = False
-
-# Taichi's own simplifications take most of a compilation, since their time grows with the square of
-# a kernel's size. LLVM, which follows, finds the same in seconds (docs/speed.md).
-TAICHI_OPTIMIZATION = False
 
 if TYPE_CHECKING:
     Rows: TypeAlias = Any
@@ -51,38 +41,93 @@ _running: Settings | None = None
 _arch = "cpu"
 _lanes = LANES_CPU
 _compiled: set[str] = set()
-_process = 0  # number of the process that initialised Taichi
-_session = 0  # how often Taichi was initialised; kernels bound in an earlier session are gone
+_process = 0  # number of the process that runs Taichi
+_program: Any = None  # the compiler's, in which our kernels are compiled
+_is_ours = False  # whether we have begun it
+_options: dict[str, Any] = {}  # by which they are compiled
+_width = 0  # numbers of a register, by which they are vectorised; 0: LLVM chooses
+_session = 0  # how often kernels were forgotten; those bound in an earlier session are gone
 
 
 def start(settings: Settings) -> None:
-    """Initialise Taichi for these settings; does nothing when it already runs so.
+    """Have Taichi ready for these settings; does nothing when it already is.
 
-    Kernels hold no fields, so starting again with another precision loses nothing.
+    Kernels hold no fields, so compiling them again in another precision loses nothing. A program
+    of the compiler that a script has begun, or has fields in, stays: our kernels move in.
 
     Raises:
-        InputError: the architecture asked for is not on this machine; or this process was forked
-            from one that had started Taichi.
+        InputError: the architecture asked for is not on this machine, or not the one of the
+            script's program; or this process was forked from one that had started Taichi.
     """
-    global _running, _arch, _lanes, _session, _process
-    if _process not in (0, os.getpid()):  # a fork has none of Taichi's threads: it would hang
-        allowed = (
-            "one started by multiprocessing.get_context('spawn'), not forked after a simulation"
-        )
-        raise InputError("process", os.getpid(), allowed)
-    if _running and _engine(settings) == _engine(_running):
+    global _running, _process, _session
+    if _process not in (0, os.getpid()):
+        raise _forked()
+    found = program.living()
+    is_same = found is not None and found is _program
+    if is_same and _running is not None and _engine(settings) == _engine(_running):
         return
+    if found is not None and not is_same and not program.has_threads(found):
+        raise _forked()
     _require_main_thread()
+    _running = None  # until this has worked
+    _find_program(settings, is_same)
+    _settle(settings)
+    program.forget_kernels()
     _compiled.clear()
     _session += 1
-    for arch in ("cuda", "cpu") if settings.arch == "auto" else (settings.arch,):
-        if _initialise(arch, settings):
-            _lanes = _settle_lanes(arch, settings.wide_registers)
-            _running = settings
-            _arch = arch
-            _process = os.getpid()
+    _running = settings
+    _process = os.getpid()
+
+
+def _forked() -> InputError:
+    """The error of a fork, which has none of Taichi's threads: it would hang."""
+    allowed = "one started by multiprocessing.get_context('spawn'), not forked after a simulation"
+    return InputError("process", os.getpid(), f"{allowed} or ti.init")
+
+
+def _find_program(settings: Settings, is_same: bool) -> None:
+    """Take the program that lives; begin one where there is none, or ours computes elsewhere.
+
+    Raises:
+        InputError: as of `start`.
+    """
+    global _program, _arch, _is_ours
+    wanted = ("cuda", "cpu") if settings.arch == "auto" else (settings.arch,)
+    found = program.living()
+    _is_ours = found is None or (_is_ours and is_same)
+    if found is not None and not (_is_ours and not program.is_shared(found)):
+        arch = program.architecture(found)
+        if arch not in wanted:
+            allowed = f"{arch}, on which this script's own Taichi runs; or a process of its own"
+            raise InputError("simulation.arch", settings.arch, allowed)
+        _program, _arch = found, arch
+        return
+    for arch in wanted:
+        found = program.living()  # none after a try that failed
+        runs = found is not None and program.architecture(found) == arch
+        if runs or (program.begin(arch) and _computes(arch)):
+            _program, _arch = program.living(), arch
             return
     raise InputError("simulation.arch", settings.arch, "an architecture of this machine (cpu is)")
+
+
+def _settle(settings: Settings) -> None:
+    """By which options, and how many walkers in a pack, kernels are compiled from now on."""
+    global _options, _width, _lanes
+    on_cpu = _arch == "cpu"
+    _options = program.options(_program, settings.precision, settings.threads)
+    width = registers.width() if on_cpu and settings.wide_registers else 0
+    told = program.tell_vectoriser(width)
+    program.tell_vectoriser(0)  # but while our kernels are compiled
+    _width = width if told else 0
+    _lanes = _width or (LANES_CPU if on_cpu else LANES_GPU)
+
+
+@contextmanager
+def _compiling() -> Iterator[None]:
+    """Options, and standard error, as our kernels need them while they are compiled."""
+    with registers.without_remarks(), program.in_force(_program, _options, _width):
+        yield
 
 
 def launch(kernel: Callable[..., None], *arguments: Any) -> None:
@@ -93,11 +138,12 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
             process), or a GPU's driver cannot take it.
     """
     if kernel.__name__ in _compiled:
-        kernel(*arguments)
+        with program.in_force(_program, _options, _width):  # it looks for the kernel by options
+            kernel(*arguments)
         return
     _require_main_thread()
     try:
-        with registers.without_remarks():
+        with _compiling():
             kernel(*arguments)
     except RuntimeError as error:
         if _arch == "cpu":  # there is no driver: the error is ours
@@ -127,6 +173,9 @@ class BoundKernel:
 
     def launch(self, **numbers: int) -> None:
         """Run the kernel with these whole numbers in place of those it was bound with."""
+        if program.living() is not self._program:  # a script has called ti.init since
+            assert _running is not None
+            start(_running)
         if self._session != _session:  # Taichi was started again, and has forgotten the kernel
             self._bind()
         if _arch != "cpu":
@@ -143,10 +192,12 @@ class BoundKernel:
             _require_main_thread()
         self._session = _session
         self._primal = self._kernel._primal  # type: ignore[attr-defined]
+        self._program = program.living()
         if _arch != "cpu":
             return
-        function = compiler.specialised(self._primal, self._arguments)
-        self._program = ti.lang.impl.get_runtime().prog
+        with _compiling():
+            function = compiler.specialised(self._primal, self._arguments)
+            self._compiled = compiler.compiled(function)
         self._context = function.make_launch_context()
         self._slots: dict[str, Any] = {}
         for argument, value in zip(compiler.parameters(self._primal), self._arguments, strict=True):
@@ -162,8 +213,6 @@ class BoundKernel:
                 self._context.set_arg_int(slot, value)
             else:
                 self._context.set_arg_float(slot, float(value))
-        with registers.without_remarks():
-            self._compiled = compiler.compiled(function)
         _compiled.add(self._kernel.__name__)
 
 
@@ -204,7 +253,7 @@ def metadata() -> dict[str, Any]:
         "engine_version": compiler.VERSION,
         "arch": _arch,
         "precision": _running.precision if _running else "",
-        "fast_math": FAST_MATH,
+        "fast_math": program.FAST_MATH,
     }
 
 
@@ -213,43 +262,16 @@ def _engine(settings: Settings) -> tuple[Any, ...]:
     return settings.precision, settings.arch, settings.threads, settings.wide_registers
 
 
-def _settle_lanes(arch: str, wide: bool) -> int:
-    """How many walkers a pack has; kernels compiled from now on are vectorised by this number."""
-    on_cpu = arch == "cpu"
-    width = registers.width() if on_cpu and wide else 0
-    told = compiler.KNOWS_WIDTH or registers.tell_vectoriser(
-        width, compiler.core.__file__, ti.__version__
-    )
-    return (told and width) or (LANES_CPU if on_cpu else LANES_GPU)
-
-
-def _initialise(arch: str, settings: Settings) -> bool:
-    """Start Taichi on `arch` and see that it computes there; False where the machine lacks it."""
-    ti.set_logging_level(ti.ERROR)  # Taichi warns about every driver that is not there
-    if arch == "cuda" and not compiler.core.with_cuda():
-        return False
-    threads = {} if settings.threads is None else {"cpu_max_num_threads": settings.threads}
+def _computes(arch: str) -> bool:
+    """Whether a program that was begun stores numbers; on a driver without a device none arrive."""
+    if arch == "cpu":
+        return True
+    values = np.ones(4, dtype=np.float32)
     try:
-        with contextlib.redirect_stdout(io.StringIO()), settled_environment():
-            ti.init(
-                arch=getattr(ti, arch),
-                enable_fallback=False,
-                default_fp=ti.f64 if settings.precision == "float64" else ti.f32,
-                default_ip=ti.i32,
-                cfg_optimization=CFG_OPTIMIZATION,
-                advanced_optimization=TAICHI_OPTIMIZATION,
-                fast_math=FAST_MATH,
-                offline_cache=True,
-                log_level=ti.ERROR,
-                **compiler.WHOLE_LOOPS,
-                **threads,
-            )
-        values = np.ones(4, dtype=np.float32)
-        if arch != "cpu":  # stores of a driver without a device do not arrive
-            _double(values)
-        return arch == "cpu" or bool(np.all(values == 2.0))
+        _double(values)
     except RuntimeError:
         return False
+    return bool(np.all(values == 2.0))
 
 
 @ti.kernel

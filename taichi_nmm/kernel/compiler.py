@@ -109,6 +109,11 @@ def specialised(primal: Any, arguments: tuple[Any, ...]) -> Any:
     return primal.materialized_kernels[primal.ensure_compiled(*arguments)]
 
 
+def kernels_of(primal: Any) -> Any:
+    """What a kernel has become so far, by the types of its arguments."""
+    return primal.compiled_kernels if COMPILER == "taichi" else primal.materialized_kernels
+
+
 def slot(number: int) -> Any:
     """The place of an argument in a launch."""
     return (number,) if COMPILER == "taichi" else number

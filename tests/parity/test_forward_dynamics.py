@@ -89,6 +89,9 @@ GOOD = {"q": np.zeros((2, 9)), "qdot": np.zeros((2, 9)), "joint_torque": np.zero
 @pytest.mark.parametrize(("name", "value"), [
     ("q", np.zeros((2, 8))), ("qdot", np.zeros((3, 9))), ("joint_torque", np.zeros((2, 5))),
     ("bodies", Bodies.nominal(3)), ("q", np.full((2, 9), np.nan)),
+    # Numbers whose accelerations are none, and angles of which a sine is noise.
+    ("qdot", np.full((2, 9), 1e200)), ("joint_torque", np.full((2, 6), -1e308)),
+    ("q", np.full((2, 9), 1e8)),
 ])  # fmt: skip
 def test_what_cannot_be_used_is_named(name: str, value: object) -> None:
     with pytest.raises(InputError, match=rf"^{name}\b"):

@@ -40,3 +40,10 @@ def test_a_contact_says_whether_not_how_many_and_bodies_are_counted(value: float
         replace(two_bodies(), contact=contacts).checked(2)
     with pytest.raises(InputError, match=r"^observation\.joint_rad\.shape: \(2, 6\) .* \[3, 6\]$"):
         two_bodies().checked(3)
+
+
+@pytest.mark.parametrize(("name", "value"), [("trunk_rad", 1e8), ("com_speed_mps", -1e300)])
+def test_a_number_of_no_body_is_refused(name: str, value: float) -> None:
+    """A sine of 1e8 is noise in float32, and 1e300 is infinity there: torques were NaN."""
+    with pytest.raises(InputError, match=rf"^observation\.{name}: .*finite numbers, from -1"):
+        replace(two_bodies(), **{name: [0.0, value]}).checked(2)  # type: ignore[arg-type]

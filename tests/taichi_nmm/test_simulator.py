@@ -212,6 +212,7 @@ def test_settings_change_the_walk() -> None:
 
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"gains": np.zeros(15)}, r"gains\.shape"),
+    ({"gains": np.zeros((0, 16))}, r"gains\.shape: \(0, 16\) .*one row at least"),
     ({"gains": np.full(16, np.nan)}, r"gains\[0\]\.K_GAS: nan"), ({"gains": "much"}, "gains"),
     ({"duration_s": 0.0}, "duration_s: 0.0"), ({"duration_s": float("nan")}, "duration_s"),
     ({"bodies": Bodies.nominal(3)}, "bodies: 3"), ({"terrains": []}, "terrains"),

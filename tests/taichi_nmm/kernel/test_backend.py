@@ -26,6 +26,8 @@ def failing() -> None:
 def on(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     """Pretend that an architecture runs on which nothing has been launched yet."""
 
+    backend.start(Settings(arch="cpu"))
+
     def pretend(arch: str) -> None:
         monkeypatch.setattr(backend, "_arch", arch)
         monkeypatch.setattr(backend, "_compiled", set())
