@@ -12,10 +12,11 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +28,13 @@ from optuna.distributions import (
 )
 
 from storage.points import within_bounds
-from storage.simulator import SURVIVED, Report, Simulator, Uniform
+from storage.simulator import FAILED, HORIZON_S, SURVIVED, Report, Simulator, Uniform
 from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError, in_a_line
 
 ENDED = "run_ended"
-RAN, FAILED = "ran", "failed"
+RAN = "ran"
 SEED = "seed"  # of a world, for what a run draws, such as noise
 LARGEST_SEED = 2**31
 
@@ -43,7 +44,7 @@ NAME = checks.that(
 )
 
 CANARY_POINTS = 4  # of two runs each, which have to agree
-CANARY_S = 1.0
+CANARY_S = 1.0  # at most, unless all fail: steps of the simulator may be longer
 
 DrawnNumbers = dict[str, NDArray[np.float64]]
 """Worlds: each number by its name, [w]."""
@@ -117,11 +118,15 @@ class FunctionSimulator(Simulator):
         """
         self._source = source_of(function)
         self._failed = ""  # the last run that raised
+        self._horizon_s = HORIZON_S  # of the store's base setting, or of a trial
         self.function, self.batch, self.space = function, batch, dict(parameters)
         self.worlds = {name: float(value) for name, value in (worlds or {}).items()}
         self.measures = dict(measures or {})
         if not self.space:
             raise InputError("parameters", "none", "one distribution at least")
+        if ENDED in columns:
+            allowed = "other names: this column says whether a run failed"
+            raise InputError("columns", ENDED, allowed)
         if SURVIVED not in columns or len({*columns}) < len(columns):
             raise InputError("columns", list(columns), f"{SURVIVED} among them, and each name once")
         if batch and longest_run_s is not None:
@@ -234,22 +239,42 @@ class FunctionSimulator(Simulator):
             rows[name][~whole] = 0.0
         rows[ENDED] = ~whole
 
-    def canary(self, count: int = CANARY_POINTS) -> NDArray[np.void]:
+    def lasting(self, horizon_s: float) -> Self:
+        """The same, whose canary takes so long where a second is too short."""
+        same = copy(self)
+        same._horizon_s = horizon_s
+        return same
+
+    def canary(self) -> NDArray[np.void]:
         """A few points in the base setting's world, by whose bits machines are told apart."""
+        return self._canary(CANARY_POINTS, self._canary_s())
+
+    def _canary_s(self) -> float:
+        """How long the canary's runs are: as the store's where shorter ones all fail."""
+        seconds = min(CANARY_S, self._horizon_s)
+        try:
+            failed = self._canary(CANARY_POINTS, seconds)[ENDED] == 1
+        except InputError:  # of a function of many runs at a time
+            return self._horizon_s
+        return self._horizon_s if failed.all() else seconds
+
+    def _canary(self, count: int, seconds: float) -> NDArray[np.void]:
+        """The first points of the canary."""
         unit = (np.arange(CANARY_POINTS)[:, None] + 0.5) / CANARY_POINTS
         points = within_bounds(np.tile(unit, (1, len(self.parameters))), self.parameters)
         worlds = self.read_worlds(Table({})).draw([np.random.SeedSequence(0)])
-        return self.run(points[:count], worlds, CANARY_S, lambda part: None)[0]
+        return self.run(points[:count], worlds, seconds, lambda part: None)[0]
 
     def require_machine(self) -> None:
         """Refuse a function that raises at all points of the canary, or does not repeat itself."""
-        rows = self.canary()
+        seconds = self._canary_s()
+        rows = self._canary(CANARY_POINTS, seconds)
         if self._failed and np.all(rows[ENDED] == 1):
             raise self._fault(f"a function that runs, not {self._failed}")
-        if rows.tobytes() != self.canary().tobytes():
+        if rows.tobytes() != self._canary(CANARY_POINTS, seconds).tobytes():
             allowed = f"a function whose runs repeat; draw random numbers from world[{SEED!r}]"
             raise self._fault(allowed)
-        if self.batch and rows[:1].tobytes() != self.canary(1).tobytes():
+        if self.batch and rows[:1].tobytes() != self._canary(1, seconds).tobytes():
             raise self._fault("a function whose runs do not depend on others of the same call")
 
     def _fault(self, allowed: str) -> InputError:

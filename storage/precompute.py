@@ -1,6 +1,7 @@
 """Filling a store: shard after shard, from wherever an earlier run stopped."""
 
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,10 +13,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from storage.cautions import cautions
 from storage.points import sobol_points
 from storage.pool import IN_PROCESS, MOST_LOCAL, Pool, cores, local_pool, own_kind
 from storage.search import evolved_points
-from storage.simulator import Report, Simulator, a_simulator, run_points
+from storage.simulator import Report, Simulator, a_simulator, failed_runs, run_points
 from storage.specification import Family, Specification, read_specification
 from storage.store import (
     EVOLVED_ROW,
@@ -69,6 +71,7 @@ class Summary:
     wall_s: float  # of computing and writing, compilation included
     walkers_per_s: float  # points computed and walks searched, over `wall_s`
     specification_hash: str  # SHA-256 of the specification
+    cautions: list[str]  # what makes the store a poor guide, a line each
 
 
 def precompute(
@@ -210,7 +213,7 @@ def score_rows(
         if family.after:
             survived = columns[family_names(family.after, simulator.survived)[0]]
             chosen &= survived >= family.min_survived_fraction
-        columns |= score_family(simulator, family, points, chosen, part)
+        columns |= score_family(specification, family, points, chosen, part)
         part(1.0)
     origin = SOBOL_ROW if evolved is None else EVOLVED_ROW
     table = shard_table(specification.schema, simulator, rows.start, points, base, columns, origin)
@@ -218,7 +221,7 @@ def score_rows(
 
 
 def score_family(
-    simulator: Simulator,
+    specification: Specification,
     family: Family,
     points: NDArray[np.float64],
     chosen: NDArray[np.bool_],
@@ -227,14 +230,15 @@ def score_family(
     """Mean and spread of every score over the worlds of a family, and the outcomes in each.
 
     Of the points [n, p] those `chosen`, [n], are run; the others get zeros. Columns are by name,
-    [n] each; outcomes are [n, w].
+    [n] each; outcomes are [n, w], NaN for what a run that failed did not give.
     """
-    outcomes = {name: outcome_name(family.name, name) for name in simulator.outcomes}
+    simulator = specification.simulator
+    outcomes = {name: outcome_name(family.name, name) for name in specification.outcomes}
     columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): chosen}
     names = [family_names(family.name, score) for score in simulator.scores]
     columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
     shape = len(points), family.settings
-    columns |= {name: np.zeros(shape, np.float32) for name in outcomes.values()}
+    columns |= {name: np.zeros(shape, simulator.outcome_type) for name in outcomes.values()}
     place = np.flatnonzero(chosen)
     if not len(place):
         return columns
@@ -245,8 +249,12 @@ def score_family(
         values = rows[score].astype(np.float64)
         columns[mean][place] = values.mean(axis=1)
         columns[spread][place] = values.std(axis=1)
+    failed = failed_runs(simulator, rows)
     for score, name in outcomes.items():
-        columns[name][place] = rows[score]
+        values = rows[score].astype(simulator.outcome_type)
+        if score != simulator.survived:
+            values[failed] = np.nan  # no number, which a zero would be
+        columns[name][place] = values
     return columns
 
 
@@ -285,6 +293,7 @@ def _summary(
         wall_s=round(wall_s, 3),
         walkers_per_s=round((computed + walks) / wall_s, 1) if computed + walks else 0.0,
         specification_hash=specification.hash,
+        cautions=cautions(store, survived),
     )
 
 
@@ -314,10 +323,15 @@ def make_store(
     Raises:
         InputError: a value out of range, a folder of another store, a simulator that does not keep
             what it promises.
+
+    Warns:
+        UserWarning: no row came to the end of the base setting, or of a family.
     """
     specification = read_specification(Table(configuration), simulator=simulator)
-    simulator.require_machine()
+    specification.simulator.require_machine()
     workers = simulator.processes(cores()) if workers is None else workers
     with local_pool(workers) as pool:
-        precompute(specification, Path(out), fresh, pool=pool)
+        summary = precompute(specification, Path(out), fresh, pool=pool)
+    for line in summary.cautions:
+        warnings.warn(line, stacklevel=3)  # of the caller, beyond the check of arguments
     return open_store(out)

@@ -26,6 +26,10 @@ WALKER = "walker"
 SIMULATORS = {WALKER: "taichi_nmm.walker_simulator:Walker"}  # imported when a store needs one
 SIMULATOR_KEY = "simulator"  # of a specification; stores of the walker are older and lack it
 SURVIVED = "survived_fraction"
+FAILED = "failed"  # among the words of a column: the run gave no numbers, and has zeros
+
+HORIZON_S = 5.0  # of the base setting, where the configuration names none
+ROUNDING = 1e-6  # of the horizon; adding up the steps of a run loses less
 
 Report = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -146,7 +150,10 @@ class Simulator(Protocol):
 
     @property
     def words(self) -> Mapping[str, Sequence[str]]:
-        """Columns that a store keeps as words, with the words that their numbers count from 0."""
+        """Columns that a store keeps as words, with the words that their numbers count from 0.
+
+        A run with the word "failed" has zeros for the numbers that it did not give.
+        """
         return {}
 
     @property
@@ -159,12 +166,17 @@ class Simulator(Protocol):
 
     @property
     def outcomes(self) -> tuple[str, ...]:
-        """Columns of which a store keeps what each world of a family gave, as float32.
+        """Columns of which a store keeps what each world of a family gave, `survived` first.
 
-        Default: `survived`, and the first other score.
+        A configuration names others as `kept`. Default: all scores.
         """
         others = [name for name in self.scores if name != self.survived]
-        return (self.survived, *others[:1])
+        return (self.survived, *others)
+
+    @property
+    def outcome_type(self) -> type[np.floating[Any]]:
+        """The numbers that keep `outcomes`. Default: float64, which changes none."""
+        return np.float64
 
     @classmethod
     def read(cls, table: Table, arch: str | None) -> Self:
@@ -231,6 +243,10 @@ class Simulator(Protocol):
     def packages(self) -> tuple[str, ...]:
         """Installed packages whose versions decide results."""
         return ("numpy",)
+
+    def lasting(self, horizon_s: float) -> Self:
+        """The same for runs of about so long, which a check before the work takes, too."""
+        return self
 
     def canary(self) -> NDArray[np.void]:
         """Rows of a small fixed batch, by whose bits machines are told apart. Default: none."""
@@ -331,6 +347,8 @@ def check_simulator(simulator: Simulator) -> None:
         raise _fault(simulator, f"columns with {survived}, how far a run came")
     if survived not in simulator.scores:
         raise _fault(simulator, f"{survived} among the scores")
+    if simulator.outcomes[:1] != (survived,):
+        raise _fault(simulator, f"outcomes with {survived} first")
     for kind in ("scores", "words", "measures", "outcomes"):
         for name in getattr(simulator, kind):
             if name not in names:
@@ -371,12 +389,26 @@ def run_points(
         if not np.isfinite(rows[name]).all():
             raise _fault(simulator, f"a run with finite {name}, not NaN or infinity")
     lasted = rows[simulator.survived]
+    rounded = (np.abs(lasted - 1.0) <= ROUNDING) & (lasted != 1.0)
+    if rounded.any():  # else runs that lasted would count as runs that did not
+        rows = rows.copy()
+        lasted = rows[simulator.survived]
+        lasted[rounded] = 1.0
     for outside in lasted[~((lasted >= 0.0) & (lasted <= 1.0))]:
         raise _fault(simulator, f"a run with {simulator.survived} from 0 to 1, not {outside:g}")
     for name, words in simulator.words.items():
         for outside in rows[name][~((rows[name] >= 0) & (rows[name] < len(words)))]:
             raise _fault(simulator, f"a run with {name} from 0 to {len(words) - 1}, not {outside}")
     return rows, computed_by
+
+
+def failed_runs(simulator: Simulator, rows: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Which of some runs [...] gave no numbers, as a column of words says."""
+    failed = np.zeros(rows.shape, dtype=bool)
+    for name, words in simulator.words.items():
+        if FAILED in words:
+            failed |= rows[name] == words.index(FAILED)
+    return failed
 
 
 def judge_rows(

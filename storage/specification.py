@@ -20,6 +20,7 @@ import pyarrow as pa
 from storage import points
 from storage.points import LARGEST_SEQUENCE, seed_sequence
 from storage.simulator import (
+    HORIZON_S,
     SIMULATOR_KEY,
     WALKER,
     Parameter,
@@ -35,14 +36,17 @@ from taichi_nmm import checks
 from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
 
-HORIZON_S = 5.0  # of the base setting, where the configuration names none
-SHORTEST_HORIZON_S, LONGEST_HORIZON_S = 0.1, 1000.0
+HORIZONS_S = 1e-9, 1e12  # shortest and longest run: of a circuit, of a forest
+WALKS_S = 0.1, 1000.0  # of the walker
+LEAST_WALK_S, LEAST_LASTED_S = 8.0, 3.0  # its defaults for families; of others they are shares
+LEAST_SHARE = 0.6  # of the base setting's horizon, that a family's points have lasted by default
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
 CANDIDATE_SHARD_ROWS = 64  # at most: nearly all candidates run to the end of every family
 
 ROBUST = "robust"  # the family that has a table of its own
 NAME_PATTERN = r"[a-z][a-z0-9_]*"
 MOST_WORLDS = 64  # of a family
+MOST_OUTCOMES_B = 2**31  # of a store, unless the configuration says which columns worlds keep
 
 LIBRARY = "ribs"  # of quality-diversity optimisation
 EMITTERS = 4  # evolution strategies of a search, each begun elsewhere
@@ -198,6 +202,7 @@ class Specification:
     seed: int  # of the Sobol sequence, and of the world of the base setting
     horizon_s: float  # of the base setting
     rule: WorldRule  # by which the world of the base setting is drawn
+    outcomes: tuple[str, ...]  # columns that each world of a family keeps
     families: tuple[Family, ...] = ()  # of worlds, for the points that last in the base setting
     repertoire: Repertoire | None = None  # of candidates beyond the grid; None: there are none
 
@@ -210,7 +215,8 @@ class Specification:
     def schema(self) -> pa.Schema:
         """The columns of every shard."""
         families = {family.name: family.settings for family in self.families}
-        return arrow_schema(self.simulator, families, origin=self.repertoire is not None)
+        origin = self.repertoire is not None
+        return arrow_schema(self.simulator, families, self.outcomes, origin)
 
     @property
     def layout(self) -> Layout:
@@ -293,19 +299,30 @@ def read_specification(
     seed = table.integer("seed", 0)
     shard_rows = table.integer("shard_rows", SHARD_ROWS, 1, LARGEST_SEQUENCE)
     simulation = table.table("simulation")
-    horizon_s = simulation.number("duration_s", HORIZON_S, SHORTEST_HORIZON_S, LONGEST_HORIZON_S)
     if simulator is None:
         simulator = read_simulator(table, arch)
+    shortest_s, longest_s = run_lengths_s(simulator)
+    horizon_s = simulation.number("duration_s", HORIZON_S, shortest_s, longest_s)
     simulation.done()
     check_simulator(simulator)
     rule = simulator.read_worlds(table)
     families = _read_families(table, simulator, horizon_s)
     repertoire = _read_repertoire(table, simulator, families)
-    table.done()
     samples = samples or configured
-    return Specification(
-        simulator, samples, shard_rows, seed, horizon_s, rule, families, repertoire
+    rows = samples + (repertoire.candidates if repertoire else 0)
+    specification = Specification(
+        simulator=simulator.lasting(horizon_s),
+        samples=samples,
+        shard_rows=shard_rows,
+        seed=seed,
+        horizon_s=horizon_s,
+        rule=rule,
+        outcomes=_read_kept(table, simulator, families, rows),
+        families=families,
+        repertoire=repertoire,
     )
+    table.done()
+    return specification
 
 
 def read_simulator(table: Table, arch: str | None) -> Simulator:
@@ -318,6 +335,11 @@ def read_simulator(table: Table, arch: str | None) -> Simulator:
     simulator = find_simulator(own.text("name", WALKER), table.folder).read(table, arch)
     own.done()
     return simulator
+
+
+def run_lengths_s(simulator: Simulator) -> tuple[float, float]:
+    """How long a run of a simulator may be, at least and at most."""
+    return WALKS_S if simulator.name == WALKER else HORIZONS_S
 
 
 def _other_keys(document: dict[str, Any], taken: Set[str]) -> dict[str, Any]:
@@ -335,7 +357,11 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
 
     Families that come after another one are last.
     """
-    others, families = table.table("families"), []
+    others, families = table.table("families"), list[Family]()
+    lasted_s, walked_s = LEAST_SHARE * horizon_s, horizon_s
+    if simulator.name == WALKER:  # of which stores without these keys have been begun
+        lasted_s, walked_s = min(LEAST_LASTED_S, horizon_s), max(LEAST_WALK_S, horizon_s)
+    shortest_s, longest_s = run_lengths_s(simulator)
     named = {name: others.table(name) for name in sorted(others.unread)}
     for name in named:
         if not re.fullmatch(NAME_PATTERN, name):
@@ -357,8 +383,8 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
                 settings=count,
                 after=after,
                 min_survived_fraction=last,
-                min_survival_s=own.number("min_survival_s", 3.0, 0.0, horizon_s),
-                horizon_s=own.number("horizon_s", 8.0, SHORTEST_HORIZON_S, LONGEST_HORIZON_S),
+                min_survival_s=own.number("min_survival_s", lasted_s, 0.0, horizon_s),
+                horizon_s=own.number("horizon_s", walked_s, shortest_s, longest_s),
                 seed=own.integer("seed", 0),
                 rule=simulator.read_worlds(own),
             )
@@ -371,6 +397,24 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
             allowed = f"a family that comes after none: {', '.join(names) or 'there is none'}"
             raise InputError(f"families.{family.name}.after", family.after, allowed)
     return (*first, *later)
+
+
+def _read_kept(
+    table: Table, simulator: Simulator, families: tuple[Family, ...], rows: int
+) -> tuple[str, ...]:
+    """The columns that a store of so many rows keeps of each world; `kept` names them.
+
+    The walker's, which come beside others, it has read itself.
+    """
+    if "kept" in table.unread:
+        named = table.texts("kept", tuple(simulator.scores))
+        return tuple(dict.fromkeys((simulator.survived, *named)))
+    worlds = sum(family.settings for family in families)
+    size_b = rows * worlds * len(simulator.outcomes) * np.dtype(simulator.outcome_type).itemsize
+    if size_b > MOST_OUTCOMES_B and simulator.name != WALKER:
+        allowed = f"a list of the columns that costs read: all would take {size_b / 1e9:.0f} GB"
+        raise InputError("kept", "missing", allowed)
+    return simulator.outcomes
 
 
 def _read_repertoire(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -22,6 +23,7 @@ SHARD_PATTERN = "part-*.parquet"
 FOOTER_NEEDS = {"format", "rows", "shard", "specification", "specification_hash"}
 
 SCORE_UNITS = ("mps",)  # units that end the name of a score
+EVALUATED_END, WORLDS_END = "_evaluated", "_worlds"  # of columns of a family
 
 ORIGIN = "origin"  # column of a store with a repertoire: the origin of a row's point
 SOBOL_ROW, EVOLVED_ROW = "sobol", "evolved"
@@ -34,7 +36,7 @@ def shard_name(number: int) -> str:
 
 def evaluated_name(family: str) -> str:
     """Column of flags: was a point run in the worlds of a family?"""
-    return f"{family}_evaluated"
+    return f"{family}{EVALUATED_END}"
 
 
 def family_names(family: str, score: str) -> tuple[str, str]:
@@ -50,13 +52,16 @@ def family_names(family: str, score: str) -> tuple[str, str]:
 
 def outcome_name(family: str, column: str) -> str:
     """Column of what each world of a family gave."""
-    return f"{family}_{column}_worlds"
+    return f"{family}_{column}{WORLDS_END}"
 
 
 def arrow_schema(
-    simulator: Simulator, families: Mapping[str, int] | None = None, origin: bool = False
+    simulator: Simulator,
+    families: Mapping[str, int] | None = None,
+    outcomes: Sequence[str] = (),
+    origin: bool = False,
 ) -> pa.Schema:
-    """The schema of a shard of families with so many worlds.
+    """The schema of a shard of families with so many worlds, each of which keeps `outcomes`.
 
     With `origin`, rows name the origin of their points.
     """
@@ -69,8 +74,8 @@ def arrow_schema(
         fields.append((evaluated_name(family), pa.bool_()))
         for score in simulator.scores:
             fields += [(name, pa.float64()) for name in family_names(family, score)]
-        each = pa.list_(pa.float32(), worlds)
-        fields += [(outcome_name(family, name), each) for name in simulator.outcomes]
+        each = pa.list_(pa.from_numpy_dtype(simulator.outcome_type), worlds)
+        fields += [(outcome_name(family, name), each) for name in outcomes]
     if origin:
         fields.append((ORIGIN, pa.string()))
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in fields])
@@ -243,26 +248,42 @@ class Store:
         return dict(known[family])
 
     @checks.checked(family=checks.text, column=checks.text)
-    def outcomes(self, family: str, column: str) -> NDArray[np.float32]:
-        """What each row gave in each world of a family, [n, w]; NaN where it was not run.
+    def outcomes(self, family: str, column: str) -> NDArray[np.floating[Any]]:
+        """What each row gave in each world of a family, [n, w].
+
+        NaN where it was not run, or where the run failed; how far a failed run came is zero.
 
         Args:
             family: one of `families`.
-            column: one that is kept for each world; how far a run came is always among them.
+            column: one of `kept`; how far a run came is always among them.
 
         Raises:
             InputError: no such column; stores of versions before 0.3.0 have none.
         """
         return self.all_outcomes(column, (family,))[family]
 
+    @checks.checked(family=checks.text)
+    def kept(self, family: str) -> tuple[str, ...]:
+        """The columns that each world of a family keeps; the first is how far a run came."""
+        checks.word(*self.families)("family", family)
+        start = self.columns.index(evaluated_name(family)) + 1
+        own = takewhile(lambda name: not name.endswith(EVALUATED_END), self.columns[start:])
+        return tuple(
+            name.removeprefix(f"{family}_").removesuffix(WORLDS_END)
+            for name in own
+            if name.endswith(WORLDS_END)
+        )
+
     @checks.checked(column=checks.text, families=checks.each(checks.text))
-    def all_outcomes(self, column: str, families: Sequence[str]) -> dict[str, NDArray[np.float32]]:
+    def all_outcomes(
+        self, column: str, families: Sequence[str]
+    ) -> dict[str, NDArray[np.floating[Any]]]:
         """`outcomes` of several families, by name, from one look at the files."""
         names = {family: (outcome_name(family, column), evaluated_name(family))
                  for family in families}  # fmt: skip
         rows = self.numpy(name for both in names.values() for name in both)
         return {
-            family: np.where(rows[ran][:, None], rows[name], np.float32(np.nan))
+            family: np.where(rows[ran][:, None], rows[name], rows[name].dtype.type(np.nan))
             for family, (name, ran) in names.items()
         }
 

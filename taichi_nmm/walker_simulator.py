@@ -132,6 +132,7 @@ class Walker:
     survived: ClassVar[str] = "survived_fraction"
     words: ClassVar[Mapping[str, Sequence[str]]] = {"end_reason": END_REASONS}
     scores: ClassVar[tuple[str, ...]] = tuple(name for name, _ in SCORE_FIELDS)
+    outcome_type: ClassVar[type[np.float32]] = np.float32
     objective: ClassVar[str] = "walked_fraction"
     measures: ClassVar[Mapping[str, tuple[float, float]]] = MEASURES
 
@@ -235,6 +236,10 @@ class Walker:
         finite = (np.nan_to_num(rows[name], posinf=0.0, neginf=0.0) for name in MEASURES)
         measures = np.column_stack([(values * weight).sum(axis=1) for values in finite])
         return walked_s.mean(axis=1) / horizon_s, measures
+
+    def lasting(self, horizon_s: float) -> Self:
+        """Itself."""
+        return self
 
     def canary(self) -> NDArray[np.void]:
         """Sixteen disturbed walkers on rough ground for a second, the same for all stores."""

@@ -1,6 +1,7 @@
-"""Compute a store of gait scores: simulate points of a Sobol sequence, shard by shard."""
+"""Compute a store of scores: simulate points of a Sobol sequence, shard by shard."""
 
 import json
+import sys
 from argparse import Namespace
 from contextlib import closing
 from dataclasses import asdict
@@ -28,22 +29,23 @@ def main(args: Namespace) -> None:
     cluster = Cluster.asked(args.cluster, args.mixed)
     opened = open_pool(workers, cluster, folder, simulator.on_one_thread())
     with opened as pool, closing(ProgressBar()) as bar:
-        progress = partial(bar.move, "walker", total=specification.walkers)
+        progress = partial(bar.move, "run", total=specification.walkers)
         summary = precompute(specification, out, args.fresh, progress, pool)
+    for line in summary.cautions:
+        print(f"warning: {line}", file=sys.stderr)
     print(json.dumps(asdict(summary)) if args.json else text(summary))
 
 
 def text(summary: Summary) -> str:
     """For people, a line each."""
     points = f"{summary.points} in {summary.shards} shards ({summary.points_computed} computed now)"
-    alive = f"{summary.alive_at_horizon} at the horizon ({100 * summary.alive_fraction:.2f} %)"
-    settings = "points on its disturbed settings"
+    lasted = f"{summary.alive_at_horizon} to the horizon ({100 * summary.alive_fraction:.2f} %)"
     lines = [
         ("points", points),
-        ("alive", alive),
-        *([("searched", f"{summary.walks_searched} walks")] if summary.walks_searched else []),
-        *((name, f"{count} {settings}") for name, count in summary.evaluated.items()),
-        ("speed", f"{summary.walkers_per_s:.0f} walkers/s over {summary.wall_s:.1f} s"),
+        ("lasted", lasted),
+        *([("searched", f"{summary.walks_searched} runs")] if summary.walks_searched else []),
+        *((name, f"{count} points in its worlds") for name, count in summary.evaluated.items()),
+        ("speed", f"{summary.walkers_per_s:.0f} runs/s over {summary.wall_s:.1f} s"),
         ("store", summary.path),
     ]
     return "\n".join(f"{name:<11} {line}" for name, line in lines)

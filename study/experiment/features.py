@@ -1,7 +1,7 @@
 """What a store knows of its rows: columns, and what a trial costs in each world."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
-from storage.store import Store, evaluated_name, open_store, outcome_name
+from storage.cautions import cautions
+from storage.store import Store, evaluated_name, open_store
 from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, shortened
 from taichi_nmm.parameters import LOW_LEVEL_GAINS
 
 Floats = NDArray[np.float64]
@@ -66,22 +67,39 @@ def _table(
 
 
 Cost = Callable[[Mapping[str, Floats], float], Floats]
-"""Costs [n, w] of a trial, from what a run gave, by column [n, w], and its horizon in s."""
+"""Costs [n, w] of a trial, from what a run gave, by column [n, w], and its horizon in s.
+
+Columns are NaN for the rows that did not run, whose costs do not count, and for runs that failed.
+"""
 
 
-class Given(dict[str, Floats]):
-    """What the worlds of a family gave, by column [n, w], read when it is asked for.
+class Given(Mapping[str, Floats]):
+    """What the worlds of a family gave, by column [n, w], and the parameters of the rows, likewise.
+
+    A column is read when it is asked for. NaN: a row that did not run, or a number that a failed
+    run did not give.
 
     Raises:
-        InputError: the store has not kept the column in each world.
+        InputError: the worlds have not kept the column.
     """
 
-    def __init__(self, family: str, read: Callable[[str], Mapping[str, Any]]) -> None:
-        self._family, self._read = family, read
+    def __init__(self, store: Store, family: str, read: Callable[[str], dict[str, Floats]]) -> None:
+        self._store, self._family, self._read = store, family, read
+        self._known: dict[str, Floats] = {}
 
-    def __missing__(self, column: str) -> Floats:
-        self[column] = self._read(column)[self._family].astype(np.float64)
-        return self[column]
+    def __getitem__(self, column: str) -> Floats:
+        if column not in self._known:
+            self._known[column] = self._read(column)[self._family].copy()
+        return self._known[column]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self._store.kept(self._family), *self._store.gain_names))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, column: object) -> bool:
+        return column in tuple(self)
 
 
 def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
@@ -93,13 +111,17 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     if not store.families:
         raise InputError("store", str(store.path), "a store with families of worlds")
     known = {family: store.settings_of(family) for family in store.families}
-    read = cache(partial(_in_families, store))
+    ran = _ran(store)
+    read = cache(partial(_in_families, store, ran))
     found: dict[str, Floats] = {}
     for family in sorted(store.families, key=lambda name: "after" in known[name]):
         settings = known[family]
-        costs = cost(Given(family, read), float(settings["horizon_s"]))
+        given, shape = Given(store, family, read), (len(store), int(settings["settings"]))
+        costs = _costs(cost(given, float(settings["horizon_s"])), shape)
+        missing = ~ran[family]
+        costs[missing] = np.nan  # whatever the function makes of rows that did not run
         if "after" in settings:
-            missing, before = np.isnan(costs).any(axis=1), found[settings["after"]]
+            before = found[settings["after"]]
             mean = before[missing].mean(axis=1)
             if np.nanmin(before) > 0:
                 mean = np.exp(np.log(before[missing]).mean(axis=1))
@@ -108,13 +130,49 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     return found
 
 
-def _in_families(store: Store, column: str) -> dict[str, NDArray[Any]]:
-    """A column [n, w] by family; where no world has kept it, as it was in the base setting."""
-    if any(outcome_name(family, column) in store.columns for family in store.families):
-        return store.all_outcomes(column, store.families)
-    ran = {family: evaluated_name(family) for family in store.families}
-    rows = store.numpy([column, *ran.values()])
-    return {name: np.where(rows[flag], rows[column], np.nan)[:, None] for name, flag in ran.items()}
+def _costs(returned: Any, shape: tuple[int, int]) -> Floats:
+    """What a cost function returned, as numbers [n, w] of its own.
+
+    Raises:
+        InputError: it returned anything else.
+    """
+    try:
+        costs = np.array(returned, dtype=np.float64)
+    except (TypeError, ValueError):
+        allowed = "a function that returns numbers [n, w]"
+        raise InputError("cost", type(returned).__name__, allowed) from None
+    if costs.shape != shape:
+        allowed = f"a function that returns {list(shape)}: a row a candidate, a column a world"
+        raise InputError("cost.shape", costs.shape, allowed)
+    return costs
+
+
+def _in_families(
+    store: Store, ran: Mapping[str, NDArray[np.bool_]], column: str
+) -> dict[str, Floats]:
+    """A column or a parameter [n, w] by family; NaN where a row did not run."""
+    if column in store.gain_names:
+        worlds = {family: int(store.settings_of(family)["settings"]) for family in store.families}
+        values = store.numpy([column])[column].astype(np.float64)
+        one = {family: np.where(ran[family], values, np.nan)[:, None] for family in worlds}
+        return {family: np.tile(each, worlds[family]) for family, each in one.items()}
+    for family in store.families:
+        if column not in (kept := store.kept(family)):
+            names = shortened(", ".join(kept)) or "nothing, in a store older than 0.3.0"
+            allowed = (
+                f"a parameter, or what the worlds of {shortened(str(store.path))} keep: {names}"
+            )
+            remedy = f'a store of a configuration with kept = ["{column}"] has it'
+            raise InputError("cost", column, f"{allowed}; {remedy}")
+    found = store.all_outcomes(column, store.families)
+    return {family: values.astype(np.float64) for family, values in found.items()}
+
+
+def _ran(store: Store) -> dict[str, NDArray[np.bool_]]:
+    """Which rows each family ran, [n] by family."""
+    names = {family: evaluated_name(family) for family in store.families}
+    flags = store.numpy(names.values())
+    return {family: flags[name] for family, name in names.items()}
 
 
 @checks.checked(path=checks.path, cost=checks.optional(checks.function))
@@ -123,15 +181,27 @@ def world_table(path: str | Path, cost: Cost | None = None, *others: Cost) -> Fe
 
     Args:
         path: of a store with families; rows that no family ran are not proposed.
-        cost: of a trial; None is the walker's smooth cost.
+        cost: of a trial, `cost(given, horizon_s)`, [n, w]. `given` has columns by name, [n, w]:
+            what each world keeps (`Store.kept`), and the parameters. They are NaN for rows that did
+            not run: these are not proposed, whatever the function returns for them. None is the
+            walker's smooth cost.
         others: in a study of several goals, the cost by each further one.
 
     Raises:
-        InputError: no store, or one without families or with other bounds, or a column is missing.
+        InputError: no store, or one without families or with other bounds; a cost of a column that
+            the worlds do not keep, or of another shape.
     """
     store = open_store(path)
     store.require_bounds()
+    warn_of(store, stacklevel=4)  # of the caller, beyond this check of arguments
     return table_of_worlds(store, (cost or Objective().in_worlds, *others))
+
+
+def warn_of(store: Store, stacklevel: int = 2) -> None:
+    """Warn, by a `UserWarning` each, of families in which no row came to the end."""
+    kept = [name for family in store.families for name in store.kept(family)[:1]]
+    for line in cautions(store, kept[0]) if kept else ():
+        warnings.warn(line, stacklevel=stacklevel)
 
 
 def table_of_worlds(

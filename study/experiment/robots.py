@@ -24,10 +24,11 @@ from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler,
 from optuna.storages import BaseStorage
 from optuna.trial import FrozenTrial, TrialState
 
+from storage.cautions import cautions
 from storage.folder import Folder
 from storage.pool import Pool
 from storage.simulator import Simulator, WorldRule, run_points
-from storage.specification import read_simulator
+from storage.specification import read_simulator, run_lengths_s
 from storage.store import open_store
 from storage.tables import difference
 from study.experiment.block import quiet
@@ -41,7 +42,6 @@ from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.config import Table, read_toml, read_whole
 from taichi_nmm.errors import InputError
 
@@ -158,6 +158,7 @@ def read_robots(
     def read(table: Table) -> RobotExperiment:
         simulator = read_simulator(table, None)
         simulation, objective = table.table("simulation"), table.table("objective")
+        shortest_s, longest_s = run_lengths_s(simulator)
         paid = [name for name in simulator.scores if name != simulator.survived]
 
         def number(given: int | None, *configured: Any) -> int:
@@ -170,7 +171,7 @@ def read_robots(
             simulator=simulator,
             rule=simulator.read_worlds(table),
             store=Path(table.text("store")),
-            duration_s=simulation.number("duration_s", low=SHORTEST_TRIAL_S, high=LONGEST_TRIAL_S),
+            duration_s=simulation.number("duration_s", low=shortest_s, high=longest_s),
             objective=read_objective(objective, paid, simulator.survived),
             noise=objective.number("noise", 0.0, 0.0, 1.0),
             runs=number(runs, "runs", 50, 1, MOST_RUNS),
@@ -182,10 +183,14 @@ def read_robots(
         return experiment
 
     experiment = read_whole(read_toml(path), read)
-    if tuple(open_store(experiment.store).specification["gains"]) != experiment.names:
+    store = open_store(experiment.store)
+    if tuple(store.specification["gains"]) != experiment.names:
         words = f"{experiment.simulator.name}, with the parameters {', '.join(experiment.names)}"
         raise InputError("store", str(experiment.store), f"a store of {words}")
-    return experiment
+    candidates(experiment.store, experiment.objective)  # a cost that the store lacks is refused
+    for line in cautions(store, experiment.simulator.survived):
+        print(f"warning: {line}", file=sys.stderr)
+    return replace(experiment, simulator=experiment.simulator.lasting(experiment.duration_s))
 
 
 def _read_arms(configured: tuple[str, ...], asked: str | None) -> tuple[str, ...]:

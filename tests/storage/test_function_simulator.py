@@ -1,6 +1,7 @@
 """A function as a simulator: stores from Python and of the command, and what is refused."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from storage import FunctionSimulator, make_store, open_store
 from storage.points import in_unit_cube, sobol_points, within_bounds
 from storage.simulator import Uniform, run_points
-from storage.specification import read_specification
+from storage.specification import Specification, read_specification
 from study import FeatureTable
 from study.experiment.gains import gains_of_row
 from study.sampler.columns import store_parameters
@@ -21,7 +22,7 @@ from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 from tests.cases import ASSETS, asset
 from tests.processes import printed, python
-from tests.storage import robot
+from tests.storage import plants, robot
 from tests.storage.fake import content
 
 CONFIGURATION = asset("function-cart.toml")
@@ -195,6 +196,7 @@ def test_a_function_that_does_not_keep_to_it(function: Callable[..., Any], allow
 @pytest.mark.parametrize(("function", "changes", "field"), [
     (lambda *_: {}, {}, "function"), (print, {}, "function"), (3, {}, "function"),
     (robot.drive, {"columns": ("speed_mps",)}, "columns"),
+    (robot.drive, {"columns": ("survived_fraction", "run_ended")}, "columns"),
     (robot.drive, {"worlds": {"seed": 1.0}}, "worlds"),
     (robot.drive, {"worlds": {"wind": "much"}}, "worlds.wind"),
     (robot.drive, {"parameters": {"a": (0.0, 1.0)}}, "parameters.a"),
@@ -235,3 +237,97 @@ def test_a_run_that_hangs_is_stopped_and_has_failed() -> None:
     assert rows[gears != 2].tobytes() == free[gears != 2].tobytes()
     with pytest.raises(InputError, match=r"^longest_run_s: .* none with batch"):
         changed(robot.drive_all, batch=True, longest_run_s=1.0)
+
+
+def plant(duration_s: float, samples: int = 8, **changes: Any) -> Specification:
+    """The battery's store with a family that says no times."""
+    table = {"simulation": {"duration_s": duration_s}, "families": {"hot": {"settings": 2}}}
+    return read_specification(
+        Table({"samples": samples} | table | changes), simulator=plants.Battery
+    )
+
+
+@pytest.mark.parametrize("duration_s", [1e-6, 2.0, 5.0, 5400.0, 3.2e9])
+def test_families_run_as_long_as_the_store(duration_s: float) -> None:
+    """A circuit, a robot, a plant of 90 minutes, a forest of a century, each in true units."""
+    (hot,) = plant(duration_s).families
+    assert (hot.horizon_s, hot.min_survival_s) == (duration_s, 0.6 * duration_s)
+    for wrong in (0.0, 1e13, float("nan")):
+        with pytest.raises(InputError, match=r"^simulation\.duration_s: .* from 1e-09 to 1e\+12"):
+            plant(wrong)
+
+
+def test_each_world_keeps_what_kept_names() -> None:
+    assert plant(5.0).outcomes == plants.COLUMNS
+    assert plant(5.0, kept=["loss_j"]).outcomes == ("survived_fraction", "loss_j")
+    assert plant(5.0, kept=["survived_fraction"]).outcomes == ("survived_fraction",)
+    assert plant(5.0, kept=[]).document["columns"][-1] == "hot_survived_fraction_worlds: double[2]"
+    for wrong in (["loss"], "loss_j", ["loss_j", "loss_j"], ["run_ended"]):
+        with pytest.raises(InputError, match=r"^kept: .* survived_fraction, loss_j, finished_at_s"):
+            plant(5.0, kept=wrong)
+
+
+def test_a_store_of_many_columns_says_which_it_keeps() -> None:
+    """Else it would have 6 numbers a row for each of them, hundreds of gigabytes."""
+    columns = ("survived_fraction", *(f"cell_{number}_v" for number in range(500)))
+    pack = FunctionSimulator(plants.charge, parameters=plants.PARAMETERS, columns=columns)
+    table = {"samples": 10**6, "families": {"hot": {"settings": 64}}}
+    with pytest.raises(InputError, match=r"^kept: 'missing' .* all would take 257 GB"):
+        read_specification(Table(table), simulator=pack)
+    chosen = read_specification(Table(table | {"kept": ["cell_3_v"]}), simulator=pack)
+    assert chosen.outcomes == ("survived_fraction", "cell_3_v")
+    assert read_specification(Table(table | {"samples": 100}), simulator=pack).outcomes == columns
+
+
+def test_a_run_that_all_but_lasted_has_lasted() -> None:
+    """Ninety steps of a minute add up to a little less than 1; some sums to a little more."""
+    point, world = {"current_a": 10.0, "pulses": 1}, {"heat_k": 300.0, "seed": 0}
+    assert 0.999 < plants.charge(point, world, 5400.0)["survived_fraction"] < 1.0
+    for share, kept in ((1.0 - 1e-9, 1.0), (1.0 + 1e-9, 1.0), (0.9999, 0.9999)):
+        one = changed(returns({"survived_fraction": share, "speed_mps": 1.0}))
+        assert set(runs(one)["survived_fraction"].ravel()) == {kept}
+    with pytest.raises(InputError, match=r"from 0 to 1, not 1\.01"):
+        runs(changed(returns({"survived_fraction": 1.01, "speed_mps": 1.0})))
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_steps_may_be_longer_than_a_second(batch: bool) -> None:
+    """The check before the work takes as long as the store's runs where a second is too short."""
+    simulator = changed(hourly, batch=batch)
+    with pytest.raises(InputError, match="a function that runs, not ValueError: no step"):
+        simulator.lasting(1800.0).require_machine()
+    simulator.lasting(7200.0).require_machine()
+    longest: list[float] = []
+    changed(recording(longest)).lasting(1e-6).require_machine()
+    assert max(longest) == 1e-6  # a circuit's second would be a million runs
+
+
+def hourly(point: Any, world: Any, seconds: float) -> dict[str, float]:
+    if seconds < 3600.0:
+        raise ValueError("no step")
+    return {"survived_fraction": 1.0, "speed_mps": 1.0}
+
+
+def recording(longest: list[float]) -> Callable[..., Any]:
+    def function(point: Any, world: Any, seconds: float) -> Any:
+        longest.append(seconds)
+        return {"survived_fraction": 1.0, "speed_mps": 1.0}
+
+    function.__qualname__ = "recording"
+    return function
+
+
+def test_a_store_in_which_nothing_came_to_the_end_says_so(tmp_path: Path) -> None:
+    late = {"settings": 2, "min_survival_s": 600.0}
+    families = {"hot": late, "never": late | {"after": "hot", "min_survived_fraction": 1.0}}
+    table = {"samples": 16, "simulation": {"duration_s": 600.0}, "families": families}
+    with pytest.warns(UserWarning) as found:
+        make_store(plants.Battery, tmp_path / "store", workers=1, **table)
+    lines = [str(each.message) for each in found]
+    assert {each.filename for each in found} == {__file__}
+    for line, expected in zip(lines, (
+        r"simulation\.duration_s: 0 of 16 rows lasted 600 s; the longest 0\.9 of it",
+        r"families\.hot\.min_survival_s: 0 of 16 rows reached 600",
+        r"families\.never\.min_survived_fraction: 0 of 16 rows reached 1",
+    ), strict=True):  # fmt: skip
+        assert re.search(expected, line)

@@ -1,15 +1,22 @@
 """What a store knows of its rows, as candidates of studies."""
 
+import re
+import warnings
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from storage import make_store
 from storage.store import open_store
 from study.experiment.arms import ARMS, check_arms
 from study.experiment.experiment import candidates
 from study.experiment.features import world_table
+from tests.storage import plants
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -34,18 +41,110 @@ def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
             check_arms(experiment, (arm,), count + 1)
 
 
-def test_what_no_world_has_kept_is_that_of_level_ground_for_rows_that_ran(fake_simulator, tmp_path):
-    strict = {"settings": 1, "min_survival_s": 2.8}  # a third of the fake's points falls sooner
-    fake_walker.write_store(tmp_path / "strict", robust=strict, families={"rough": strict})
-    store = open_store(tmp_path / "strict")
-    known = world_table(store.path, lambda given, horizon_s: given["phi_printed"]).rows
-    ran, own = world_table(store.path).rows.offered, store.numpy(["phi_printed"])["phi_printed"]
-    assert 0 < ran.sum() < len(store)
-    assert_array_equal(known.offered, ran)
-    for costs in known.worlds.costs[ran].T:
-        assert_array_equal(costs, own[ran])
-    score = lambda given, horizon_s: given["phi_printed"]  # noqa: E731
-    both = world_table(store.path, lambda given, horizon_s: -given["phi_printed"], score)
-    assert both.rows.worlds.goals == 2
-    for costs, sign in zip(np.moveaxis(both.rows.worlds.costs, -1, 0), (-1.0, 1.0), strict=True):
-        assert_array_equal(costs, sign * known.worlds.costs)
+HOT = {"settings": 3, "min_survival_s": 0.0, "world": {"heat_k": [300.0, 320.0]}}
+
+
+def battery(folder: Path, **changes: Any) -> Path:
+    """A store of the battery; its hot worlds run most of the rows, its cold ones few of them."""
+    configuration = {
+        "samples": 64,
+        "simulation": {"duration_s": 5400.0},
+        "families": {"hot": HOT, "cold": HOT | {"world": {"heat_k": 270.0}}},
+    }
+    make_store(plants.Battery, folder / "store", workers=1, **configuration | changes)
+    return folder / "store"
+
+
+def test_a_cost_has_what_each_world_gave_of_every_column(tmp_path: Path) -> None:
+    path, seen = battery(tmp_path), dict[str, Any]()
+
+    def cost(given: Mapping[str, Any], horizon_s: float) -> Any:
+        seen.update(given)
+        assert horizon_s == 5400.0 and "no_column" not in given
+        return given["loss_j"] + given["current_a"]
+
+    table, store = world_table(path, cost), open_store(path)
+    assert list(seen) == [*plants.Battery.columns.names[:-1], *plants.PARAMETERS]
+    assert {values.shape for values in seen.values()} == {(64, 3)}
+    assert_array_equal(seen["current_a"], np.tile(store.gains()[:, :1], 3))
+    heats = store.specification["families"]["hot"]["drawn"]["heat_k"]
+    for row, gains in enumerate(store.gains().tolist()):
+        point = dict(zip(plants.PARAMETERS, gains, strict=True))
+        runs = [plants.charge(point, {"heat_k": heat, "seed": 0}, 5400.0) for heat in heats]
+        for column in plants.COLUMNS:
+            found = store.outcomes("hot", column)[row]
+            expected = [run[column] for run in runs]
+            if column == "survived_fraction":  # a sum of steps that is not quite 1 is 1
+                expected = [round(share, 9) for share in expected]
+            assert found.tolist() == expected  # else not a bit is lost
+    assert seen["finished_at_s"].min() > 2.0**30  # beyond the whole numbers of float32
+    assert table.rows.worlds is not None
+    hot = [name.startswith("hot") for name in table.rows.worlds.names]
+    assert_array_equal(table.rows.worlds.costs[:, hot], seen["loss_j"] + seen["current_a"])
+
+
+@pytest.mark.parametrize("kept", [[], ["loss_j"]])
+def test_a_cost_of_what_no_world_keeps_is_refused_with_the_key(tmp_path, kept) -> None:
+    path = battery(tmp_path, kept=kept)
+    assert open_store(path).kept("cold") == ("survived_fraction", *kept)
+    with refused("^cost: 'finished_at_s' .* or what the worlds .*kept = ..finished_at_s") as error:
+        world_table(path, lambda given, horizon_s: given["finished_at_s"])
+    assert len(str(error.value)) < 500
+    with refused("^cost: 'finished_at_s' "):
+        world_table(path, lambda given, horizon_s: given.get("finished_at_s", 0.0))
+
+
+def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(tmp_path: Path) -> None:
+    some = {"settings": 2, "world": {"heat_k": 300.0}, "min_survival_s": 5400.0}
+    long = {"settings": 1, "after": "hot", "min_survived_fraction": 1.0}
+    path = battery(tmp_path, families={"hot": some, "long": long})
+    store = open_store(path)
+    ran = store.numpy(["hot_evaluated"])["hot_evaluated"]
+    assert 0 < ran.sum() < 64
+    for cost in (
+        lambda given, _: np.where(given["survived_fraction"] >= 1.0, given["loss_j"], 100.0),
+        lambda given, _: np.nan_to_num(given["loss_j"]),
+        lambda given, _: np.ones(given["loss_j"].shape),
+    ):
+        assert_array_equal(world_table(path, cost).rows.offered, ran)
+
+
+@pytest.mark.parametrize(("cost", "message"), [
+    (lambda given, _: 1.0, r"^cost\.shape: \(\) .* \[64, 3\]"),
+    (lambda given, _: given["loss_j"][:, :1], r"^cost\.shape: \(64, 1\) .* \[64, 3\]"),
+    (lambda given, _: given["loss_j"].mean(axis=1), r"^cost\.shape: \(64,\) "),
+    (lambda given, _: None, r"^cost\.shape: \(\) "),
+    (lambda given, _: "much", "^cost: 'str' .* numbers"),
+])  # fmt: skip
+def test_a_cost_of_another_shape_is_refused(tmp_path: Path, cost: Any, message: str) -> None:
+    with refused(message):
+        world_table(battery(tmp_path), cost)
+
+
+def test_a_run_that_failed_has_no_number_that_is_cheap(tmp_path: Path) -> None:
+    """Zeros of a run that raised would be the least loss of all."""
+    path = battery(tmp_path, families={"hot": {"settings": 2, "world": {"heat_k": [362.0, 366.0]},
+                                               "min_survival_s": 0.0}})  # fmt: skip
+    store = open_store(path)
+    loss, lasted = (store.outcomes("hot", name) for name in ("loss_j", "survived_fraction"))
+    burnt = np.isnan(loss).any(axis=1)
+    assert 0 < burnt.sum() < 64 and (lasted[np.isnan(loss)] == 0.0).all()
+    known = world_table(path, lambda given, _: given["loss_j"]).rows
+    assert_array_equal(known.offered, ~burnt)
+    priced = lambda given, _: np.where(given["survived_fraction"] >= 1.0, given["loss_j"], 1e9)  # noqa: E731
+    assert world_table(path, priced).rows.offered.all()
+
+
+@pytest.mark.parametrize(("changes", "lines"), [
+    ({"horizon_s": 600.0}, [r"families\.hot\.horizon_s: 0 of 64 rows lasted 600 s .* 0\.9 of it"]),
+    ({}, []),
+])  # fmt: skip
+def test_a_family_that_no_row_finished_is_warned_of(tmp_path: Path, changes, lines) -> None:
+    path = battery(tmp_path, families={"hot": HOT | changes})
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        world_table(path, lambda given, _: given["loss_j"])
+    found = [str(each.message) for each in found if each.filename == __file__]
+    assert len(found) == len(lines)
+    for line, expected in zip(found, lines, strict=True):
+        assert re.search(expected, line)

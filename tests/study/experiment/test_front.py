@@ -31,7 +31,10 @@ TAKES = tuple(name for name, arm in ARMS.items() if arm.takes_goals)
 
 def front(folder: Path, old: str = "", new: str = "") -> Experiment:
     """The toy experiment with two goals, and one thing changed."""
-    path = fake_walker.write_config(folder)
+    kept = folder / "kept" / "store"
+    if not kept.exists():
+        fake_walker.write_store(kept, kept=["m1_mean"])
+    path = fake_walker.write_config(kept.parent)
     text = path.read_text().replace('objective.cost = "smooth"\n', "") + GOALS
     path.write_text(text.replace(old, new, 1))
     return read_experiment(path)
