@@ -173,12 +173,15 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
     names = ("my_robot.py", "trials.py", "my_cart.py")
     for name, text in zip(names, code_blocks(page), strict=True):
         (tmp_path / name).write_text(text)
-    (tmp_path / "pole.toml").write_text(code_blocks(page, "toml")[0])
+    for name, text in zip(("pole.toml", "robots.toml"), code_blocks(page, "toml"), strict=True):
+        (tmp_path / name).write_text(text)
     command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--samples", "16",
                "--out", "out/few")  # fmt: skip
     for words in (("my_cart.py",), command, ("my_robot.py",), ("trials.py",)):
         said = run_in(tmp_path, *words)
     assert said == code_blocks(page, "text")[0]
+    compared = ("-m", "taichi_nmm", "compare", "--config", "robots.toml", "--runs", "2")
+    assert "| worlds |" in run_in(tmp_path, *compared, "--trials", "3")
 
 
 @pytest.mark.slow

@@ -160,6 +160,7 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "make_store": (partial(storage.make_store, samples=2), {
             "simulator": robot.Cart, "out": folder / "made", "workers": 1, "fresh": True}),
         "Store.settings_of": (opened.settings_of, {"family": "up"}),
+        "Store.kept": (opened.kept, {"family": "up"}),
         "Store.outcomes": (opened.outcomes, {"family": "up", "column": "survived_fraction"}),
         "Store.all_outcomes": (
             opened.all_outcomes, {"column": "survived_fraction", "families": ("up",)}),
