@@ -111,7 +111,7 @@ class Recorder:
         self, walkers: Sequence[int], rate_hz: float, worlds: Worlds, settings: Settings
     ) -> None:
         self._walkers = tuple(checks.row_numbers("record", walkers, len(worlds)).tolist())
-        self._settings, self._prostheses = settings, worlds.prosthesis
+        self._settings, self._worlds = settings, worlds
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
             raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
         self._interval = round(TICKS_PER_SECOND / rate_hz)
@@ -156,6 +156,7 @@ class Recorder:
         swing = [
             row + side for side in range(LEGS) for row in (State.hip_torque, State.knee_torque)
         ]
+        optimal_m = OPTIMAL_M * self._worlds.optimal_length[walker]
         return Trajectory(
             walker=walker,
             time_s=np.array(list(samples), dtype=np.float64) * CONTROL_TICK_S,
@@ -165,11 +166,11 @@ class Recorder:
             activation=activation,
             muscle_force_n=force * np.tile(FMAX_N, LEGS),
             ground_force_n=_mean_forces(rows, self._interval),
-            joint_torque_nm=_joint_torques(rows, self._settings, self._prostheses[walker]),
+            joint_torque_nm=_joint_torques(rows, self._settings, self._worlds.prosthesis[walker]),
             swing_torque_nm=rows[:, swing],
             device_torque_nm=rows[:, State.device_torque :][:, : 3 * LEGS],
-            fibre_length_m=length * OPTIMAL_M,
-            fibre_velocity_mps=velocity * OPTIMAL_M * FASTEST_PER_S,
+            fibre_length_m=length * optimal_m,
+            fibre_velocity_mps=velocity * optimal_m * FASTEST_PER_S,
             delayed=_delayed(rows, np.array(list(samples), dtype=np.int64)),
             stance=np.any(touching > 0.5, axis=2),
             events=_events(rows),

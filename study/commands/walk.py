@@ -100,8 +100,8 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
     from taichi_nmm.mujoco_engine.mjcf import mjcf_text
 
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
-    body, friction = experiment.body(run), float(experiment.world(run).friction[0])
-    text = mjcf_text(body, friction, terrain, settings, start_state(terrain))
+    body, world = experiment.body(run), experiment.world(run)
+    text = mjcf_text(body, world, terrain, settings, start_state(terrain))
     commit_text(path, text, "mjcf")
 
 
@@ -214,10 +214,13 @@ def main(args: Namespace) -> None:
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
     for file in args.trajectory:
-        write_trajectory(file, result.trajectories[0], gains.name)
+        write_trajectory(file, result.trajectories[0], gains.name, experiment.world(args.run))
         paths[file.suffix.removeprefix(".")] = str(file)
     if args.opensim is not None:
-        write_opensim(args.opensim, result.trajectories[0], experiment.body(args.run), gains.name)
+        write_opensim(
+            args.opensim, result.trajectories[0], experiment.body(args.run), gains.name,
+            experiment.world(args.run),
+        )  # fmt: skip
         paths["opensim"] = str(args.opensim)
     if args.json:
         print(json.dumps(report(gains, row, str(result.end_reason[0]), paths)))

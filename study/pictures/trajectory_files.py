@@ -1,13 +1,13 @@
 """A recorded walk as files for other programs: CSV by our own names, markers as motion capture has
 them, and all that OpenSim 4 takes.
 
-OpenSim gets the model of its body, motion, states, and the ground's forces. The model has our seven
-links and planar joints, by the names of OpenSim's gait10dof18musc: its pelvis is head, arms and
-trunk in one, with the hip as its origin. Angles are counter-clockwise positive, flexion of the knee
-negative. Numbers have as many digits as needed to read the same float64 back.
+OpenSim gets the model of its body, motion, states, torques beside the muscles', and the ground's
+forces. The model has our seven links and planar joints, by the names of OpenSim's gait10dof18musc:
+its pelvis is head, arms and trunk in one, with the hip as its origin. Angles are counter-clockwise
+positive, flexion of the knee negative. Numbers have as many digits as needed to read the same
+float64 back.
 """
 
-import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from importlib.util import find_spec
@@ -18,44 +18,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.commit import commit, commit_text, require_writable, together
+from study.pictures.opensim_muscles import (
+    OPENSIM,
+    SIDED,
+    SIDES,
+    fibre_lengths,
+    forces_text,
+    lines_text,
+    motor_torques,
+    muscles_of,
+)
 from study.pictures.stick_figure import LEFT, NOT_SAMPLED, RIGHT, down, finite, forward, leg, trunk
 from taichi_nmm import __version__
 from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
 from taichi_nmm.errors import InputError
-from taichi_nmm.result import DELAYED, MUSCLES, Trajectory
+from taichi_nmm.result import DELAYED, Trajectory
+from taichi_nmm.world import Worlds
 
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
 
 FOLDER = Path(__file__).parent  # of the model's template, and the list of external loads
-OPENSIM = tomllib.loads(FOLDER.joinpath("opensim.toml").read_text(encoding="utf-8"))
-SIDES = ("l", "r")
 FEET = ("1_", "")  # before the names of the left and right foot's columns, as in OpenSim's examples
-SIDED = [(side, muscle) for side in SIDES for muscle in MUSCLES]
-MUSCLE_NAMES = [f"{OPENSIM['muscles'][muscle]}_{side}" for side, muscle in SIDED]
 BASE = [f"ground_pelvis/pelvis_{name}" for name in ("tilt", "tx", "ty")]
 COORDINATES = BASE + [path.format(side=side) for side in SIDES for path in OPENSIM["leg"]]
 MOTION, STATES, LOADS = "motion.mot", "states.sto", "ground_forces.mot"
+CONTROLS = "controls.sto"
 MODEL, EXTERNAL = "walker.osim", "external_loads.xml"
 
 
-def write_opensim(folder: Path, trajectory: Trajectory, body: Bodies, name: str = "walk") -> None:
-    """Write all five files of a walk into a folder, or none.
+def write_opensim(
+    folder: Path, trajectory: Trajectory, body: Bodies, name: str = "walk",
+    world: Worlds | None = None,
+) -> None:  # fmt: skip
+    """Write all six files of a walk into a folder, or none.
 
     Args:
         folder: new, or one that this function has written.
         trajectory: with forces and torques as means over the intervals.
         body: the first of these walked.
         name: a line of each file.
+        world: the first of these it walked in; None is the nominal one.
 
     Raises:
         InputError: the folder cannot be written.
     """
     trajectory = finite(trajectory)
+    torques = motor_torques(trajectory, world)
+    controls = {f"/forceset/{motor}": values for motor, values in torques.items()}
+    controls = {"time": _interval_middles(trajectory), **controls}
     with together(folder) as new:
-        commit_text(new / MODEL, model_text(body, name))
+        commit_text(new / MODEL, model_text(body, name, world))
         commit_text(new / MOTION, storage_text(motion(trajectory), "coordinates", name))
-        commit_text(new / STATES, storage_text(states(trajectory), "states", name))
+        commit_text(new / STATES, storage_text(states(trajectory, world), "states", name))
+        commit_text(new / CONTROLS, storage_text(controls, "controls", name))
         commit_text(new / LOADS, storage_text(loads(trajectory, body), "loads", name))
         commit_text(new / EXTERNAL, FOLDER.joinpath(EXTERNAL).read_text("utf-8"))
 
@@ -97,16 +113,22 @@ def motion(trajectory: Trajectory) -> Columns:
     return table("time", trajectory.time_s, [(names, values)])
 
 
-def states(trajectory: Trajectory) -> Columns:
-    """All states of the model by the paths of OpenSim 4: coordinates, speeds, muscles."""
+def states(trajectory: Trajectory, world: Worlds | None = None) -> Columns:
+    """All states of the model by the paths of OpenSim 4: coordinates, speeds, muscles.
+
+    A muscle that is missing in this world has none; fibres are as `fibre_lengths` has them.
+    """
     paths = [f"/jointset/{path}" for path in COORDINATES]
-    muscles = [f"/forceset/{name}" for name in MUSCLE_NAMES]
-    return table("time", trajectory.time_s, [
+    columns = table("time", trajectory.time_s, [
         ([f"{path}/value" for path in paths], _coordinates(trajectory.q)),
         ([f"{path}/speed" for path in paths], _coordinates(trajectory.qdot)),
-        ([f"{muscle}/activation" for muscle in muscles], trajectory.activation),
-        ([f"{muscle}/fiber_length" for muscle in muscles], trajectory.fibre_length_m),
     ])  # fmt: skip
+    lengths = fibre_lengths(trajectory, world)
+    for muscle, activation in zip(muscles_of(world), trajectory.activation.T, strict=True):
+        if muscle.name in lengths:
+            columns[f"/forceset/{muscle.name}/activation"] = activation
+            columns[f"/forceset/{muscle.name}/fiber_length"] = lengths[muscle.name]
+    return columns
 
 
 def loads(trajectory: Trajectory, body: Bodies) -> Columns:
@@ -115,9 +137,9 @@ def loads(trajectory: Trajectory, body: Bodies) -> Columns:
     The point follows from the foot's equation of motion; a torque is what a point between heel and
     ball leaves over.
     """
-    interval_s = float(np.diff(trajectory.time_s[:2]).sum()) or 1.0
+    interval_s = _interval(trajectory)
     q, qdot = trajectory.q, trajectory.qdot
-    columns = {"time": trajectory.time_s - 0.5 * interval_s}
+    columns = {"time": _interval_middles(trajectory)}
     for side, foot in enumerate(FEET):
         mass, inertia, com_m = (each[0, 3 + 3 * side] for each in vars(body).values())
         thigh, shank, angle = q[:, 3 + 3 * side : 6 + 3 * side].T
@@ -142,6 +164,16 @@ def loads(trajectory: Trajectory, body: Bodies) -> Columns:
     return columns
 
 
+def _interval(trajectory: Trajectory) -> float:
+    """Seconds between two samples; 1 where there is but one."""
+    return float(np.diff(trajectory.time_s[:2]).sum()) or 1.0
+
+
+def _interval_middles(trajectory: Trajectory) -> Array:
+    """When the means over the intervals are taken, [t]."""
+    return trajectory.time_s - 0.5 * _interval(trajectory)
+
+
 def _gained(values: Array) -> Array:
     """How much values grow in the interval that ends at a sample, 0 at the first."""
     return np.diff(values, axis=0, prepend=values[:1])
@@ -157,12 +189,15 @@ def _cross(arm: Array, force: Array) -> Array:
     return np.asarray(arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0])
 
 
-def model_text(body: Bodies, name: str = "walk") -> str:
-    """The model of the first body, as XML."""
+def model_text(body: Bodies, name: str = "walk", world: Worlds | None = None) -> str:
+    """The model of the first body in the first world, as XML."""
     mass, inertia, com = (values[0].tolist() for values in vars(body).values())
     numbers = {"mass": mass, "inertia": inertia, "com": com, "down": [-each for each in com]}
     text = FOLDER.joinpath(MODEL).read_text("utf-8")
-    return text.format(name=name, version=__version__, **numbers)
+    return text.format(
+        name=name, version=__version__, forces=forces_text(world), lines=lines_text(world),
+        **numbers,
+    )  # fmt: skip
 
 
 MARKERS = ["SHOULDER", "HIP"]
@@ -252,10 +287,13 @@ def require_trajectory_file(path: Path) -> None:
     require_writable(path, "trajectory")
 
 
-def write_trajectory(path: Path, trajectory: Trajectory, name: str = "walk") -> None:
+def write_trajectory(
+    path: Path, trajectory: Trajectory, name: str = "walk", world: Worlds | None = None
+) -> None:
     """Write a walk as a file: .csv all samples, .c3d markers, .mot coordinates, .sto states.
 
-    The name is a line of .mot and .sto.
+    The name is a line of .mot and .sto. `world` is the first that it walked in, None the nominal:
+    .sto has the muscles that are there, with their own lengths.
 
     Raises:
         InputError: another ending, or the file cannot be written.
@@ -269,4 +307,4 @@ def write_trajectory(path: Path, trajectory: Trajectory, name: str = "walk") -> 
     elif path.suffix == ".mot":
         commit_text(path, storage_text(motion(trajectory), "coordinates", name))
     else:
-        commit_text(path, storage_text(states(trajectory), "states", name))
+        commit_text(path, storage_text(states(trajectory, world), "states", name))

@@ -46,6 +46,7 @@ from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIUS_M
 from taichi_nmm.settings import LIMITS_AS_STOPS, Settings
 from taichi_nmm.terrain import GRID_X_M, Terrain
+from taichi_nmm.world import MUSCLE_NAMES, Worlds
 
 Array = NDArray[np.float64]
 
@@ -153,14 +154,18 @@ def walk_model(bodies: Bodies, settings: Settings, friction: float) -> mujoco.Mj
 
 
 def mjcf_text(
-    bodies: Bodies, friction: float, ground: Terrain, settings: Settings, start: Array
+    bodies: Bodies, worlds: Worlds, ground: Terrain, settings: Settings, start: Array
 ) -> str:
     """The model as a file, with the ground and the start as key frame, for MuJoCo's viewer.
 
     A file can only have solids: the ground is a height field of the whole table. Links and muscles
-    are sites and tendons, without mass, contact or force. `start` is qpos then qvel, [18].
+    are sites and tendons, without mass, contact or force; a muscle that is missing in the first of
+    the worlds is not drawn. A passive foot is a spring and a damper of its hinge. `start` is qpos
+    then qvel, [18].
     """
-    root, height_m = _walker(bodies, settings, friction), ground.height_m
+    height_m = ground.height_m
+    root = _walker(bodies, settings, float(worlds.friction[0]))
+    _add_passive_feet(root, worlds)
     range_m = max(float(np.ptp(height_m)), LEAST_RANGE_M)  # MuJoCo scales heights from 0 to this
     template = Path(__file__).with_name("visible.xml").read_text(encoding="utf-8")
     text = template.format(
@@ -175,8 +180,28 @@ def mjcf_text(
             _find(root, "body", body.attrib["name"]).extend(body)
             part.remove(body)
         root.append(part)
+    _remove_missing_muscles(root, worlds)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_passive_feet(root: Element, worlds: Worlds) -> None:
+    """The angles of ankles are those of the hinges of feet (`JOINTS`)."""
+    for side, foot in zip(SIDES, worlds.prosthesis[0].tolist(), strict=True):
+        for name, number in zip(("stiffness", "damping", "springref"), foot, strict=True):
+            if number:
+                _find(root, "joint", f"foot_{side}").set(name, repr(number))
+
+
+def _remove_missing_muscles(root: Element, worlds: Worlds) -> None:
+    """A muscle's tendon and sites have names that begin with its own."""
+    for name, strength in zip(MUSCLE_NAMES, worlds.strength[0].tolist(), strict=True):
+        muscle, side = name.split("_")
+        parents = list(root.iter()) if strength == 0.0 else []
+        for parent in parents:
+            for part in list(parent):
+                if part.get("name", "").startswith(f"{muscle}_{side[0]}"):
+                    parent.remove(part)
 
 
 def _walker(bodies: Bodies, settings: Settings, friction: float) -> Element:

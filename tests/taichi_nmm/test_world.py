@@ -10,7 +10,7 @@ import pytest
 from study.pictures.stick_figure import leg
 from taichi_nmm import PUBLISHED_GAINS, InputError, Settings, Worlds, simulate, terrain
 from taichi_nmm.config import Table
-from taichi_nmm.kernel.muscle_table import FMAX_N
+from taichi_nmm.kernel.muscle_table import FMAX_N, MUSCLE_DATA, REFERENCE_STRAIN, unit_lengths
 from taichi_nmm.result import DELAYED
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 from tests.cases import cases
@@ -149,6 +149,27 @@ def test_muscles_have_lengths_and_times_of_their_own() -> None:
     drawn = ranges.draw([3])
     assert drawn.slack_length[0].tolist() == ([1.05] + [1.0] * 6) * 2
     assert drawn.activation_time[0].tolist() == [1.0, 2.0, *[1.0] * 12]
+
+
+@pytest.mark.slow
+def test_recorded_fibres_leave_the_tendons_what_they_pull_with() -> None:
+    """The force of a step is that of the pose before it, and of the fibre after it."""
+    table = {"optimal_length": {"SOL": 1.2, "GLU_left": 0.9}, "slack_length": {"TA": 1.02}}
+    worlds = read_world(Table({"muscles": {"HAM_right": 0.5} | table})).draw([1])
+    result = simulate(PUBLISHED_GAINS, duration_s=0.5, worlds=worlds, record=[0],
+                      record_rate_hz=1000.0, settings=CPU)  # fmt: skip
+    walk = result.trajectories[0]
+    pose = walk.q - CPU.physics_step_s * walk.qdot
+    joints = (pose[:, 3:] - pose[:, [2, 3, 4, 2, 6, 7]]).reshape(-1, 2, 3)
+    lengths_m = np.array([[unit_lengths(*leg) for leg in legs] for legs in joints])
+    slack_m = np.tile([data.slack_length_m for data in MUSCLE_DATA.values()], 2)
+    slack_m = slack_m * worlds.slack_length[0]
+    tendon_m = lengths_m.reshape(-1, 14) - walk.fibre_length_m
+    strain = np.maximum(tendon_m / slack_m - 1.0, 0.0) / REFERENCE_STRAIN
+    fmax_n = np.tile(FMAX_N, 2) * worlds.strength[0]
+    np.testing.assert_allclose(fmax_n * strain**2, walk.muscle_force_n, atol=1e-3 * fmax_n.max())
+    speed = np.gradient(walk.fibre_length_m, walk.time_s, axis=0)
+    assert np.abs(np.median(speed[5:] / walk.fibre_velocity_mps[5:], axis=0) - 1.0).max() < 0.1
 
 
 @pytest.mark.parametrize(("change", "field"), [

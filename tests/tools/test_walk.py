@@ -5,6 +5,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import pytest
@@ -69,7 +70,7 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     report = tool.json(*words, "--opensim", folder)
     assert report["duration_s"] == 3.0 and 2.0 < report["distance_m"] < 6.0
     assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf", "opensim"}
-    files = [".mot", ".mot", ".osim", ".sto", ".xml"]
+    files = [".mot", ".mot", ".osim", ".sto", ".sto", ".xml"]
     assert sorted(path.suffix for path in folder.iterdir()) == files
     assert report["pictures"]["mjcf"] == str(model)
     text, opened = model.read_text(), mujoco.MjModel.from_xml_path(str(model))
@@ -140,3 +141,38 @@ def test_a_run_and_a_seed_have_their_own_body_and_ground(walk: Walk) -> None:
         experiment, call = read_experiment(ROUGH8, seed=seed), fake_walker.calls[-1]
         assert call["terrains"].height(50.0) == experiment.terrain(run).height(50.0)
         assert call["bodies"].mass_kg.tolist() == experiment.body(run).mass_kg.tolist()
+
+
+@pytest.mark.slow
+def test_the_world_of_the_walk_is_in_the_files_of_other_programs(
+    tmp_path: Path, tool: Tool
+) -> None:
+    config = tmp_path / "weak.toml"
+    world = {
+        "body.mass": "thigh_left = 1.5",
+        "world.muscles": "SOL_left = 0.5",
+        "world.prosthesis": 'side = "right"\nstiffness_nmprad = 300\ndamping_nmsprad = 1',
+    }
+    tables = "".join(f"\n[{name}]\n{lines}\n" for name, lines in world.items())
+    config.write_text(FLAT.read_text() + tables)
+    folder, states, model = tmp_path / "opensim", tmp_path / "walk.sto", tmp_path / "walker.xml"
+    assert tool("walk", "--config", config, "--duration", 1, "--movie-seconds", 0,
+                "--out", tmp_path / "out", "--opensim", folder, "--trajectory", states,
+                "--mjcf", model) == 0  # fmt: skip
+    osim = ElementTree.parse(folder / "walker.osim")
+    strongest = {
+        muscle.get("name"): float(muscle.findtext("max_isometric_force", "nan"))
+        for muscle in osim.iter("Millard2012EquilibriumMuscle")
+    }
+    assert len(strongest) == 11 and strongest["soleus_l"] == 2000.0
+    assert strongest["hamstrings_l"] == strongest["hamstrings_r"] == 3000.0
+    assert not {"soleus_r", "tib_ant_r", "gastroc_r"} & set(strongest)
+    (femur,) = [body for body in osim.iter("Body") if body.get("name") == "femur_l"]
+    assert float(femur.findtext("mass", "nan")) == 1.5 * 8.5
+    (spring,) = osim.iter("SpringGeneralizedForce")
+    assert spring.findtext("coordinate") == "ankle_angle_r"
+    names = states.read_text().partition("endheader\n")[2].split()
+    assert "/forceset/soleus_l/activation" in names
+    assert "/forceset/soleus_r/activation" not in names
+    opened = mujoco.MjModel.from_xml_path(str(model))
+    assert opened.joint("foot_r").stiffness == 300.0 and opened.ntendon == 11

@@ -111,6 +111,8 @@ def test_inverse_dynamics_of_the_files_gives_the_walkers_torques(
     for force in forces.iter("ExternalForce"):
         for tag in ("force", "point", "torque"):
             assert {f"{force.findtext(f'{tag}_identifier')}{axis}" for axis in "xyz"} <= set(loads)
-    muscles = [f"/forceset/{each.get('name')}" for each in model.iter("Thelen2003Muscle")]
+    muscles = [
+        f"/forceset/{each.get('name')}" for each in model.iter("Millard2012EquilibriumMuscle")
+    ]
     assert len(muscles) == 14 and {f"{muscle}/activation" for muscle in muscles} <= set(states)
     assert {each.get("name") for each in model.iter("Coordinate")} == set(motion) - {"time"}

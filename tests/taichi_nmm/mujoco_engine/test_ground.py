@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import Bodies, Settings, terrain
+from taichi_nmm import Bodies, Settings, Worlds, terrain
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.contact_planes import PLANES, SOLE_RADIUS_M
 from taichi_nmm.kernel.layout import CONTACTS
@@ -242,7 +242,7 @@ def test_rays_meet_the_height_table(kind: str, tmp_path: Path) -> None:
     x_m = np.concatenate([rng.uniform(-5, 300, 150), rng.choice(GRID_X_M[:-1], 50) + 1e-9])
     file = tmp_path / "walker.xml"
     for ground in grounds_of(kind, tmp_path):
-        text = mjcf_text(Bodies.nominal(), 0.9, ground, MUJOCO, start_state(ground))
+        text = mjcf_text(Bodies.nominal(), Worlds.nominal(), ground, MUJOCO, start_state(ground))
         file.write_text(text)
         model = mujoco.MjModel.from_xml_path(str(file))
         single = 1e-7 * np.ptp(ground.height_m)  # MuJoCo keeps heights in float32

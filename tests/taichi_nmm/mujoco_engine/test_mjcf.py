@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import PUBLISHED_GAINS, WorldRanges, terrain
+from taichi_nmm import PUBLISHED_GAINS, Prosthesis, WorldRanges, terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
 from taichi_nmm.initial import SPEED_MPS
 from taichi_nmm.kernel import backend
@@ -29,8 +29,12 @@ SETTINGS = Settings(engine="mujoco", physics_step_s=0.5e-3, mujoco=CONTACT)
 def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
     """As MuJoCo's own viewer reads it."""
     path = tmp_path_factory.mktemp("mjcf") / "walker.xml"
-    path.write_text(mjcf.mjcf_text(BODY, FRICTION, GROUND, SETTINGS, start_state(GROUND)))
+    path.write_text(written(WorldRanges(friction=(FRICTION, FRICTION))))
     return mujoco.MjModel.from_xml_path(str(path))
+
+
+def written(ranges: WorldRanges) -> str:
+    return mjcf.mjcf_text(BODY, ranges.draw([0]), GROUND, SETTINGS, start_state(GROUND))
 
 
 def test_the_model_has_the_body(model: mujoco.MjModel) -> None:
@@ -95,6 +99,25 @@ def test_links_and_muscles_are_seen_and_weigh_nothing(model: mujoco.MjModel) -> 
     assert sorted(model.site_bodyid[capsules]) == list(range(1, 8))
     assert model.nlight == model.ncam == 1 and model.ntex == 1
     assert model.body_mass.sum() == pytest.approx(BODY.mass_kg.sum())
+
+
+def test_a_passive_foot_is_in_the_file_and_no_missing_muscle() -> None:
+    """Its torque is that of the walker: stiffness (rest - angle) - damping rate."""
+    foot, weak = Prosthesis("right", 350.0, 1.0, 0.1), tuple(1.0 - (n == 4) for n in range(14))
+    model = mujoco.MjModel.from_xml_string(written(WorldRanges(prosthesis=foot, muscles=weak)))
+    names = {model.tendon(n).name for n in range(model.ntendon)}
+    gone = {"HAM_l", "SOL_r", "TA_r", "GAS_r"}
+    assert names == {f"{muscle}_{side}" for muscle in MUSCLES for side in "lr"} - gone
+    sites = {model.site(n).name.rpartition("_")[0] for n in range(model.nsite)}
+    assert not sites & gone and "HAM_r" in sites
+    data, index = mujoco.MjData(model), JOINTS.index("foot_r")
+    for name in JOINTS:
+        assert model.joint(name).stiffness == (350.0 if name == "foot_r" else 0.0)
+    data.qpos[3 + index], data.qvel[3 + index] = 0.25, 2.0
+    mujoco.mj_forward(model, data)
+    torque_nm = 350.0 * (0.1 - 0.25) - 1.0 * 2.0
+    assert data.qfrc_passive[3 + index] == pytest.approx(torque_nm)
+    assert np.count_nonzero(data.qfrc_passive) == 1
 
 
 def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None:
