@@ -21,6 +21,7 @@ from taichi_nmm import PUBLISHED_GAINS, Trajectory, Worlds, simulate
 from taichi_nmm.body import Bodies
 from taichi_nmm.config import Table
 from taichi_nmm.kernel.joints import KNEE_STRAIGHTEST_RAD
+from taichi_nmm.kernel.muscle import ECCENTRIC, SHAPE, WIDTH
 from taichi_nmm.parameters import LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.world import read_world
@@ -315,3 +316,22 @@ def test_the_tendons_strain_is_near_the_walkers() -> None:
     share = np.linspace(0.0, 1.4, 1401)
     away = np.abs(np.interp(share, forces, strains) - 0.04 * np.sqrt(share))
     assert 0.0015 < away.max() < 0.0019
+
+
+def test_the_fibres_curves_are_as_near_as_the_documents_say(case: Case) -> None:
+    """Of one muscle: all have the same."""
+    opensim = pytest.importorskip("opensim", reason="no OpenSim: pip install opensim")
+    model = opensim.Model(str(case.folder / MODEL))
+    model.initSystem()
+    muscle = opensim.Millard2012EquilibriumMuscle.safeDownCast(model.getMuscles().get(0))
+    length, speed = np.linspace(0.3, 1.0 + WIDTH, 281), np.linspace(-1.0, 1.0, 401)
+    lengthening = ECCENTRIC + (ECCENTRIC - 1.0) * (speed - 1.0) / (1.0 + 7.56 * SHAPE * speed)
+    curves = [
+        (muscle.getActiveForceLengthCurve(), length, 0.05 ** np.abs((length - 1.0) / WIDTH) ** 3),
+        (muscle.getFiberForceLengthCurve(), length, np.maximum((length - 1.0) / WIDTH, 0.0) ** 2),
+        (muscle.getForceVelocityCurve(), speed,
+         np.where(speed < 0.0, (1.0 + speed) / (1.0 - SHAPE * speed), lengthening)),
+    ]  # fmt: skip
+    for (curve, places, ours), most in zip(curves, (0.11, 0.01, 0.06), strict=True):
+        theirs = [curve.calcValue(place) for place in places.tolist()]
+        assert np.abs(np.array(theirs) - ours).max() < most
