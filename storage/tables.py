@@ -60,7 +60,7 @@ def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
         return None
 
 
-def read_any(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+def read_any(file: Path | pa.BufferReader, columns: Sequence[str] | None = None) -> pa.Table:
     """Columns of anybody's Parquet file; pages that have a checksum are checked against it.
 
     Raises:

@@ -17,6 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
+from taichi_nmm import typed
 from taichi_nmm.errors import InputError, one_line, shortened
 from taichi_nmm.settings import ENGINES
 
@@ -248,7 +249,16 @@ def config_path(name: str | Path) -> Path:
     return Path(name)
 
 
-TYPES = {"int": int, "float": float, "path": Path, "config": config_path}
+def _number(word: str) -> float:
+    """The number that was typed, with a decimal point or a comma."""
+    try:
+        return typed.number("", word)
+    except InputError as error:
+        refused = f"{word!r} cannot be used; allowed: {error.allowed}"
+        raise argparse.ArgumentTypeError(refused) from None
+
+
+TYPES = {"int": int, "float": _number, "path": Path, "config": config_path}
 
 
 def shipped_configs(stores: bool) -> dict[str, str]:

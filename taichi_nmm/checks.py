@@ -187,7 +187,28 @@ def numbers(field: str, values: Any) -> NDArray[np.float64]:
             raise TypeError
         return array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(field, values, "an array of numbers") from None
+        where, value = first_that_is_no_number(field, values)
+        raise InputError(where, value, "an array of numbers") from None
+
+
+def first_that_is_no_number(field: str, values: Any) -> tuple[str, Any]:
+    """Where the first value of an array stands that no float can hold, and the value.
+
+    The field and the kind of the whole, where it is no array of values.
+    """
+    try:
+        array = np.asarray(values, dtype=object)
+    except ValueError:  # of different lengths
+        return field, "lists of different lengths"
+    if not array.ndim:
+        return field, values
+    is_time = getattr(values, "dtype", array.dtype).kind in "mM"
+    for place in np.ndindex(array.shape):
+        value = array[place]
+        if is_time or not (value is None or isinstance(value, bool) or is_number(value)):
+            shown = str(np.asarray(values)[place]) if is_time else value
+            return f"{field}[{', '.join(map(str, place))}]", shown
+    return field, values
 
 
 def unmasked(values: Any) -> Any:

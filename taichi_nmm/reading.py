@@ -52,7 +52,7 @@ def read_text(field: str, path: str | Path, allowed: str) -> str:
         InputError: as of `reading`; or the text is longer than `MOST_BYTES`.
     """
     with reading(field, path, allowed) as file:
-        packed_by = PACKED_BY.get(file.suffix)
+        packed_by = PACKED_BY.get(file.suffix.lower())
         with import_module(packed_by).open(file) if packed_by else file.open("rb") as stream:
             content: bytes = stream.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:

@@ -29,7 +29,7 @@ ALLOWED = {
     "taichi_nmm": ("taichi_nmm",),
     # A store is of any simulator: of the walker's package, no bodies, grounds or gains.
     "storage": ("storage", "taichi_nmm.checks", "taichi_nmm.config", "taichi_nmm.errors",
-                "taichi_nmm.reading"),
+                "taichi_nmm.reading", "taichi_nmm.typed"),
     "study": PACKAGES,
     "study.experiment": ("study.experiment", "study.sampler", "study.pictures", "storage",
                          "taichi_nmm"),
@@ -38,8 +38,9 @@ ALLOWED = {
     "study.experiment.objective": ("storage", "taichi_nmm"),
     "study.commands": PACKAGES,  # the top, which nobody but the door imports
     # For anybody: of the walker's package, only what says no to a user.
-    "study.sampler": ("study.sampler", "storage.store", "storage.tables", "taichi_nmm.checks",
-                      "taichi_nmm.errors", "taichi_nmm.reading"),
+    "study.sampler": ("study.sampler", "storage.foreign_tables", "storage.store",
+                      "taichi_nmm.checks", "taichi_nmm.errors", "taichi_nmm.reading",
+                      "taichi_nmm.typed"),
 }  # fmt: skip
 
 

@@ -129,7 +129,7 @@ class Bench:
         Raises:
             InputError: they cannot be read, or have changed since.
         """
-        found = self.plan.read_candidates()
+        found = self.plan.read_candidates(self.space if self._entries else None)
         if self._entries and found.digest != self._begun["digest"]:
             allowed = "the candidates with which the bench was begun (their digest differs)"
             raise InputError("candidates", str(self.plan.path), allowed)

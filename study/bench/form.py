@@ -28,6 +28,7 @@ from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
 from study.pictures.movie import encoded, filmable, filmed
 from study.pictures.scene import SMALL, frames
+from taichi_nmm import typed
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
@@ -228,10 +229,7 @@ def number(given: Fields, name: str) -> float | None:
         InputError: something else.
     """
     word = given.get(name, "").strip()
-    try:
-        return float(word) if word else None
-    except ValueError:
-        raise InputError(name, word, "a number, such as 0.21") from None
+    return typed.number(name, word) if word else None
 
 
 def trial_of(given: Fields, name: str = "trial") -> int:

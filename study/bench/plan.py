@@ -4,30 +4,26 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from fnmatch import fnmatch
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
 from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.distributions import BaseDistribution
 from optuna.study import StudyDirection
 
 from storage.databases.studies import shown_url
 from storage.databases.urls import file_url
 from storage.simulator import SURVIVED
 from storage.store import open_store
-from storage.tables import read_any
+from study.bench.candidates import better_of, of_file
 from study.bench.words import horizon
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from study.sampler.worlds import Better
 from taichi_nmm import checks
 from taichi_nmm.config import Table, read_whole
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import reading, toml_document
+from taichi_nmm.reading import toml_document
 
 if TYPE_CHECKING:
     from study.experiment.features import Cost
@@ -35,7 +31,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-CSV = (".csv", ".tsv", ".txt")
 FREE = ("about", "safety", "storage")  # parts of the file that may change under a running bench
 READABLE = "a readable TOML file of a bench"
 
@@ -124,15 +119,19 @@ class Plan:
         """As Optuna has it."""
         return StudyDirection.MAXIMIZE if self.goal.maximise else StudyDirection.MINIMIZE
 
-    def read_candidates(self) -> FeatureTable:
+    def read_candidates(self, begun: Mapping[str, BaseDistribution] | None = None) -> FeatureTable:
         """What may be tried, and what is known of it before.
+
+        Args:
+            begun: the parameters of a bench that was begun; None: it begins now.
 
         Raises:
             InputError: naming the key of the file, or the column and row.
         """
         table = Table(self.candidates.unread, "candidates", self.candidates.folder)
         with warnings.catch_warnings(action="ignore", category=UserWarning):  # of rows left out
-            found = _of_store(table, self.goal) if "store" in table.unread else _of_file(table)
+            is_store = "store" in table.unread
+            found = _of_store(table, self.goal) if is_store else of_file(table, begun)
         table.done()
         return found
 
@@ -231,19 +230,6 @@ def _column(table: Table) -> Column:
     return column
 
 
-def read_columns(path: Path, field: str) -> dict[str, NDArray[Any]]:
-    """The columns of a CSV or Parquet file, whose first line, or schema, names them."""
-    with reading(field, path, "a CSV or Parquet file of columns with names") as file:
-        found = pa.csv.read_csv(file) if path.suffix in CSV else read_any(file)
-        return {name: found[name].to_numpy() for name in found.column_names}
-
-
-def _better(table: Table) -> Better | None:
-    """Which outcomes are good, where they are in units of their own."""
-    given = table.text("better", "costs", ("lower", "higher", "costs"))
-    return cast(Better, given) if given != "costs" else None
-
-
 def _of_store(table: Table, goal: Goal) -> FeatureTable:
     """The rows of a store: with features, or else in the worlds of its families."""
     # Of the walker: what has no store does without, as `status` does.
@@ -252,7 +238,7 @@ def _of_store(table: Table, goal: Goal) -> FeatureTable:
 
     path, features = table.folder / table.text("store"), table.texts("features")
     cost = table.text("cost", "smooth")
-    better = _better(table)
+    better = better_of(table)
     if features:
         return FeatureTable.from_parquet(path, features=features)
     in_values = goal if better is None else replace(goal, failed=None)
@@ -262,37 +248,3 @@ def _of_store(table: Table, goal: Goal) -> FeatureTable:
     assert rows.worlds is not None
     worlds = replace(rows.worlds, better=better)
     return FeatureTable(replace(rows, worlds=worlds))
-
-
-def _of_file(table: Table) -> FeatureTable:
-    """The rows of a CSV or Parquet file."""
-    path, names = table.folder / table.text("file"), table.texts("parameters")
-    features, patterns = table.texts("features"), table.texts("outcomes")
-    better = _better(table)
-    logarithmic, bounds = table.texts("log"), table.table("bounds")
-    columns = read_columns(path, "candidates.file")
-
-    def column(name: str) -> NDArray[Any]:
-        if name not in columns:
-            raise InputError("candidates", name, f"one of the columns {', '.join(columns)}")
-        return columns[name]
-
-    outcomes = {}  # each pattern is a family
-    for pattern in patterns:
-        named = [name for name in columns if fnmatch(name, pattern)]
-        if not named:
-            raise InputError("candidates.outcomes", pattern, f"some of {', '.join(columns)}")
-        outcomes[pattern] = np.column_stack([columns[name] for name in named])
-    ends = {name: bounds.range(name, (0, 0), -1e300, 1e300) for name in list(bounds.unread)}
-    space: dict[str, BaseDistribution] = {}
-    for name in logarithmic:
-        values = checks.numbers(f"candidates.{name}", column(name))
-        low, high = ends.pop(name, (values.min(), values.max()))
-        if low <= 0.0:
-            raise InputError("candidates.log", name, f"a column above 0; its least value is {low}")
-        space[name] = FloatDistribution(float(low), float(high), log=True)
-    return FeatureTable.from_arrays(
-        {name: column(name) for name in names},
-        np.column_stack([column(name) for name in features]) if features else None,
-        features or None, outcomes=outcomes or None, better=better, bounds=ends, space=space,
-    )  # fmt: skip

@@ -17,16 +17,16 @@ import numpy as np
 import optuna
 
 from storage.commit import commit_text, require_writable
+from storage.foreign_tables import ForeignTable
 from study.bench import words
 from study.bench.bench import Bench
+from study.bench.candidates import choices_of
 from study.bench.journal import MOST_DIGITS, Trial
-from study.bench.plan import read_columns
 from study.bench.words import PROGRAM
 from study.options import COMMANDS, require_used
-from taichi_nmm import checks
+from taichi_nmm import typed
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import json_document, toml_document
-from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, smooth_cost
 
 EVERYWHERE = "0.0.0.0"
 PARAMETERS = "a JSON object of parameters by name"
@@ -91,9 +91,11 @@ def record(bench: Bench, args: Namespace) -> None:
     value = args.value
     columns = others(args)
     if args.log is not None:
+        from study.bench.walk_log import cost_of_log
+
         if value is not None:
             raise InputError("value", value, "the value, or --log, which gives it, not both")
-        value = of_log(bench, args.log)
+        value = cost_of_log(args.log, bench.plan.goal.duration_s)
     if args.action == "fail":
         seconds = needed(args.seconds, "seconds", "a time")
         bench.record(number(args), failed_s=seconds, columns=columns, note=args.note)
@@ -109,20 +111,6 @@ def record(bench: Bench, args: Namespace) -> None:
     if value is not None and (odd := bench.odd(value)):
         print(f"warning: {odd}", file=sys.stderr)
     print(bench.entries[-1])
-
-
-def of_log(bench: Bench, path: Path) -> float:
-    """The walker's smooth cost of a walk that was logged."""
-    columns = read_columns(path, "log")
-    for name in ("time", "position"):
-        if name not in columns or not np.isfinite(columns[name].astype(float)).all():
-            raise InputError("log", name, "a column of finite numbers")
-    time, position = columns["time"].astype(float), columns["position"].astype(float)
-    rows = np.zeros(1, RESULT_DTYPE)
-    rows["duration_s"], rows["distance_m"] = time[-1] - time[0], position[-1] - position[0]
-    rows["end_reason"] = COMPLETED if time[-1] - time[0] >= bench.plan.goal.duration_s else FELL
-    rows["mean_speed_mps"] = rows["distance_m"] / max(float(rows["duration_s"][0]), 1e-9)
-    return float(smooth_cost(rows)[0])
 
 
 def status(bench: Bench, args: Namespace) -> None:
@@ -203,20 +191,31 @@ def export(bench: Bench, args: Namespace) -> None:
 
 def import_trials(bench: Bench, args: Namespace) -> None:
     """Enter the trials of a CSV as the operator's own."""
-    found = read_columns(Path(needed(args.what, "what", "a CSV file")), "import")
-    table = {name: column.tolist() for name, column in found.items()}
     names, columns = list(bench.space), bench.plan.columns
+    path = Path(needed(args.what, "what", "a CSV file"))
+    known = ForeignTable.read("import", path)
     for name in (*names, "value"):
-        if name not in table:
+        if name not in known.names:
             raise InputError("import", name, f"a file with the columns {', '.join(names)}, value")
+    choices = {name: choices_of(distribution) for name, distribution in bench.space.items()}
+    named = [name for name in names if choices[name]]
+    found = ForeignTable.read("import", path, words=[*named, "note"])
+    params = dict[str, list[Any]]()
+    for name in names:
+        given = found.values(name)
+        is_text = given.dtype.kind == "O" and name not in named
+        params[name] = (found.numbers(name) if is_text else given).tolist()  # or says what is wrong
+    for name in named:
+        listed = ["" if word is None else str(word) for word in params[name]]
+        params[name] = [choices[name].get(word, word) for word in listed]
+    values = found.numbers("value")
+    told = {name: found.numbers(name) for name in columns if name in found.names}
+    notes = found.values("note").tolist() if "note" in found.names else [""] * len(found)
     rows = []
-    values = checks.numbers("import: value", found["value"])
     for place in np.flatnonzero(np.isfinite(values)).tolist():
-        row = {name: column[place] for name, column in table.items()}
-        numbers = {name: float(row[name]) for name in columns if row.get(name) is not None}
-        own = {name: value for name, value in numbers.items() if np.isfinite(value)}
-        note = row.get("note") or ""
-        rows.append(({name: row[name] for name in names}, float(row["value"]), own, str(note)))
+        own = {name: float(of[place]) for name, of in told.items() if np.isfinite(of[place])}
+        row = {name: of[place] for name, of in params.items()}
+        rows.append((row, float(values[place]), own, str(notes[place] or "")))
     print(f"trials {', '.join(map(str, bench.add(rows)))}")
 
 
@@ -268,10 +267,7 @@ def others(args: Namespace) -> dict[str, float]:
     """Columns that options name."""
     found = {}
     for name, word in args.others.items():
-        try:
-            found[name] = float(word)
-        except ValueError:
-            raise InputError(name, word, "a number") from None
+        found[name] = typed.number(name, word)
     return found
 
 

@@ -1,9 +1,11 @@
 """Columns of arrays, files and stores, checked: the content of a table."""
 
 import json
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from importlib.util import find_spec
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,17 +21,22 @@ from optuna.distributions import (
 
 from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
-from taichi_nmm import checks
+from taichi_nmm import checks, typed
 from taichi_nmm.errors import InputError
-from taichi_nmm.reading import is_folder, reading
 
 if TYPE_CHECKING:
-    import pyarrow as pa  # slow to load: where a file is read
+    from storage.foreign_tables import ForeignTable  # slow to load: where a file is read
 
 Floats = NDArray[np.float64]
 Bounds = Mapping[str, tuple[float, float]]
 Content = tuple[Space, Floats, tuple[str, ...], Floats, Worlds | None]
 """Distributions of d parameters; parameters [n, d]; k names; features [n, k]; worlds."""
+
+LARGEST_EXACT = 2**53  # of whole numbers in float64
+CHOICES = (str, bool, np.bool_, Real, type(None))
+KINDS = (
+    "numbers, words or flags; of a date or a time make a number, such as the days from the first"
+)
 
 
 def checked_columns(
@@ -73,7 +80,7 @@ def checked_columns(
             if isinstance(distribution, CategoricalDistribution):
                 allowed = "none: the parameter is categorical"
                 raise InputError(f"table.bounds.{name}", bounds[name], allowed)
-            distribution = type(distribution)(*bounds[name])  # type: ignore[call-arg]
+            distribution = _within(distribution, *bounds[name])
         own = distributions[name] = distribution
         if isinstance(own, Number) and (row := first_not_taken(own, column, own)) is not None:
             value = float(column[row])
@@ -100,24 +107,53 @@ def _parameter_column(
         raise InputError(f"table.{name}.shape", column.shape, "[n], n at least 1")
     if len(column) != length:
         raise InputError(f"table.{name}.shape", column.shape, f"({length},), as the features")
+    if column.dtype.kind == "O" and given is None:
+        column = _without_decimals(column)
     if isinstance(given, CategoricalDistribution) or (
         given is None and column.dtype.kind not in "iuf"
     ):
         return _choices(name, column, given)
     try:
+        if column.dtype.kind in "mM":
+            raise TypeError
         numbers = column.astype(np.float64)
     except (TypeError, ValueError, OverflowError):
         raise InputError(f"table.{name}", str(column[0]), "numbers") from None
     bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
         raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
-    numbers += 0.0  # no negative zero: rows are compared by their bits
+    if column.dtype.kind in "iu":
+        for row in np.flatnonzero(np.abs(numbers) > LARGEST_EXACT)[:1].tolist():
+            allowed = "whole numbers up to 2^53, which a float holds; longer ones, as words"
+            raise InputError(f"table.{name}[{row}]", int(column[row]), allowed)
+    numbers = numbers + 0.0  # no negative zero: rows are compared by their bits
     if given is not None:
         return numbers, given
     low, high = float(numbers.min()), float(numbers.max())
     if column.dtype.kind in "iu":
         return numbers, IntDistribution(int(low), int(high))
     return numbers, FloatDistribution(low, high)
+
+
+def _within(distribution: BaseDistribution, low: float, high: float) -> Number:
+    """A distribution of numbers with these bounds: floats, where whole numbers cannot have them."""
+    are_whole = float(low).is_integer() and float(high).is_integer()
+    if are_whole and isinstance(distribution, IntDistribution):
+        return IntDistribution(int(low), int(high))
+    return FloatDistribution(float(low), float(high))
+
+
+def _without_decimals(column: NDArray[Any]) -> NDArray[Any]:
+    """Decimals as databases have them, as floats, or whole numbers if all are; else as it is."""
+    listed = column.tolist()
+    decimals = [value for value in listed if isinstance(value, Decimal)]
+    if not decimals or not all(isinstance(value, Decimal | Real) for value in listed):
+        return column
+    if all(value == int(value) for value in listed) and all(
+        value.as_tuple().exponent == 0 for value in decimals
+    ):
+        return np.array([int(value) for value in listed])
+    return np.array([float(value) for value in listed])
 
 
 def feature_matrix(features: ArrayLike | None, names: Sequence[str] | None) -> Floats:
@@ -138,10 +174,13 @@ def _choices(
     listed = column.tolist()
     if given is not None and None in given.choices:  # pandas has NaN for it
         listed = [None if _is_gap(value) else value for value in listed]
-    for row, value in enumerate(listed):
-        if not isinstance(value, Hashable):
-            raise InputError(f"table.{name}[{row}]", value, "a number, a word or a flag")
     if given is None:
+        for row, value in enumerate(listed):
+            if not isinstance(value, CHOICES) and not _is_gap(value):
+                raise InputError(f"table.{name}[{row}]", value, KINDS)
+            if typed.is_meant(value):
+                allowed = "a number, not a word that looks like one; or a choice, declared as such"
+                raise InputError(f"table.{name}[{row}]", value, allowed)
         others = [value for value in listed if value is not None and not _is_gap(value)]
         words = bool(others) and all(isinstance(value, str | bool) for value in others)
         choice = f"space={{{name!r}: CategoricalDistribution([...])}}"
@@ -186,14 +225,18 @@ class FileColumns:
             raise InputError("parameters", "none", "columns; only taichi-nmm whole reads stores")
         if self.parameters is None:
             return self._of_store()
-        table = _read(self.path, (*self.parameters, *self.features))
-        columns = {name: table[name].to_numpy() for name in self.parameters}
-        features = _numbers(table, self.features)
+        from storage.foreign_tables import ForeignTable
+
+        wanted = dict.fromkeys([*self.parameters, *self.features])
+        table = ForeignTable.read("store", self.path, list(wanted), of_columns="column")
+        columns = {name: table.values(name) for name in self.parameters}
+        features = _features(table, self.features)
         return checked_columns(columns, features, self.features, self.bounds, self.space)
 
     def _of_store(self) -> Content:
         """The columns of a store, with its parameters and their bounds."""
-        from storage.store import open_store  # PyArrow is slow to load
+        from storage.foreign_tables import ForeignTable  # PyArrow is slow to load
+        from storage.store import open_store
 
         store = open_store(self.path)
         store.require_bounds()
@@ -202,7 +245,7 @@ class FileColumns:
         for name in self.features:
             if name not in others:
                 raise InputError("score", name, f"one of {', '.join(others)}")
-        features = _numbers(store.table(self.features), self.features)
+        features = _features(ForeignTable("score", store.table(self.features)), self.features)
         columns, bounds, space = store_parameters(ranges, store.gains())
         space |= self.space or {}
         return checked_columns(columns, features, self.features, self.bounds or bounds, space)
@@ -234,35 +277,9 @@ def store_parameters(
     return columns, bounds, space
 
 
-def _read(path: Path, names: Sequence[str]) -> "pa.Table":
-    """Named columns of a file, or of all Parquet files of a folder in the order of their names."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from storage.tables import read_any
-
-    allowed = "a Parquet file, or a folder of them, that exists"
-    files = sorted(path.glob("*.parquet")) if is_folder(path) else [path]
-    if not files:
-        raise InputError("store", str(path), allowed)
-    tables = []
-    for each in files:
-        with reading("store", each, allowed) as file:
-            known = pq.read_schema(file).names
-            for name in names:
-                if name not in known:
-                    raise InputError("column", name, f"one of {', '.join(known)}")
-            tables.append(read_any(file, names))
-    with reading("store", files[0], "files of the same columns, if there are several"):
-        return pa.concat_tables(tables)
-
-
-def _numbers(table: "pa.Table", names: Sequence[str]) -> Floats:
-    """Columns of a table, [n, k]; refuse but numbers."""
+def _features(table: "ForeignTable", names: Sequence[str]) -> Floats:
+    """Columns of numbers, [n, k]."""
     matrix = np.empty((len(table), len(names)))
     for name, target in zip(names, matrix.T, strict=True):
-        try:
-            target[:] = table[name].to_numpy()
-        except (TypeError, ValueError):
-            raise InputError("score", name, "a column of numbers") from None
+        target[:] = table.numbers(name)
     return matrix

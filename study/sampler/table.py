@@ -322,12 +322,13 @@ class FeatureTable:
         space: Mapping[str, BaseDistribution] | None = None,
         bounds: Bounds | None = None,
     ) -> Self:
-        """Columns of a Parquet file, of a folder of them, or of a store.
+        """Columns of a Parquet file, of a folder of them, of a text such as CSV, or of a store.
 
         Args:
-            path: a file; a folder of files, read in the order of their names; or a store of this
-                project (folder, shard or merged file), whose parameters and bounds are known and
-                need not be given.
+            path: a file; a folder of Parquet files, read in the order of their names, in which the
+                names of folders by the name KEY=VALUE are columns too; or a store of this project
+                (folder, shard or merged file), whose parameters and bounds are known and need not
+                be given.
             features: columns to compare rows by, k of them.
             parameters: columns that the study will suggest, d of them; None: `path` is a store.
             space: distributions of some or all parameters; by default those of `from_arrays`.
@@ -372,7 +373,8 @@ class FeatureTable:
             better: "higher" or "lower" says which outcomes are good, where they are in other units
                 than the study's values: shares survived, scores.
             feature_names: k names; by default feature_0, feature_1, ...
-            bounds: (low, high) of numeric parameters; by default those of the columns.
+            bounds: (low, high) of numeric parameters; by default those of the columns. All rows lie
+                within. Whole numbers with bounds that are not whole are floats.
             space: distributions of parameters, where columns do not say enough: a logarithmic
                 scale, a step, choices.
 

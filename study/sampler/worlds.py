@@ -139,9 +139,13 @@ def matrix_of(field: str, given: Any, count: str) -> Floats:
     With count "w" they may be of several goals, [n, w, k].
     """
     try:
+        if np.asarray(given).dtype.kind in "mM":  # NumPy would count nanoseconds
+            raise TypeError
         matrix = np.array(checks.unmasked(given), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise InputError(field, type(given).__name__, f"numbers, [n, {count}]") from None
+        where, value = checks.first_that_is_no_number(field, given)
+        shown = type(given).__name__ if where == field else value
+        raise InputError(where, shown, f"numbers, [n, {count}]") from None
     matrix = matrix[:, None] if matrix.ndim == 1 else matrix
     if matrix.ndim not in ((2, 3) if count == "w" else (2,)) or not matrix.size:
         allowed = f"[n, {count}], n and {count} at least 1"

@@ -72,7 +72,7 @@ def run_points_as_choices() -> None:
 CASES: dict[str, Callable[[], object]] = {
     "table.….shape: … allowed: …, as the features": lambda: arrays([1.0, 2.0]),
     "table.…: nan cannot be used; allowed: a finite number": lambda: arrays([1.0, np.nan, 3.0]),
-    "table.features: … allowed: numbers, [n, k]": lambda: new_table(["x", "y", "z"]),
+    "table.features…: … allowed: numbers, [n, k]": lambda: new_table(["x", "y", "z"]),
     "table.feature_names: … allowed: … names": lambda: new_table(feature_names=["f", "g"]),
     "table.…: … allowed: … to …": lambda: new_table(bounds={"a": (0, 0.5)}),
     "table.bounds.…: … allowed: none beside space=, …":
@@ -84,7 +84,7 @@ CASES: dict[str, Callable[[], object]] = {
         lambda: arrays(["x", "y", "z"], space={"a": CategoricalDistribution(["x", "y"])}),
     "column: … allowed: one of …": lambda: FeatureTable.from_dataframe(
         pd.DataFrame(PARAMETERS), parameters=["a"], features=["c"]),
-    "…: … allowed: a Parquet file, or a folder of them, that exists":
+    "…: … allowed: a Parquet file, a folder of them, or a text such as CSV, that exists":
         lambda: FeatureTable.from_parquet("missing.parquet", parameters=["a"], features=["f"]),
     "… rows that lack more than half of their features are not proposed":
         lambda: new_table([[0.0], [1.0], [np.nan]]),

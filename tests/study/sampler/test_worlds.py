@@ -221,7 +221,7 @@ GAPS = np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0)
     (lambda: table({}), r"^table.outcomes: 'none' .* one family"),
     (lambda: table({"a": COSTS, "b": COSTS[:9]}),
      r"^table.outcomes.b: '9 rows' .* 60, as the others"),
-    (lambda: table({"a": [["x"]]}), r"^table.outcomes.a: 'list' .* numbers, \[n, w\]"),
+    (lambda: table({"a": [["x"]]}), r"^table.outcomes.a\[0, 0\]: 'x' .* numbers, \[n, w\]"),
     (lambda: table(np.ones((60, 2, 0))), r"^table.outcomes.shape: \(60, 2, 0\) .* \[n, w\]"),
     (lambda: table(np.empty((60, 0))), r"^table.outcomes.shape: \(60, 0\) .* \[n, w\]"),
     (lambda: FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS),

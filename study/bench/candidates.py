@@ -1,0 +1,177 @@
+"""The candidates of a bench in a file: which columns they are, of what type, within which bounds.
+
+The values of a column suggest what a parameter is, and that is a guess. What the bench's file
+declares (type, bounds, step, log) wins. A row that does not keep to it is refused by name; nothing
+outside of it is ever proposed.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from typing import Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+
+from storage.foreign_tables import ForeignTable
+from study.sampler.table import FeatureTable
+from study.sampler.worlds import Better
+from taichi_nmm.config import Table
+from taichi_nmm.errors import InputError
+
+Kind = Literal["float", "whole", "choice"]
+
+KINDS = ("float", "whole", "choice")
+FARTHEST = 1e300  # of a bound, so that differences of two are finite
+LEAST_STEP = 1e-300
+OFF_STEP = 1e-8  # of a step: how far a value may be off, as for Optuna
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What a bench's file says of a parameter; None: nothing."""
+
+    kind: Kind | None = None
+    bounds: tuple[float, float] | None = None  # the least and the largest value
+    step: float | None = None  # between two values, from the least on
+    log: bool = False  # on a logarithmic scale
+
+    def distribution(self, name: str, values: NDArray[Any], numbers: Any) -> BaseDistribution:
+        """The distribution of a parameter.
+
+        Args:
+            name: of the parameter.
+            values: of its column, [n].
+            numbers: makes the column's numbers, [n], where it has any.
+
+        Raises:
+            InputError: a column or a declaration that this kind of parameter cannot have.
+        """
+        if self.kind == "choice":
+            for key, given in (("bounds", self.bounds), ("step", self.step)):
+                if given is not None:
+                    raise InputError(f"candidates.{key}.{name}", given, "none of a choice")
+            if self.log:
+                raise InputError("candidates.log", name, "parameters that are no choices")
+            listed = [None if value != value else value for value in values.tolist()]
+            return CategoricalDistribution(tuple(dict.fromkeys(listed)))
+        known = numbers()[np.isfinite(numbers())]
+        if not len(known):
+            raise InputError(f"candidates.{name}", "no number", "a column of numbers")
+        low, high = self.bounds or (float(known.min()), float(known.max()))
+        if self.log and low <= 0.0:
+            raise InputError("candidates.log", name, f"a column above 0; its least value is {low}")
+        if self.log and self.step is not None:
+            allowed = "none on a logarithmic scale"
+            raise InputError(f"candidates.step.{name}", self.step, allowed)
+        if self.step is not None:
+            _require_steps(name, numbers(), low, self.step)
+        if self._is_whole(values):
+            return self._whole_numbers(name, low, high)
+        return FloatDistribution(low, high, log=self.log, step=self.step)
+
+    def _is_whole(self, values: NDArray[Any]) -> bool:
+        """Whether the parameter has whole numbers: as declared, or as the column suggests."""
+        if self.kind is not None:
+            return self.kind == "whole"
+        declared = [*(self.bounds or ()), *([] if self.step is None else [self.step])]
+        return values.dtype.kind in "iu" and all(number.is_integer() for number in declared)
+
+    def _whole_numbers(self, name: str, low: float, high: float) -> IntDistribution:
+        if self.step is not None and not self.step.is_integer():
+            raise InputError(f"candidates.step.{name}", self.step, "a whole number, as its type")
+        least, most = math.ceil(low), math.floor(high)
+        if least > most:
+            allowed = "bounds with a whole number between them, as its type"
+            raise InputError(f"candidates.bounds.{name}", [low, high], allowed)
+        return IntDistribution(least, most, log=self.log, step=int(self.step or 1))
+
+
+def _require_steps(name: str, values: NDArray[np.float64], low: float, step: float) -> None:
+    """Refuse a value that lies between two steps."""
+    steps = (values - low) / step
+    for row in np.flatnonzero(np.abs(steps - np.round(steps)) > OFF_STEP)[:1].tolist():
+        allowed = f"steps of {step:g} from {low:g} on"
+        raise InputError(f"candidates.{name}[{row}]", float(values[row]), allowed)
+
+
+def better_of(table: Table) -> Better | None:
+    """Which outcomes are good, where they are in units of their own."""
+    given = table.text("better", "costs", ("lower", "higher", "costs"))
+    return cast(Better, given) if given != "costs" else None
+
+
+def choices_of(distribution: BaseDistribution) -> dict[str, Any]:
+    """The choices of a parameter by what a file has for them; none where it is a number."""
+    if not isinstance(distribution, CategoricalDistribution):
+        return {}
+    return {"" if choice is None else str(choice): choice for choice in distribution.choices}
+
+
+def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> FeatureTable:
+    """The rows of a file, whose columns the table [candidates] names.
+
+    Args:
+        table: of the bench's file.
+        begun: the parameters of a bench that was begun, perhaps by an earlier version, which took
+            other guesses: they hold. None: it begins now.
+
+    Raises:
+        InputError: naming the key of the file, or the column and row.
+    """
+    path = table.folder / table.text("file")
+    names = table.texts("parameters")
+    features = table.texts("features")
+    patterns = table.texts("outcomes")
+    better = better_of(table)
+    declared = _declared(table, names)
+    found = ForeignTable.read("candidates.file", path, of_columns="candidates")
+    columns = {name: found.values(name) for name in names}
+    space = begun
+    if space is None:
+        space = {
+            name: one.distribution(name, columns[name], lambda name=name: found.numbers(name))
+            for name, one in declared.items()
+        }
+    outcomes = {}  # each pattern is a family
+    for pattern in patterns:
+        named = [name for name in found.names if fnmatch(name, pattern)]
+        if not named:
+            raise InputError("candidates.outcomes", pattern, f"some of {', '.join(found.names)}")
+        outcomes[pattern] = np.column_stack([found.numbers(name) for name in named])
+    return FeatureTable.from_arrays(
+        columns,
+        np.column_stack([found.numbers(name) for name in features]) if features else None,
+        features or None,
+        outcomes=outcomes or None,
+        better=better,
+        space=space,
+    )
+
+
+def _declared(table: Table, names: tuple[str, ...]) -> dict[str, Declared]:
+    """What the file says of parameters, by the name of each of which it says something."""
+    logarithmic = table.texts("log")
+    kinds, bounds, steps = (table.table(key) for key in ("type", "bounds", "step"))
+    keys = {"log": logarithmic, "type": kinds.unread, "bounds": bounds.unread, "step": steps.unread}
+    for key, named in keys.items():
+        for name in named:
+            if name not in names:
+                allowed = f"one of the parameters {', '.join(names) or '(none)'}"
+                raise InputError(f"candidates.{key}", name, allowed)
+    ends = {name: bounds.range(name, (0, 0), -FARTHEST, FARTHEST) for name in bounds.unread}
+    found = {}
+    for name in names:
+        if not any(name in named for named in keys.values()):
+            continue
+        kind = kinds.text(name, choices=KINDS) if name in keys["type"] else None
+        step = steps.number(name, low=LEAST_STEP, high=FARTHEST) if name in keys["step"] else None
+        found[name] = Declared(cast(Kind, kind), ends.get(name), step, name in logarithmic)
+    return found

@@ -1,0 +1,47 @@
+"""The cost of a walk that a machine has logged, in place of a number that somebody types."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from storage.foreign_tables import ForeignTable
+from taichi_nmm.errors import InputError
+from taichi_nmm.result import RESULT_DTYPE, smooth_cost
+
+TIME, POSITION = "time", "position"  # columns of a log: a clock, and metres
+MOST_TRIALS = 10.0  # that a log may last: one in milliseconds would last a thousand
+FASTEST_MPS = 30.0  # a cheetah (Sharp 1997): a position in centimetres would be faster
+
+
+def cost_of_log(path: Path, duration_s: float) -> float:
+    """The walker's smooth cost of a walk that was logged.
+
+    Args:
+        path: of a table with the columns `time` (seconds, or clock times) and `position` (m).
+        duration_s: of a whole trial; infinite where it has no end.
+
+    Raises:
+        InputError: no such table; a clock that does not rise, or of other units; fewer than two
+            rows; a position that is no number.
+    """
+    log = ForeignTable.read("log", path)
+    if len(log) < 2:
+        raise InputError("log", f"{len(log)} rows", "two rows or more")
+    elapsed_s = float(log.seconds(TIME)[-1])
+    if elapsed_s > MOST_TRIALS * duration_s:
+        allowed = f"seconds, of a trial of {duration_s:g} s: up to {MOST_TRIALS * duration_s:g}"
+        raise InputError(f"log.{TIME}", f"{elapsed_s:g} from first to last", allowed)
+    position_m = log.numbers(POSITION)
+    for row in np.flatnonzero(~np.isfinite(position_m))[:1].tolist():
+        raise InputError(f"log.{POSITION}[{row}]", float(position_m[row]), "a finite number")
+    distance_m = float(position_m[-1] - position_m[0])
+    speed_mps = distance_m / elapsed_s
+    if not math.isfinite(speed_mps) or abs(speed_mps) > FASTEST_MPS:
+        allowed = f"metres and seconds of a walk: a mean speed within {FASTEST_MPS:g} m/s"
+        raise InputError(f"log.{POSITION}", f"{speed_mps:g} m/s", allowed)
+    walk = np.zeros(1, RESULT_DTYPE)
+    walk["duration_s"] = elapsed_s
+    walk["distance_m"] = distance_m
+    walk["mean_speed_mps"] = speed_mps
+    return float(smooth_cost(walk)[0])

@@ -1,0 +1,114 @@
+"""Numbers and tables as people and their spreadsheets write them.
+
+Half of Europe writes 0,92 for 0.92, and parts the columns of a file by semicolons for it. What can
+mean one thing alone is read. What can mean two is refused, with the way to write it.
+"""
+
+import csv
+import math
+import re
+from collections.abc import Sequence
+from io import StringIO
+
+from taichi_nmm.errors import InputError
+
+EXPONENT = r"([eE][+-]?[0-9]{1,4})?"
+WITH_POINT = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+){EXPONENT}")
+WITH_COMMA = rf"[+-]?[0-9]*,[0-9]+{EXPONENT}"
+EITHER = r"[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+"  # 1,234: a decimal comma, or a mark of thousands
+MEANT = re.compile(r"[+-]?[.,]?[0-9][0-9.,' ]*([eE][+-]?[0-9]+)?")  # in any way of writing
+
+SEPARATORS = "\t;,"
+BLANKS = " "  # a run of them parts two columns
+SAMPLE_CHARACTERS = 1 << 16  # of a text, by which its columns are told apart
+DECIMAL_COMMAS = "decimal commas need columns that are parted by ;"
+
+
+def number(field: str, word: str) -> float:
+    """The number that somebody typed, with a decimal point or a decimal comma.
+
+    Raises:
+        InputError: no number, one that no float can hold, or one that may mean two.
+    """
+    text = word.strip().replace("\N{MINUS SIGN}", "-")
+    if re.fullmatch(WITH_COMMA, text) and not re.fullmatch(EITHER, text):
+        text = text.replace(",", ".")
+    if not WITH_POINT.fullmatch(text):
+        raise InputError(field, word, mend(text) or "a number, such as 0.92")
+    value = float(text)
+    if not math.isfinite(value):
+        raise InputError(field, word, "a finite number")
+    return value
+
+
+def is_meant(word: object) -> bool:
+    """Whether a word is meant for a number, in whatever way it is written."""
+    return isinstance(word, str) and MEANT.fullmatch(word.strip()) is not None
+
+
+def mend(word: str) -> str:
+    """How to write a number that cannot be read as it is; "": it is none."""
+    if not is_meant(word):
+        return ""
+    text = word.strip()
+    marks = re.findall(r"[.,]", text)
+    plain = re.sub(r"[^0-9eE+-]", "", text)
+    if re.fullmatch(EITHER, text) and len(marks) == 1:
+        meant = f"{plain} or {text.replace(',', '.')}"
+    elif not marks or (len(marks) > 1 and len(set(marks)) == 1):
+        meant = plain
+    else:
+        place = max(text.rfind("."), text.rfind(","))  # of the decimal mark
+        whole, fraction = (re.sub(r"[.,' ]", "", part) for part in (text[:place], text[place:]))
+        meant = f"{whole}.{fraction}"
+    return f"{meant}: a decimal point, and no marks between thousands"
+
+
+def separator(text: str) -> str:
+    """What parts the columns of a text: a tab, a semicolon, a comma, or blanks.
+
+    Its first row has two cells or more, and each other row has as many. Where nothing parts the
+    rows so, there is one column.
+
+    Raises:
+        ValueError: rows of different lengths, or two separators that both fit.
+    """
+    if len(text) > SAMPLE_CHARACTERS:
+        text = text[:SAMPLE_CHARACTERS].rpartition("\n")[0]
+    parted = {mark: _cells(text, mark) for mark in SEPARATORS}
+    fitting = [mark for mark, rows in parted.items() if _is_even(rows)]
+    if len(fitting) > 1:  # a mark within numbers, such as a decimal comma, may part rows evenly too
+        fitting = [mark for mark in fitting if not _cuts_words(parted[mark], fitting, mark)]
+        if len(fitting) != 1:
+            raise ValueError("columns that may be parted by two of tabs, ; and ,")
+    if fitting:
+        return fitting[0]
+    first, *others = max(parted.values(), key=lambda rows: max(map(len, rows)))
+    by_blanks = [line.split() for line in text.splitlines() if line.strip()]
+    if len(first) == 1 and by_blanks and _is_even(by_blanks):
+        return BLANKS
+    for place, row in enumerate(others, start=2):
+        if len(row) != len(first):
+            cells = f"row {place} has {len(row)} cells, and row 1 has {len(first)}"
+            raise ValueError(f"{cells}; {DECIMAL_COMMAS}")
+    return SEPARATORS[-1]
+
+
+def _cells(text: str, mark: str) -> list[list[str]]:
+    """The cells of rows that are not empty, of one row at least."""
+    try:
+        rows = list(csv.reader(StringIO(text, newline=None), delimiter=mark))
+    except csv.Error as error:
+        raise ValueError(str(error)) from None
+    return [row for row in rows if row] or [[""]]
+
+
+def _is_even(rows: Sequence[Sequence[str]]) -> bool:
+    return len(rows[0]) > 1 and all(len(row) == len(rows[0]) for row in rows)
+
+
+def _cuts_words(rows: Sequence[Sequence[str]], marks: Sequence[str], own: str) -> bool:
+    """Whether a cell has another of the marks within, and is no number that may have it."""
+    others = [mark for mark in marks if mark != own]
+    cells = [cell for row in rows for cell in row if any(mark in cell for mark in others)]
+    return not all(map(is_meant, cells))

@@ -1,0 +1,212 @@
+"""Candidates in files that other people wrote: what the bench's file declares, wins."""
+
+import gzip
+from collections.abc import Callable
+from datetime import date
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+
+from study.bench.bench import Bench
+from study.bench.plan import Plan, read_plan
+from study.sampler.table import FeatureTable
+from taichi_nmm.errors import InputError
+
+TOML = """
+[candidates]
+file = "{file}"
+parameters = ["dose"]
+features = ["known"]
+{more}
+[goal]
+"""
+WHOLE = list(range(10, 51))
+
+
+def plan(folder: Path, doses: list[Any], more: str = "", file: str = "doses.csv") -> Plan:
+    rows = "".join(f"{dose},{place}\n" for place, dose in enumerate(doses))
+    (folder / "doses.csv").write_text(f"dose,known\n{rows}")
+    (folder / "bench.toml").write_text(TOML.format(file=file, more=more))
+    return read_plan(folder / "bench.toml")
+
+
+def of_dose(table: FeatureTable) -> Any:
+    return table.rows.space.as_dict()["dose"]
+
+
+@pytest.mark.parametrize(("more", "expected"), [
+    ("", IntDistribution(10, 50)),
+    ("bounds.dose = [9.5, 50.5]", FloatDistribution(9.5, 50.5)),
+    ("bounds.dose = [9, 60]", IntDistribution(9, 60)),
+    ('type.dose = "float"', FloatDistribution(10.0, 50.0)),
+    ('type.dose = "float"\nbounds.dose = [9, 60]', FloatDistribution(9.0, 60.0)),
+    ('type.dose = "whole"\nbounds.dose = [9.5, 50.5]', IntDistribution(10, 50)),
+    ('type.dose = "choice"', CategoricalDistribution(WHOLE)),
+    ('log = ["dose"]', IntDistribution(10, 50, log=True)),
+    ('log = ["dose"]\ntype.dose = "float"', FloatDistribution(10.0, 50.0, log=True)),
+    ('log = ["dose"]\nbounds.dose = [9.5, 50.5]', FloatDistribution(9.5, 50.5, log=True)),
+    ("step.dose = 0.5", FloatDistribution(10.0, 50.0, step=0.5)),
+    ("step.dose = 1", IntDistribution(10, 50)),
+    ("step.dose = 1\nbounds.dose = [0, 50.5]", FloatDistribution(0.0, 50.0, step=1.0)),
+])  # fmt: skip
+def test_what_is_declared_wins_over_what_the_column_suggests(
+    tmp_path: Path, more: str, expected: Any
+) -> None:
+    assert of_dose(plan(tmp_path, WHOLE, more).read_candidates()) == expected
+
+
+def test_nothing_outside_of_declared_bounds_is_proposed(tmp_path: Path) -> None:
+    bench = Bench.new(plan(tmp_path, WHOLE, "bounds.dose = [9.5, 50.5]").path)
+    bench.add([({"dose": 26.5}, 1.0, {}, "")])  # an operator's own
+    for number in range(1, 25):
+        (trial,) = bench.next()
+        assert 9.5 <= trial.params["dose"] <= 50.5
+        bench.record(number, trial.params["dose"])
+
+
+def test_whole_numbers_on_a_logarithmic_scale_stay_whole(tmp_path: Path) -> None:
+    bench = Bench.new(plan(tmp_path, list(range(1, 17)), 'log = ["dose"]').path)
+    for number in range(12):
+        (trial,) = bench.next()
+        assert isinstance(trial.params["dose"], int)
+        bench.record(number, (trial.params["dose"] - 5.3) ** 2)
+
+
+@pytest.mark.parametrize(("doses", "more", "said"), [
+    (WHOLE, "bounds.dose = [20, 50]", r"table.dose\[0\]: 10.0 .* 20 to 50"),
+    (WHOLE, "bounds.dose = [10, 49.5]", r"table.dose\[40\]: 50.0 .* 10 to 49.5"),
+    ([1.5, 2.0], 'type.dose = "whole"', r"table.dose\[0\]: 1.5 "),
+    ([1.5, 2.0], "step.dose = 0.2", r"candidates.dose\[1\]: 2.0 .* steps of 0.2 from 1.5 on"),
+    (WHOLE, 'type.dose = "whole"\nstep.dose = 0.5', r"candidates.step.dose: 0.5 .* a whole number"),
+    (WHOLE, 'type.dose = "wholes"', r"candidates.type.dose: 'wholes' .* float or whole or choice"),
+    (WHOLE, 'type.other = "float"', r"candidates.type: 'other' .* one of the parameters dose"),
+    (WHOLE, "bounds.other = [1, 2]", r"candidates.bounds: 'other' .* one of the parameters"),
+    (WHOLE, "bounds.dose = [2, 1]", r"candidates.bounds.dose: \[2, 1\]"),
+    (WHOLE, 'type.dose = "choice"\nbounds.dose = [1, 99]', r"candidates.bounds.dose: .* a choice"),
+    (WHOLE, 'type.dose = "choice"\nlog = ["dose"]', r"candidates.log: 'dose' .* no choices"),
+    ([10, 20], 'step.dose = 10\nlog = ["dose"]', r"candidates.step.dose: 10.0 .* logarithmic"),
+    ([0, 1], 'log = ["dose"]', r"candidates.log: 'dose' .* above 0; its least value is 0"),
+    (["2026-05-04", "2026-05-05"], "", r"candidates.dose: '2026-05-04' .* of a date"),
+    (["2026-05-04"], 'type.dose = "float"', r"candidates.dose: '2026-05-04' .* of a date"),
+    (["", ""], "", r"table.dose\[0\]: nan .* a finite number"),
+    (["", ""], 'type.dose = "float"', r"candidates.dose: 'no number'"),
+    ([1, ""], "bounds.dose = [0, 9]", r"table.dose\[1\]: nan .* a finite number"),
+    ([1.5, "n.a."], "", r"table.dose\[0\]: '1.5' .* a number, not a word"),
+    ([1.5, "n.a."], "bounds.dose = [1, 2]", r"candidates.dose\[1\]: 'n.a.' .* numbers"),
+    ([2**60, 2**60 + 1], "", r"table.dose\[0\]: 1152921504606846976 .* 2\^53"),
+    (["mg", 1, 2], "", r"table.dose\[1\]: '1' .* a number, not a word"),
+])  # fmt: skip
+def test_what_does_not_fit_is_refused_by_name(
+    tmp_path: Path, doses: list[Any], more: str, said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        plan(tmp_path, doses, more).read_candidates()
+
+
+@pytest.mark.parametrize(("doses", "expected"), [
+    ([2**60, 2**60 + 1], [2**60, 2**60 + 1]), (["1a", "7"], ["1a", "7"]),
+    ([0.5, 2], [0.5, 2.0]), (["true", "false"], [True, False]),
+])  # fmt: skip
+def test_a_declared_choice_may_be_anything(
+    tmp_path: Path, doses: list[Any], expected: list[Any]
+) -> None:
+    table = plan(tmp_path, doses, 'type.dose = "choice"').read_candidates()
+    assert [table.rows.as_parameters(row)["dose"] for row in range(2)] == expected
+
+
+def european(path: Path) -> None:
+    path.write_bytes("\ufeffdose;known\r\n1,5;0,25\r\n2;3\r\n".encode())
+
+
+def packed(path: Path) -> None:
+    path.write_bytes(gzip.compress(b"dose,known\n1.5,0.25\n2,3\n"))
+
+
+def decimals(path: Path) -> None:
+    """As DuckDB writes `1.5 + i * 0.5`."""
+    dose = pa.array([Decimal("1.5"), Decimal("2.0")], pa.decimal128(18, 1))
+    known = pa.array([Decimal("0.25"), Decimal("3")], pa.decimal128(18, 2))
+    pq.write_table(pa.table({"dose": dose, "known": known}), path)
+
+
+def hive(path: Path) -> None:
+    for dose, known in ((1.5, 0.25), (2, 3)):
+        (path / f"dose={dose}").mkdir(parents=True)
+        pq.write_table(pa.table({"known": [float(known)]}), path / f"dose={dose}" / "0.parquet")
+
+
+@pytest.mark.parametrize(("file", "write"), [
+    ("mine.csv", european), ("RUN1.CSV", european), ("mine.CSV.GZ", packed),
+    ("mine.parquet", decimals), ("mine.PARQUET", decimals), ("hive", hive),
+])  # fmt: skip
+def test_files_as_other_programs_write_them(
+    tmp_path: Path, file: str, write: Callable[[Path], None]
+) -> None:
+    write(tmp_path / file)
+    rows = plan(tmp_path, [1], file=file).read_candidates().rows
+    assert rows.parameters.tolist() == [[1.5], [2.0]]
+    assert rows.features.tolist() == [[0.25], [3.0]]
+    assert rows.space.distributions == (FloatDistribution(1.5, 2.0),)
+    trial = Bench.new(tmp_path / "bench.toml").next()[0]  # and the entries are kept
+    assert Bench(tmp_path / "bench.toml").state.trials[0].params == trial.params
+
+
+def test_a_bench_of_an_earlier_version_keeps_its_parameters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Until 0.3.0 whole doses within [9.5, 50.5] were whole numbers from 9 on."""
+    old = plan(tmp_path, WHOLE, "bounds.dose = [9.5, 50.5]")
+    columns = {"dose": np.array(WHOLE)}
+    features = np.arange(len(WHOLE), dtype=float)
+    begun = FeatureTable.from_arrays(
+        columns, features, ["known"], space={"dose": IntDistribution(9, 50)}
+    )
+    with monkeypatch.context() as of_then:
+        of_then.setattr(Plan, "read_candidates", lambda *_: begun)
+        Bench.new(old.path).next()
+    (trial,) = Bench(old.path).next()
+    assert isinstance(trial.params["dose"], int)
+    assert of_dose(Bench(old.path).candidates) == IntDistribution(9, 50)
+
+
+# Tables of other doors have the same types.
+def test_arrays_and_frames_of_what_is_no_parameter() -> None:
+    import pandas as pd
+
+    when = pd.to_datetime(["2026-05-04", "2026-05-05"])
+    frame = pd.DataFrame({"when": when, "word": ["1,5", "2,5"], "id": [2**60, 2**60 + 1], "f": 1.5})
+    frame["day"] = [date(2026, 5, 4), date(2026, 5, 5)]
+    frame["price"] = [Decimal("1.5"), Decimal("2.25")]
+    frame["units"] = [Decimal("3"), Decimal("4")]
+    for name in ("when", "word", "id", "day"):
+        with pytest.raises(InputError, match=rf"^table.{name}\[0\]: "):
+            FeatureTable.from_dataframe(frame, parameters=[name], features=["f"])
+    for name in ("when", "day"):
+        with pytest.raises(InputError, match=r"table.features\[0\]: '?.*2026"):
+            FeatureTable.from_dataframe(frame, parameters=["price"], features=[name])
+    both = FeatureTable.from_dataframe(frame, parameters=["price", "units"], features=["price"])
+    assert both.rows.space.as_dict() == {
+        "price": FloatDistribution(1.5, 2.25), "units": IntDistribution(3, 4),
+    }  # fmt: skip
+    assert both.rows.features[:, 0].tolist() == [1.5, 2.25]
+    study = optuna.create_study()
+    study.enqueue_trial(both.rows.as_parameters(0))  # of kinds that Optuna has
+
+
+def test_bounds_of_arrays_and_files_are_kept_off_the_table(tmp_path: Path) -> None:
+    bounds = {"dose": (9.5, 50.5)}
+    table = FeatureTable.from_arrays({"dose": WHOLE}, WHOLE, bounds=bounds)
+    assert of_dose(table) == FloatDistribution(9.5, 50.5)
+    pq.write_table(pa.table({"dose": WHOLE, "f": WHOLE}), tmp_path / "a.parquet")
+    file = tmp_path / "a.parquet"
+    table = FeatureTable.from_parquet(file, parameters=["dose"], features=["f"], bounds=bounds)
+    assert of_dose(table) == FloatDistribution(9.5, 50.5)
+    with pytest.raises(InputError, match=r"table.dose\[0\]: 10.0 .* 20 to 50"):
+        FeatureTable.from_arrays({"dose": WHOLE}, WHOLE, bounds={"dose": (20, 50)})

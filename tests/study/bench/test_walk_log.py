@@ -1,0 +1,71 @@
+"""The cost of a log: its clock in any unit, or a line that says what is wrong with it."""
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from study.bench.walk_log import cost_of_log
+from taichi_nmm.errors import InputError
+
+START = datetime(2026, 5, 4, 14, 30, 0, 10_000)
+SPEED_MPS = 1.2
+
+
+def log(folder: Path, clocks: list[str], positions: list[str], between: str = ",") -> Path:
+    rows = [between.join(row) for row in zip(clocks, positions, strict=True)]
+    (folder / "log.csv").write_text("\n".join([f"time{between}position", *rows]) + "\n")
+    return folder / "log.csv"
+
+
+MOMENTS = [START + timedelta(seconds=t) for t in range(31)]
+CLOCKS = {
+    "seconds": [str(t) for t in range(31)],
+    "since 1970": [str(1746369000.01 + t) for t in range(31)],
+    "date and time": [str(moment) for moment in MOMENTS],
+    "of the day": [str(moment.time()) for moment in MOMENTS],
+    "with a zone": [f"{moment.isoformat()}+02:00" for moment in MOMENTS],
+}
+
+
+@pytest.mark.parametrize("clocks", CLOCKS.values(), ids=CLOCKS)
+def test_a_walk_costs_the_same_by_any_clock(tmp_path: Path, clocks: list[str]) -> None:
+    path = log(tmp_path, clocks, [f"{SPEED_MPS * t:.17g}" for t in range(31)])
+    expected = 1 / 31 + 0.3 / 37 + 0.01 * (1.3 - SPEED_MPS)  # 30 s, 36 m
+    assert expected == pytest.approx(0.0414, abs=5e-5)
+    assert cost_of_log(path, 30.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_log_with_decimal_commas(tmp_path: Path) -> None:
+    positions = [f"{SPEED_MPS * t:.3f}".replace(".", ",") for t in range(31)]
+    path = log(tmp_path, CLOCKS["date and time"], positions, ";")
+    assert cost_of_log(path, 30.0) == pytest.approx(0.0414, abs=5e-5)
+
+
+@pytest.mark.parametrize(("clocks", "positions", "said"), [
+    ([], [], r"log: '0 rows' .* two rows or more"),
+    (["0"], ["0"], r"log: '1 rows' .* two rows or more"),
+    (["s", "0", "1"], ["m", "0", "1"], r"log.time\[0\]: 's' .* seconds, or times such as"),
+    (["1", "0"], ["0", "1"], r"log.time\[1\]: '0' .* rise from row to row"),
+    (["0", "0"], ["0", "1"], r"log.time\[1\]: '0' .* rise from row to row"),
+    (["0", "nan", "2"], ["0", "1", "2"], r"log.time\[1\]: 'nothing'"),
+    (["0", "30000"], ["0", "36"], r"log.time: '30000 from first to last' .* of 30 s: up to 300"),
+    (["0", "30"], ["0", "36000"], r"log.position: '1200 m/s' .* metres and seconds"),
+    (["0", "30"], ["0", "nan"], r"log.position\[1\]: nan .* a finite number"),
+    (["0", "30"], ["0", "far"], r"log.position\[1\]: 'far' .* numbers"),
+    (["0", "1", "2"], ["m", "0", "1"], r"log.position\[0\]: 'm' .* a row of units .* take it out"),
+])  # fmt: skip
+def test_what_is_no_log_of_a_walk(
+    tmp_path: Path, clocks: list[str], positions: list[str], said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        cost_of_log(log(tmp_path, clocks, positions), 30.0)
+
+
+def test_an_empty_file_and_one_of_other_columns(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("")
+    with pytest.raises(InputError, match=r"log: .*Empty CSV"):
+        cost_of_log(tmp_path / "log.csv", 30.0)
+    (tmp_path / "log.csv").write_text("t,x\n0,1\n1,2\n")
+    with pytest.raises(InputError, match=r"log: 'time' .* one of the columns t, x"):
+        cost_of_log(tmp_path / "log.csv", 30.0)
