@@ -335,3 +335,34 @@ def test_the_page_runs_from_top_to_bottom(
     assert [trial["trial"] for trial in asked] == [3, 4, 5] and len(asked[0]["params"]) == 2
     assert (tmp_path / "walk-simulator.png").stat().st_size > 5000
     assert set(re.findall(r"taichi-nmm bench ([a-z-]+)", page)) >= set(ACTIONS) - {"import"}
+
+
+def test_decimal_commas_are_typed_and_numbers_that_may_be_two_are_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench("new walk.toml", capsys)
+    bench("next", capsys)
+    bench("record 0 --cost 0,92 --torque 80,5", capsys)
+    trial = Bench("walk.toml").state.trials[0]
+    assert (trial.value, trial.columns) == (0.92, {"torque": 80.5})
+    for line in ("correct 0 --cost 1,234", "correct 0 --torque 1,234"):
+        said = bench(line, capsys, 2)
+        assert "'1,234' cannot be used; allowed: 1234 or 1.234" in said and said.count("\n") == 1
+
+
+def test_an_export_that_a_spreadsheet_has_saved_comes_in_as_it_was(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot.run(Bench.new("walk.toml"), 4)
+    bench("export trials.csv", capsys)
+    lines = (folder / "trials.csv").read_text().splitlines()
+    european = [line.replace(",", ";").replace(".", ",") for line in lines]
+    (folder / "trials.csv").write_bytes(("\ufeff" + "\r\n".join(european) + "\r\n").encode())
+    (folder / "second").mkdir()
+    robot.write(folder / "second")
+    bench("new second/walk.toml", capsys)
+    bench("import trials.csv --bench second/walk.toml", capsys)
+    told, again = Bench("walk.toml").state.trials, Bench("second/walk.toml").state.trials
+    assert len(again) == 4 and all(trial.note == "" for trial in again.values())
+    for number, trial in again.items():
+        assert (trial.params, trial.value) == (told[number].params, told[number].value)

@@ -74,7 +74,7 @@ def test_entries_by_hand_and_one_line_for_what_is_wrong(serve: Serve) -> None:
     address, token, bench = serve(HOST)
     assert token == "" and ask(f"{address}/next", {"batch": 2})[0] == 200
     for form, line in (
-        ({"trial": 0, "value": "0,9"}, "value: '0,9'"), ({"trial": 7, "value": 1}, "trial: 7"),
+        ({"trial": 0, "value": "1,234"}, "value: '1,234'"), ({"trial": 7, "value": 1}, "trial: 7"),
         ({"trial": "x"}, "trial: 'x'"), ({"trial": 0}, "value: None"),
         ({"trial": 0, "value": 1, "seconds": 2}, "seconds: 2.0"),
         ({"trial": 0, "value": 1, "column torque": "<b>"}, "column torque: '<b>'"),
@@ -83,7 +83,7 @@ def test_entries_by_hand_and_one_line_for_what_is_wrong(serve: Serve) -> None:
         assert status == 400 and f'<p role="alert">{bottle.html_escape(line)}' in text
     assert len(bench.look().trials) == 2 and bench.entries[-1].kind == "next"
     assert "far from all" in ask(f"{address}/record", {"trial": 0, "value": -31})[1]
-    ask(f"{address}/correct", {"trial": 0, "value": 0.9, "column torque": 81})
+    ask(f"{address}/correct", {"trial": 0, "value": "0,9", "column torque": 81})
     ask(f"{address}/record", {"trial": 1, "seconds": 2.1, "note": "<i>"})
     ask(f"{address}/context", {"name": "gravel"})
     ask(f"{address}/undo", {"entry": 5})
