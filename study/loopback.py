@@ -51,6 +51,18 @@ def wsgi_server(application: Application, address: str, port: int) -> WSGIServer
         return make_server(address, port, application, Server, QuietHandler)
 
 
+def bound(port: int) -> socket.socket:
+    """A socket of this machine alone that takes requests: they wait until something serves them.
+
+    Port 0 takes a free one.
+
+    Raises:
+        InputError: the port is in use, or not ours to take.
+    """
+    with listening(port):
+        return socket.create_server((HOST, port))
+
+
 @contextmanager
 def listening(port: int, address: str = HOST) -> Iterator[None]:
     """Turn the system's refusal of a port or an address into one line."""

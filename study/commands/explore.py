@@ -7,11 +7,8 @@ from argparse import Namespace
 from contextlib import suppress
 from functools import partial
 
-from storage.processes import Processes
-from study.explore.page import page_of
-from study.explore.server import serve
-from study.explore.walk import warm_up
-from taichi_nmm.kernel_cache import require_kernel_cache
+from study.cli import guarded_imports
+from study.loopback import bound
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 
@@ -22,15 +19,22 @@ def has_display() -> bool:
 
 
 def main(args: Namespace) -> None:
-    """Serve until Ctrl-C."""
-    require_kernel_cache()
-    page = page_of(args.folder, args.study, args.simulator)
-    with Processes(1) as walkers, Processes(1) as makers:  # a walk does not wait for a film
-        loop, address = serve(partial(page, walkers, makers), args.port)
-        walkers.submit(warm_up)
-        print(f"explore     {address}", flush=True)
-        if has_display() and not args.no_browser:
-            with suppress(webbrowser.Error):
-                webbrowser.open(address)
-        with suppress(KeyboardInterrupt):
-            loop.start()
+    """Serve until Ctrl-C. Requests wait for the page from the first moment on."""
+    with bound(args.port) as taken:
+        with guarded_imports():  # which take seconds, on a busy machine many
+            from storage.processes import Processes
+            from study.explore.page import page_of
+            from study.explore.server import serve
+            from study.explore.walk import warm_up
+            from taichi_nmm.kernel_cache import require_kernel_cache
+        require_kernel_cache()
+        page = page_of(args.folder, args.study, args.simulator)
+        with Processes(1) as walkers, Processes(1) as makers:  # a walk does not wait for a film
+            loop, address = serve(partial(page, walkers, makers), taken)
+            walkers.submit(warm_up)
+            print(f"explore     {address}", flush=True)
+            if has_display() and not args.no_browser:
+                with suppress(webbrowser.Error):
+                    webbrowser.open(address)
+            with suppress(KeyboardInterrupt):
+                loop.start()

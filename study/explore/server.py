@@ -5,6 +5,7 @@ pages are refused. What Bokeh serves for other sites to embed is not found eithe
 """
 
 import html
+import socket
 import sys
 import time
 import traceback
@@ -20,7 +21,6 @@ from bokeh.document import Document
 from bokeh.models import ColumnDataSource, CustomJS, Div, Row
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
-from bokeh.server.util import bind_sockets
 from bokeh.util.token import get_session_id, get_token_payload
 from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPServerRequest
@@ -28,7 +28,7 @@ from tornado.ioloop import IOLoop
 from tornado.routing import HostMatches, Matcher, PathMatches, Rule, RuleRouter
 
 from study.cli import what_is_missing
-from study.loopback import HOST, LOOPBACK, listening
+from study.loopback import HOST, LOOPBACK
 from taichi_nmm.errors import InputError
 
 PAGE = r"/(?:favicon\.ico|static/.*)?"  # not /metadata, nor /autoload.js, which any site may embed
@@ -54,19 +54,15 @@ class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
             return None  # errors of base64, JSON and zlib on words that are no token
 
 
-def serve(page: Callable[[Document], None], port: int) -> tuple[IOLoop, str]:
-    """A loop that serves once it is started, and the page's address; port 0 takes a free one.
-
-    Raises:
-        InputError: the port is in use, or not ours to take.
-    """
-    with listening(port):
-        sockets, port = bind_sockets(HOST, port)
+def serve(page: Callable[[Document], None], taken: socket.socket) -> tuple[IOLoop, str]:
+    """A loop that serves once it is started, and the page's address, that of a bound socket."""
+    taken.setblocking(False)
+    port = taken.getsockname()[1]
     origins = [f"{name}:{port}" for name in (HOST, "localhost")]
     application = BokehTornado(page, extra_websocket_origins=origins)
     asked = [Rule(PathMatches(PAGE), application), Rule(TokenMatches(), application)]
     http = HTTPServer(RuleRouter([Rule(HostMatches(LOOPBACK), RuleRouter(asked))]))
-    http.add_sockets(sockets)
+    http.add_sockets([taken])
     server = BaseServer(IOLoop.current(), application, http)
     server.start()
     return server.io_loop, f"http://{HOST}:{port}/"

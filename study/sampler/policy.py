@@ -220,3 +220,4 @@ def set_attributes(study: optuna.Study, trial: FrozenTrial, attributes: Mapping[
     """Leave notes in a running trial: samplers are given no public way, Optuna's own do this."""
     for key, value in attributes.items():
         study._storage.set_trial_user_attr(trial._trial_id, key, value)
+        trial.user_attrs[key] = value  # which the objective sees, as it does what it sets itself

@@ -2,10 +2,12 @@
 
 import json
 import os
+import selectors
 import shutil
 import socket
 import sys
 import urllib.request
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -54,6 +56,27 @@ def test_a_port_in_use(store: Path, tool: Tool) -> None:
         port = taken.getsockname()[1]
         message = f"port: {port} cannot be used; allowed: a free port"
         tool.refuses(message, "explore", store, "--no-browser", "--port", port)
+
+
+def test_a_request_waits_for_the_page_while_the_command_starts(store: Path) -> None:
+    """It is taken before the packages of the page are loaded, which takes seconds."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    words = ("-m", "taichi_nmm", "explore", store, "--port", port, "--no-browser")
+    with serving(*words) as said:
+        asked = wait_until_taken(port)
+        with selectors.DefaultSelector() as waiting:
+            waiting.register(said, selectors.EVENT_READ)
+            assert not waiting.select(0.0)  # the address is said when the page is ready
+        with asked:
+            asked.sendall(f"GET / HTTP/1.0\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+            assert asked.makefile("rb").readline().split()[1] == b"200"
+
+
+def wait_until_taken(port: int) -> socket.socket:
+    while True:
+        with suppress(ConnectionRefusedError):
+            return socket.create_connection(("127.0.0.1", port), timeout=60)
 
 
 def test_a_browser_of_a_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:

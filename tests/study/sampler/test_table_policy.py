@@ -163,6 +163,23 @@ def test_an_enqueued_row_is_noted_from_its_start():
         assert study.trials[0].user_attrs == {"row": 7} | noted
 
 
+@pytest.mark.parametrize("storage", [None, "sqlite://"])
+def test_the_objective_sees_its_row(storage: str | None) -> None:
+    seen: list[int] = []
+
+    def objective(trial: optuna.Trial) -> float:
+        value = both(trial)
+        seen.append(trial.user_attrs["row"])
+        assert row(seen[-1]) == trial.params
+        return value
+
+    sampler = FeatureKernelSampler(TABLE, seed=1)
+    study = optuna.create_study(sampler=sampler, storage=storage)
+    study.enqueue_trial(row(7))
+    study.optimize(objective, n_trials=5)
+    assert seen == rows_of(study) and seen[0] == 7
+
+
 def test_a_row_that_waits_is_not_proposed_to_another_worker():
     study = study_of(TABLE, enqueued=[row(0)])  # waits until the end
     for _ in range(17):
