@@ -7,7 +7,6 @@ configuration's table [terrain], with their ranges and defaults.
 """
 
 import math
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
@@ -27,7 +26,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import checks
+from taichi_nmm import checks, typed
 from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import read_text
@@ -197,7 +196,8 @@ def from_file(path: str | Path) -> Terrain:
     """A height table of a text file, a row of two columns x_m and height_m a line.
 
     x increases; the ground is linear in between, and level before the first row and after the last.
-    Commas or blanks part the columns. Empty lines, comments after a #, and a first line of
+    Tabs, semicolons, commas or blanks part the columns; with other marks than commas, numbers may
+    have decimal commas. Empty lines, comments after a #, and a first line of
     names (x_m,height_m or x,height) are skipped. A file that ends in .gz, .bz2 or .xz is unpacked.
 
     Raises:
@@ -210,12 +210,16 @@ def _of_text(text: str, file: Path) -> Terrain:
     """A height table from the text of a file of this name."""
     lines = [line.partition("#")[0].strip() for line in text.splitlines()]
     lines = [line for line in lines if line]
-    between = "," if any("," in line for line in lines) else None
-    if lines and tuple(name.strip() for name in lines[0].split(between)) in HEADERS:
-        del lines[0]
     try:
-        with warnings.catch_warnings(action="ignore"):  # an empty table is refused below
-            table = np.loadtxt(lines, delimiter=between, ndmin=2)
+        mark = typed.separator("\n".join(lines))
+        between = None if mark == typed.BLANKS else mark
+        rows = [[cell.strip() for cell in line.split(between)] for line in lines]
+        if rows and tuple(rows[0]) in HEADERS:
+            del rows[0]
+        if mark != ",":
+            pointed = iter(typed.with_points([cell for row in rows for cell in row]))
+            rows = [[next(pointed) for _ in row] for row in rows]
+        table = np.array(rows, dtype=np.float64, ndmin=2)
     except ValueError as error:
         raise InputError("terrain.file", str(file), f"{TABLE} ({error})") from None
     if table.shape[0] < 2 or table.shape[1] != 2:

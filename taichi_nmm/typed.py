@@ -64,6 +64,21 @@ def mend(word: str) -> str:
     return f"{meant}: a decimal point, and no marks between thousands"
 
 
+def with_points(cells: Sequence[str]) -> list[str]:
+    """Cells of a text, in which decimal commas are points: where none may mean something else.
+
+    Raises:
+        ValueError: all of the commas may be marks between thousands, or there are points too.
+    """
+    commas = [cell for cell in cells if "," in cell]
+    if not commas:
+        return list(cells)
+    is_clear = any(re.fullmatch(WITH_COMMA, c) and not re.fullmatch(EITHER, c) for c in commas)
+    if not is_clear or any("." in cell for cell in cells):
+        raise ValueError(f"{commas[0]} may be two numbers: write {mend(commas[0])}")
+    return [cell.replace(",", ".") for cell in cells]
+
+
 def separator(text: str) -> str:
     """What parts the columns of a text: a tab, a semicolon, a comma, or blanks.
 
@@ -83,9 +98,11 @@ def separator(text: str) -> str:
             raise ValueError("columns that may be parted by two of tabs, ; and ,")
     if fitting:
         return fitting[0]
-    first, *others = max(parted.values(), key=lambda rows: max(map(len, rows)))
+    widest = max(SEPARATORS, key=lambda mark: max(map(len, parted[mark])))
+    first, *others = parted[widest]
     by_blanks = [line.split() for line in text.splitlines() if line.strip()]
-    if len(first) == 1 and by_blanks and _is_even(by_blanks):
+    may_be_blanks = len(first) == 1 or widest == "\t"
+    if may_be_blanks and by_blanks and _is_even(by_blanks):
         return BLANKS
     for place, row in enumerate(others, start=2):
         if len(row) != len(first):

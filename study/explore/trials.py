@@ -68,7 +68,7 @@ def open_rows(path: Path, study: str | None = None) -> Store:
         with read_studies(file_url(file)) as storage:
             return _read(storage or optuna.storages.InMemoryStorage(), file, study)
     compared = (folder.EXPERIMENT_NAME, folder.ROBOTS_NAME, folder.RESULTS_NAME)
-    if path.suffix == ".toml" or any(is_file(path / name) for name in compared):
+    if path.suffix.lower() == ".toml" or any(is_file(path / name) for name in compared):
         raise InputError("folder", str(path), OTHERWISE)
     if study is not None:
         raise InputError("study", study, "none: a store has no studies")

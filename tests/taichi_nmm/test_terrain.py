@@ -114,6 +114,12 @@ def test_headers_blanks_notes_of_a_file(tmp_path: Path, head: str, between: str,
     assert ground.name == "file hill.csv"
 
 
+def test_a_file_with_decimal_commas(tmp_path: Path) -> None:
+    path = tmp_path / "HILL.CSV"
+    path.write_bytes("\ufeffx_m;height_m\r\n0,5;0\r\n1,500;0,25\r\n".encode())
+    np.testing.assert_allclose(terrain.from_file(path).height([0, 1, 2]), [0, 0.125, 0.25])
+
+
 @pytest.mark.parametrize("height_m", [1e300, -1e300, 5001.0, -5001.0, 10**400])
 def test_heights_have_bounds_and_fit_the_grid(tmp_path: Path, height_m: float) -> None:
     path = tmp_path / "tower.csv"

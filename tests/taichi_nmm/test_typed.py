@@ -31,6 +31,7 @@ def test_what_may_mean_two_numbers_or_none_is_refused_with_the_mend(word: str, m
     ("a,b\n1,2\n", ","), ("a;b\n1,5;2,5\n", ";"), ("a\tb\n1,5\t2,5\n", "\t"),
     ("a\n1\n", ","), ("", ","), ("0,5;0,1\n1,5;0,2\n", ";"), ("0,5\t0,1\n1,5\t0,2\n", "\t"),
     ("time position\n0.0  0,1\n", " "), ('a,"b;\nc"\n1,2\n', ","), ("a;b\r1,5;2\r", ";"),
+    ("0 \t1\n1  2\n", " "),
     ("my time,pos\n2026-05-04 14:30,1\n", ","), ("a, b\n1, 2\n", ","), ("a,b\r\n\r\n1,2\r\n", ","),
     ("a;note\n1;one, two\n2;three\n", ";"), ("a,note\n1,one; two\n", ","),
     ("a;b\n" + 50000 * "1,5;2,5\n", ";"),
