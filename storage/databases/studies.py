@@ -86,6 +86,18 @@ def open_studies(url: str) -> RDBStorage:
     return storage
 
 
+def write_down(storage: RDBStorage) -> None:
+    """Bring what lies in SQLite's write-ahead log into the file, so that a copy of it is whole.
+
+    SQLite does so by itself when the last program closes the file, and a server never does. Who
+    reads at this moment is not waited for: what he holds up is written down the next time.
+    """
+    if storage.engine.dialect.name != "sqlite":
+        return
+    with storage.engine.connect() as connection:
+        connection.exec_driver_sql("PRAGMA wal_checkpoint(PASSIVE)")
+
+
 @contextmanager
 def read_studies(url: str) -> Iterator[RDBStorage | None]:
     """The study database as it is, to be read alone; None where there is none yet, or an empty one.

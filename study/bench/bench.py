@@ -1,47 +1,55 @@
 """A bench: what to try next on a real machine, what came of it, and what all of it tells.
 
-The sampler sees the trials of the present context alone, in a study in memory, in their order and
-without gaps: so what was entered wrongly and corrected, broken off and tried again, or undone,
-leaves no trace in later proposals. What was learned in other contexts is one more family of
-worlds.
+The entries are kept by `journal`; `advice` computes from them what comes next and what is best, and
+`doubts` what was perhaps entered wrongly.
 """
 
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cached_property
-from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution, distribution_to_json, json_to_distribution
-from optuna.trial import FrozenTrial, TrialState, create_trial
+from optuna.distributions import (
+    BaseDistribution,
+    FloatDistribution,
+    distribution_to_json,
+    json_to_distribution,
+)
 
 from storage.databases.studies import read_errors, shown_url
 from storage.tables import difference
+from study.bench.advice import EXPECTED, Advice, Recommended, simulated_range
+from study.bench.doubts import Range, doubts, odd_value
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
-from study.bench.plan import Plan, Safety, read_plan
+from study.bench.plan import Goal, Plan, read_plan
+from study.bench.shown import show
 from study.bench.words import operator_here, require_names
-from study.sampler.diagnostics import Best, Prediction
-from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.space import as_suggested
-from study.sampler.table import FeatureTable, Rows
-from study.sampler.table_policy import TableExhaustedError
-from study.sampler.worlds import Worlds
+from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 WHOLE, VALUE = checks.whole(0), checks.optional(checks.number())
 COLUMNS = checks.optional(checks.by_name(checks.number()))
-Own = tuple[Mapping[str, Any], float, Mapping[str, float], str]
-"""Parameters, value, columns and note of a trial that nobody proposed."""
-BEFORE = "as before"  # the world that other contexts tell of
 MOST_BATCH = 1000
-TOLD = {True: TrialState.COMPLETE, False: TrialState.RUNNING}
+PRINTED = ".8g"  # how a sheet has a number
+
+
+class Own(NamedTuple):
+    """A trial that nobody proposed."""
+
+    params: Mapping[str, Any]
+    value: float
+    columns: Mapping[str, float] = {}
+    note: str = ""
+    failed: bool = False
+    context: str | None = None  # None: the present one
+    operator: str | None = None  # None: who enters it
+    time: str | None = None  # of the trial, ISO 8601; None: of the entry
 
 
 class Bench:
@@ -77,16 +85,20 @@ class Bench:
     def new(cls, path: str | Path, operator: str | None = None) -> "Bench":
         """Begin a bench, or open the one that was begun with this file."""
         bench = cls(path, operator)
-        simulated = bench.candidates
+        candidates = bench.candidates
+        if not bench._entries:
+            simulated = simulated_range(candidates.rows)
+            _require_failures(bench.plan.goal, simulated)
         with bench._turn():
             if not bench._entries:
-                space = simulated.rows.space.as_dict()
+                space = candidates.rows.space.as_dict()
                 require_names(bench.plan.columns, space)
                 begun = {
-                    "plan": bench.plan.document, "digest": simulated.digest,
+                    "plan": bench.plan.document,
+                    "digest": candidates.digest,
                     "space": {name: distribution_to_json(of) for name, of in space.items()},
-                    "range": _range(simulated.rows),
-                }  # fmt: skip
+                    "range": simulated,
+                }
                 bench._add("begin", begun)
         return bench
 
@@ -131,7 +143,10 @@ class Bench:
         """
         found = self.plan.read_candidates(self.space if self._entries else None)
         if self._entries and found.digest != self._begun["digest"]:
-            allowed = "the candidates with which the bench was begun (their digest differs)"
+            allowed = (
+                "the candidates with which the bench was begun (their digest differs); for others: "
+                "`export` the trials, begin a new bench under another name, and `import` them"
+            )
             raise InputError("candidates", str(self.plan.path), allowed)
         return found
 
@@ -147,28 +162,62 @@ class Bench:
             InputError: no candidate is left, or none within the limits of [safety].
         """
         with self._turn() as state:
-            mine = [
-                trial for trial in state.trials.values()
-                if trial.value is None and trial.context == state.context
-                and trial.operator == self.operator
-            ]  # fmt: skip
-            asked = list[dict[str, Any]]()
+            mine, asked = self._mine(state), list[Trial]()
+            advice = self._advice(state)
             if repeat is not None:
-                again, mine = state.trial(repeat, finished=True), []
-                why = f"Once more what trial {repeat} was."
-                asked.append(self._asked(again.params, {}, state.count, why))
+                again = state.trial(repeat, finished=True)
+                running = [trial for trial in mine if trial.params == again.params]
+                mine = [*running, *(trial for trial in mine if trial not in running)]
+                if not running:
+                    why = f"Once more what trial {repeat} was."
+                    asked.append(self._new(state, len(asked), again.params, {}, why))
+                    mine = mine[: batch - 1]
             while len(mine) + len(asked) < batch:
-                asked.append(self._propose(state, asked))
+                asked.append(self._new(state, len(asked), *advice.propose(asked)))
             if asked:
-                self._add("next", {"trials": asked})
-            new = [self.state.trials[trial["number"]] for trial in asked]
-            return [*mine, *new][:batch]
+                told = _with_expectations(advice, asked)
+                self._add("next", {"trials": [_given(trial) for trial in told]})
+            new = [self.state.trials[trial.number] for trial in asked]
+            return [*_with_expectations(advice, mine[:batch]), *new]
+
+    def pending(self) -> list[Trial]:
+        """Trials without a result, with what is expected of each by now."""
+        state, found = self.state, list[Trial]()
+        pending = [trial for trial in state.trials.values() if trial.value is None]
+        for context in dict.fromkeys(trial.context for trial in pending):
+            trials = [trial for trial in pending if trial.context == context]
+            found += _with_expectations(self._advice(replace(state, context=context)), trials)
+        return found
+
+    def expected(self, params: Sequence[Mapping[str, Any]]) -> list[str]:
+        """What is expected of each candidate by now, in a sentence."""
+        return self._advice(self.state).expected(params)
+
+    def _mine(self, state: State) -> list[Trial]:
+        """Trials of the present context that this operator has not entered yet."""
+        return [
+            trial
+            for trial in state.of_context(state.context)
+            if trial.value is None and trial.operator == self.operator
+        ]
+
+    def _new(
+        self, state: State, place: int, params: dict[str, Any], notes: dict[str, Any], why: str
+    ) -> Trial:
+        """The trial of this place among those of an entry that is about to be made."""
+        number = state.count + place
+        return Trial(number, params, notes, state.context, self.operator, why)
 
     @checks.checked(number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text)
     def record(
-        self, number: int, value: float | None = None, *, failed_s: float | None = None,
-        columns: Mapping[str, float] | None = None, note: str = "",
-    ) -> None:  # fmt: skip
+        self,
+        number: int,
+        value: float | None = None,
+        *,
+        failed_s: float | None = None,
+        columns: Mapping[str, float] | None = None,
+        note: str = "",
+    ) -> None:
         """Enter the result of a trial: its value, or after how many seconds it failed.
 
         Raises:
@@ -181,9 +230,14 @@ class Bench:
 
     @checks.checked(number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text)
     def correct(
-        self, number: int, value: float | None = None, *, failed_s: float | None = None,
-        columns: Mapping[str, float] | None = None, note: str = "",
-    ) -> None:  # fmt: skip
+        self,
+        number: int,
+        value: float | None = None,
+        *,
+        failed_s: float | None = None,
+        columns: Mapping[str, float] | None = None,
+        note: str = "",
+    ) -> None:
         """Replace what was entered of a finished trial; what is not given stays.
 
         With a value, a trial that failed is a failure no longer; with `failed_s`, it is one.
@@ -203,35 +257,31 @@ class Bench:
             state.trial(number, finished=False)
             self._add("abort", {"trial": number, "note": note})
 
-    def add(self, rows: Sequence[Own]) -> list[int]:
-        """Enter trials that nobody proposed: parameters, value, columns, note; their numbers.
+    def add(self, rows: Sequence[Own | tuple[Any, ...]]) -> list[int]:
+        """Enter trials that nobody proposed, as `Own` has them; their numbers.
+
+        Parameters are those of a row, or of an earlier trial, if they are as printed (8 digits).
 
         Raises:
             InputError: a parameter is missing, unknown or out of its range, by name; or a result
                 as of `record`. Nothing is entered then.
         """
-        space = self.space
-        for params, *_ in rows:
-            for name in dict.fromkeys([*space, *params]):
-                if name not in space or name not in params:
-                    what = params.get(name, "missing")
-                    raise InputError(name, what, f"one value of each of {', '.join(space)}")
-                try:
-                    as_suggested(space[name], params[name])
-                except ValueError:
-                    raise InputError(name, params[name], str(space[name])) from None
+        own = [Own(*row) for row in rows]
+        checked = [self._params(row.params) for row in own]
         results = [
-            self._checked(checks.number()("value", value), columns, checks.text("note", note))
-            for _, value, columns, note in rows
+            self._checked(checks.number()("value", row.value), row.columns, row.note) for row in own
         ]
         with self._turn() as state:
-            numbers = list(range(state.count, state.count + len(rows)))
-            trials = [
-                self._asked(dict(row[0]), {}, number, "The operator's own.", expect=False) | result
-                for number, row, result in zip(numbers, rows, results, strict=True)
-            ]
+            trials = list[dict[str, Any]]()
+            for row, params, result in zip(own, checked, results, strict=True):
+                params = _as_known(params, state.trials.values())
+                trial = self._new(state, len(trials), params, {}, "The operator's own.")
+                trial.context = state.context if row.context is None else row.context
+                given = _given(trial) | result | {"failed": row.failed}
+                told = {"operator": row.operator, "time": row.time}
+                trials.append(given | {key: word for key, word in told.items() if word})
             self._add("add", {"trials": trials})
-        return numbers
+        return [trial["number"] for trial in trials]
 
     @checks.checked("context.", name=checks.text)
     def context(self, name: str) -> None:
@@ -243,30 +293,32 @@ class Bench:
 
     @checks.checked("undo.", number=checks.optional(WHOLE))
     def undo(self, number: int | None = None) -> Entry:
-        """Undo an entry, by default the last one that stands; an undoing can be undone."""
+        """Undo an entry, by default the operator's own last one; an undoing can be undone.
+
+        Raises:
+            InputError: no such entry stands, a later one is about the same trial, or all that stand
+                are of others: these are undone by their numbers.
+        """
         with self._turn():
-            chosen = undoable(self._entries, number)
+            chosen = undoable(self._entries, number, self.operator)
             self._add("undo", {"entry": chosen.number})
         return chosen
 
-    def best(self) -> Best:
-        """The trial of the present context that is best by the model, with its interval."""
-        return self._sampler().best(self._study(self.state))
+    def best(self) -> Recommended:
+        """The trial of the present context that is best by the model, with its interval.
+
+        Raises:
+            InputError: no trial is finished that neither failed nor broke a limit.
+        """
+        return self._advice(self.state).best()
 
     def repeat(self) -> int | None:
         """The trial of which a repeat would tell most: the least sure one that may be the best."""
-        state, best = self.state, self.best()
-        told = [trial for trial in state.trials.values()
-                if trial.value is not None and trial.context == state.context]  # fmt: skip
-        found = self._sampler().predict(self._study(state), [trial.params for trial in told])
-        may_be = found.high >= best.value if self.plan.goal.maximise else found.low <= best.value
-        sure = np.where(may_be, found.low - found.high, np.inf)
-        return told[int(sure.argmin())].number if may_be.any() else None
+        return self._advice(self.state).repeat()
 
     def worth(self) -> str:
         """Which simulated worlds the machine is like, or what the features are worth."""
-        sampler = self._sampler()
-        return str(sampler.worth(self._study(self.state))) if sampler.has_features else ""
+        return self._advice(self.state).worth()
 
     def simulated(self) -> dict[int, float]:
         """The mean over the worlds of each finished trial; none without worlds."""
@@ -287,9 +339,12 @@ class Bench:
             self._add(kind, {"trial": number} | result)
 
     def _checked(
-        self, value: float | None, columns: Mapping[str, float] | None, note: str,
+        self,
+        value: float | None,
+        columns: Mapping[str, float] | None,
+        note: str,
         failed_s: float | None = None,
-    ) -> dict[str, Any]:  # fmt: skip
+    ) -> dict[str, Any]:
         """A result as an entry has it."""
         if value is not None and failed_s is not None:
             allowed = "the value, or after how long it failed, not both"
@@ -298,21 +353,51 @@ class Bench:
             if name not in self.plan.columns:
                 known = ", ".join(self.plan.columns) or "none: [columns] of the file names them"
                 raise InputError(name, given, f"one of the columns {known}")
+        note = checks.text("note", note)
         result = {"value": value, "columns": dict(columns or {}), "note": note}
         if failed_s is None:
             return result
         return result | {"value": self.plan.goal.of_failure(failed_s), "seconds": failed_s}
 
+    def _params(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of the operator's own, each of its type and in its range."""
+        space = self.space
+        for name in dict.fromkeys([*space, *params]):
+            if name not in space or name not in params:
+                what = params.get(name, "missing")
+                raise InputError(name, what, f"one value of each of {', '.join(space)}")
+        found = dict[str, Any]()
+        for name, of in space.items():
+            try:
+                found[name] = as_suggested(of, _within(of, params[name]))
+            except ValueError:
+                raise InputError(name, params[name], str(of)) from None
+        return found
+
     def odd(self, value: float) -> str:
-        """A warning of a value that no simulated world has, such as one of the wrong sign."""
-        low, high = self._begun["range"] or (-np.inf, np.inf)
-        beyond = 0.5 * (high - low)
-        other_sign = (low > 0.0 > value) or (high < 0.0 < value)
-        if low - beyond <= value <= high + beyond and not other_sign:
-            return ""
-        return (
-            f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
-        )
+        """A warning of a value that no simulated world has, or far from those of all trials."""
+        told = [trial.value for trial in self.state.trials.values()]
+        others = [other for other in told if other is not None]
+        if value in others:
+            others.remove(value)  # the one that was just entered
+        return odd_value(value, self._simulated, others)
+
+    def doubts(self, number: int | None = None) -> list[str]:
+        """What was perhaps entered wrongly, a line each.
+
+        Args:
+            number: of the trial that is asked about; None: all, and the file of the bench.
+        """
+        found = doubts(self.plan, self.state, self._simulated)
+        if number is not None:
+            return [f"trial {number}: {found[number]}"] if number in found else []
+        lines = [f"trial {which}: {said}" for which, said in found.items()]
+        return [*_odd_failures(self.plan.goal, self._simulated), *lines]
+
+    @property
+    def _simulated(self) -> Range | None:
+        found: Range | None = self._begun["range"]
+        return found
 
     def shown(self) -> optuna.Study:
         """The study that the dashboard shows."""
@@ -329,216 +414,70 @@ class Bench:
         with self._journal.turn():
             self._entries = self._read()
             yield self.state
-            show(self)
+            show(self._journal.storage, self.plan, self.space, self.state)
 
     def _add(self, kind: str, data: Mapping[str, Any]) -> None:
         self._entries.append(self._journal.append(kind, data, self.operator))
 
-    def _propose(self, state: State, asked: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """The next trial, after those that were just asked for."""
-        numbers = {given["number"]: Trial(operator="", **given) for given in asked}
-        state = replace(state, trials=state.trials | numbers, count=state.count + len(asked))
-        study, sampler = self._study(state), self._sampler()
-        if self.plan.safety != Safety():
-            sampler = self._sampler(self._allowed(study, sampler))
-        study.sampler = sampler
-        try:
-            trial = study.ask(self.space)
-        except TableExhaustedError as error:
-            raise InputError("candidates", str(error), "a row that nobody has tried") from None
-        notes = dict(study.get_trials(deepcopy=False)[trial.number].user_attrs)
-        return self._asked(trial.params, notes, state.count, self._why(study))
-
-    def _asked(
-        self, params: dict[str, Any], notes: dict[str, Any], number: int, why: str,
-        expect: bool = True,
-    ) -> dict[str, Any]:  # fmt: skip
-        """A trial as an entry has it, with what is expected of it."""
-        if expect:
-            found = self._sampler().predict(self._study(self.state), [params])
-            why = f"{why} {self._expected(found)}".strip()
-        return {
-            "number": number, "params": params, "notes": notes, "why": why,
-            "context": self.state.context,
-        }  # fmt: skip
-
-    def _expected(self, found: Prediction) -> str:
-        """What is expected of a candidate, in a sentence."""
-        value, parts = float(found.value[0]), list[str]()
-        if np.isfinite(value):
-            interval = "interval unknown"
-            if np.isfinite(found.low[0]):
-                interval = f"{found.low[0]:.4g} to {found.high[0]:.4g}, the mean without noise"
-            parts.append(f"{value:.4g} ({interval})")
-        if np.isfinite(found.success[0]):
-            parts.append(f"success {100 * found.success[0]:.0f} %")
-        if any(column.limits("", 0.0) for column in self.plan.columns.values()):
-            unknown = np.isnan(found.kept[0])
-            chance = "unknown" if unknown else f"{100 * found.kept[0]:.0f} %"
-            parts.append(f"all limits kept {chance}")
-        return f"Expected: {', '.join(parts)}." if parts else ""
-
-    def _why(self, study: optuna.Study) -> str:
-        """Why a proposal is made, in a sentence."""
-        told = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-        if not told:
-            known = ""
-            if self._others(self.state):
-                known = f"the best {BEFORE}, or "
-            elif self.candidates.rows.worlds is not None:
-                known = "the best simulated, or "
-            return f"The first one: {known}one of several to begin with."
-        kept = [trial for trial in told if all(v <= 0.0 for v in trial.constraints.values())]
-        if not kept:
-            return "No trial has kept all limits yet: the one that most likely does."
-        if self.plan.goal.success is not None and not self._successful(kept):
-            return "No trial has succeeded yet: the one that most likely does, or improves most."
-        best = (max if self.plan.goal.maximise else min)(trial.values[0] for trial in kept)
-        return f"The largest improvement to be expected on {best:.4g}."
-
-    def _allowed(self, study: optuna.Study, sampler: FeatureKernelSampler) -> NDArray[np.bool_]:
-        """Rows within the limits of [safety]; one at least."""
-        safety, rows = self.plan.safety, self.candidates.rows
-        found = sampler.predict(study)
-        keeps = ~(found.kept < safety.least_kept) & ~(found.success < safety.least_success)
-        told = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-        good = self._successful(told)
-        if good and safety.most_step < 1.0:
-            places = rows.space.unit(np.array([rows.space.row(trial.params) for trial in good]))
-            steps = np.abs(rows.unit[:, None] - places[None]).max(axis=2).min(axis=1)
-            keeps &= steps <= safety.most_step
-        allowed = np.zeros(len(rows), dtype=bool)
-        allowed[found.rows[keeps]] = True
-        tried = [row for trial in study.get_trials(deepcopy=False)
-                 if (row := rows.find(trial.params)) is not None]  # fmt: skip
-        allowed[tried] = False
-        if not allowed.any():
-            raise InputError("safety", "no candidate within the limits", "wider limits in [safety]")
-        return allowed
-
-    def _successful(self, told: Sequence[FrozenTrial]) -> list[FrozenTrial]:
-        """Trials that succeeded; without `goal.success`, those that did not fail."""
-        sign, success = -1.0 if self.plan.goal.maximise else 1.0, self.plan.goal.success
-        if success is None:
-            return [trial for trial in told if not trial.user_attrs["failed"]]
-        return [trial for trial in told if sign * trial.values[0] <= sign * success]
-
-    def _study(self, state: State, context: str | None = None) -> optuna.Study:
-        """The trials of a context, by default the present one, as if all had been right at once."""
-        study = optuna.create_study(direction=self.plan.direction)
-        space = self.space
-        here = state.context if context is None else context
-        for trial in state.trials.values():
-            if trial.context == here:
-                study.add_trial(frozen(trial, space, self.plan))
-        return study
-
-    def _others(self, state: State) -> list[str]:
-        """Other contexts in which a trial is finished, in their order."""
-        told = [trial.context for trial in state.trials.values() if trial.value is not None]
-        return [name for name in dict.fromkeys(told) if name != state.context]
-
-    def _sampler(self, allowed: NDArray[np.bool_] | None = None) -> FeatureKernelSampler:
-        """The sampler of the present context."""
-        found, state = self.candidates, self.state
-        told = list[np.ndarray[Any, np.dtype[np.float64]]]()
-        for context in self._others(state):
-            known = self.plan.sampler(found).predict(self._study(state, context))
-            column = np.full(len(found), np.nan)
-            column[known.rows] = known.value
-            told.append(column)
-        if told:
-            column, maximise = np.column_stack(told), self.plan.goal.maximise
-            with warnings.catch_warnings(action="ignore", category=UserWarning):  # rows left out
-                found = with_before(found, column, maximise=maximise)
-        return self.plan.sampler(found, allowed)
+    def _advice(self, state: State) -> Advice:
+        return Advice(self.plan, self.candidates, self.space, state, self._simulated)
 
 
-def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> FeatureTable:
-    """Candidates of which k other contexts tell something too.
-
-    It is a family of worlds with the weight of all others.
-
-    Args:
-        candidates: as they are.
-        told: predicted values of the rows, in the study's units, [n, k]; NaN where unknown.
-        maximise: high values are good.
-    """
-    rows, k = candidates.rows, told.shape[1]
-    before, own = tuple(f"{BEFORE} {place}" for place in range(k)), rows.worlds
-    if own is None:
-        worlds = Worlds(before, told, np.full(k, 1.0 / k))
-        return FeatureTable(replace(rows, worlds=worlds))
-    if own.better is not None:  # in units of their own: as many standard deviations
-        sign = 1.0 if maximise is (own.better == "higher") else -1.0
-        spread = float(np.nanstd(told)) or 1.0
-        told = sign * (told - np.nanmean(told)) / spread * np.nanstd(own.costs)
-        told = told + np.nanmean(own.costs)
-    weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
-    worlds = Worlds((*own.names, *before), np.hstack([own.costs, told]), weights, own.better)
-    return FeatureTable(replace(rows, worlds=worlds))
-
-
-def _range(rows: Rows) -> list[float] | None:
-    """The least and the largest value that was simulated; None: in no worlds of these units."""
-    if rows.worlds is None or rows.worlds.better is not None:
-        return None
-    return [float(np.nanmin(rows.worlds.costs)), float(np.nanmax(rows.worlds.costs))]
-
-
-def frozen(trial: Trial, space: Mapping[str, Any], plan: Plan) -> FrozenTrial:
-    """A trial as Optuna has it."""
-    shown = {key: getattr(trial, key) for key in ("context", "operator", "note", "failed", "why")}
-    limits = {
-        limit: excess
-        for name, value in trial.columns.items()
-        for limit, excess in plan.columns[name].limits(name, value).items()
-    }
-    return create_trial(
-        state=TOLD[trial.value is not None], value=trial.value, params=trial.params,
-        distributions=dict(space), user_attrs=trial.notes | shown | trial.columns,
-        constraints=limits if trial.value is not None else None,
-    )  # fmt: skip
-
-
-def show(bench: Bench) -> None:
-    """Bring the study that the dashboard shows up to date with the entries.
-
-    Its trials are those of the bench, by number. It is made of the entries whenever it does not
-    follow from them: also after a command that was killed between the two.
-    """
-    plan, state, storage = bench.plan, bench.state, bench._journal.storage
-    study = optuna.create_study(
-        storage=storage, study_name=plan.name, direction=plan.direction, load_if_exists=True
-    )
-    space = bench.space
-    gone = create_trial(state=TrialState.FAIL, user_attrs={"note": "undone"})
-    wanted = [
-        frozen(state.trials[number], space, plan) if number in state.trials else gone
-        for number in range(state.count)
+def _with_expectations(advice: Advice, trials: Sequence[Trial]) -> list[Trial]:
+    """Trials with what is expected of them by now."""
+    expected = advice.expected([trial.params for trial in trials])
+    reasons = [trial.why.partition(EXPECTED)[0].strip() for trial in trials]
+    return [
+        replace(trial, why=f"{reason} {sentence}".strip())
+        for trial, reason, sentence in zip(trials, reasons, expected, strict=True)
     ]
-    for trial, own in zip_longest(study.get_trials(deepcopy=False), wanted):
-        if trial is None:
-            study.add_trial(own)
-        elif own is None or not _shows(study, trial, own):
-            optuna.delete_study(study_name=plan.name, storage=storage)
-            show(bench)
-            return
 
 
-def _shows(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool:
-    """Whether a trial shows what is wanted, perhaps after it was finished, if it was running."""
-    parts = ("state", "values", "params", "user_attrs")
-    if all(getattr(trial, part) == getattr(wanted, part) for part in parts):
-        return True
-    unfinished = trial.state is TrialState.RUNNING and wanted.state is not TrialState.FAIL
-    if not unfinished or trial.params != wanted.params:
-        return False
-    storage, number = study._storage, trial._trial_id
-    for key, value in wanted.user_attrs.items():
-        storage.set_trial_user_attr(number, key, value)
-    for key, value in wanted.system_attrs.items():
-        storage.set_trial_system_attr(number, key, value)
-    return wanted.state is TrialState.RUNNING or storage.set_trial_state_values(
-        number, wanted.state, wanted.values
-    )
+def _is_printed(value: Any, typed: Any) -> bool:
+    """Whether something typed is a value as a sheet has it."""
+    printed = float(f"{value:{PRINTED}}") if isinstance(value, float) else value
+    return bool(typed in (value, printed))
+
+
+def _within(distribution: BaseDistribution, typed: Any) -> Any:
+    """The end of a range that something typed is as printed; or what was typed."""
+    if isinstance(distribution, FloatDistribution):
+        for end in (distribution.low, distribution.high):
+            if _is_printed(end, typed):
+                return end
+    return typed
+
+
+def _as_known(params: dict[str, Any], trials: Iterable[Trial]) -> dict[str, Any]:
+    """Parameters that are as printed those of an earlier trial are that trial's."""
+    for trial in trials:
+        if all(_is_printed(value, params[name]) for name, value in trial.params.items()):
+            return trial.params
+    return params
+
+
+def _given(trial: Trial) -> dict[str, Any]:
+    """A new trial as an entry has it."""
+    fields = asdict(trial)
+    return {name: fields[name] for name in ("number", "params", "notes", "why", "context")}
+
+
+def _require_failures(goal: Goal, simulated: Range | None) -> None:
+    """Refuse failures that are worth more than a success, or than all that was simulated."""
+    sign = -1.0 if goal.maximise else 1.0
+    for key, value in goal.failures.items():
+        if goal.success is not None and sign * value < sign * goal.success:
+            allowed = f"a value worse than goal.success, {goal.success:g}"
+            raise InputError(f"goal.{key}", value, allowed)
+        if simulated is not None and sign * value < min(sign * end for end in simulated):
+            least, most = simulated
+            allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
+            raise InputError(f"goal.{key}", value, allowed)
+
+
+def _odd_failures(goal: Goal, simulated: Range | None) -> list[str]:
+    """Failures that are far from all that was simulated: values and worlds need one unit."""
+    if simulated is None:
+        return []
+    odd = {key: odd_value(value, simulated, ()) for key, value in goal.failures.items()}
+    return [f"goal.{key}: {said}" for key, said in odd.items() if said]

@@ -22,6 +22,7 @@ from storage.databases.studies import (
     read_attributes,
     read_errors,
     storage_errors,
+    write_down,
 )
 from taichi_nmm.errors import InputError
 
@@ -85,6 +86,8 @@ class Trial:
     failed: bool = False
     note: str = ""
     aborted: int = 0  # times that it was broken off and nothing learned
+    time: str = ""  # when its result was entered, or when it was measured; ISO 8601
+    values: list[float] = field(default_factory=list)  # all that were ever entered for it
 
 
 @dataclass
@@ -95,6 +98,10 @@ class State:
     context: str
     count: int  # of numbers that were ever given to a trial
     undone: frozenset[int]  # entries
+
+    def of_context(self, context: str) -> list[Trial]:
+        """The trials of a context, in their order."""
+        return [trial for trial in self.trials.values() if trial.context == context]
 
     def trial(self, number: int, finished: bool) -> Trial:
         """A trial of this number.
@@ -148,6 +155,7 @@ class Journal:
                     time.sleep(0.1)
             with storage_errors(self.url):
                 yield
+                write_down(self.storage)
 
     def entries(self) -> list[Entry]:
         """All entries, in their order; none where the bench has not begun."""
@@ -199,21 +207,33 @@ def read_state(entries: list[Entry]) -> State:
         if entry.kind == "context":
             state.context = data["name"]
         for given in data.get("trials", ()):
-            state.trials[given["number"]] = Trial(operator=entry.operator, **given)
+            trial = Trial(**{"operator": entry.operator, "time": entry.time} | given)
+            trial.columns = dict(trial.columns)  # corrections must not reach the entry
+            trial.values += [trial.value] if trial.value is not None else []
+            state.trials[trial.number] = trial
         if "trial" in data:
-            trial = state.trials[data["trial"]]
-            if entry.kind == "abort":  # who breaks it off has it again
-                trial.aborted, trial.operator = trial.aborted + 1, entry.operator
-            trial.note = data.get("note") or trial.note
-            trial.columns |= data.get("columns", {})
-            if data.get("value") is not None:
-                trial.value = data["value"]
-                trial.failed = data.get("seconds") is not None or entry.kind == "fail"
+            _change(state.trials[data["trial"]], entry)
     return state
 
 
-def undoable(entries: list[Entry], number: int | None) -> Entry:
-    """The entry to undo: this one, or the last one that stands and is no undoing itself.
+def _change(trial: Trial, entry: Entry) -> None:
+    """What an entry about one trial changes."""
+    data = entry.data
+    if entry.kind == "abort":  # who breaks it off has it again
+        trial.aborted += 1
+        trial.operator = entry.operator
+    trial.note = data.get("note") or trial.note
+    trial.columns |= data.get("columns", {})
+    if data.get("value") is None:
+        return
+    trial.value = data["value"]
+    trial.values.append(data["value"])
+    trial.time = entry.time
+    trial.failed = entry.kind == "fail" or data.get("seconds") is not None
+
+
+def undoable(entries: list[Entry], number: int | None, operator: str) -> Entry:
+    """The entry to undo: this one, or the operator's own last one that is no undoing itself.
 
     Raises:
         InputError: there is none, or a later entry stands on it.
@@ -221,7 +241,12 @@ def undoable(entries: list[Entry], number: int | None) -> Entry:
     undone = read_state(entries).undone
     standing = [entry for entry in entries if entry.number not in undone and entry.number]
     done = [entry for entry in standing if entry.kind != "undo"]
-    found = done[-1:] if number is None else [one for one in standing if one.number == number]
+    own = [entry for entry in done if entry.operator == operator]
+    if number is None and done and not own:
+        last = " ".join(str(done[-1]).split())
+        allowed = f"the number of an entry, none of which is {operator}'s; the last one is {last}"
+        raise InputError("undo", "the last", allowed)
+    found = own[-1:] if number is None else [one for one in standing if one.number == number]
     if not found:
         numbers = ", ".join(str(entry.number) for entry in standing) or "there is none"
         raise InputError("undo", "the last" if number is None else number,

@@ -2,23 +2,26 @@
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.study import StudyDirection
+from optuna.trial import FrozenTrial
 
-from storage.databases.studies import shown_url
-from storage.databases.urls import file_url
+from storage.databases.studies import read_studies, shown_url, studies_path
+from storage.databases.urls import file_url, is_postgresql
 from storage.simulator import SURVIVED
 from storage.store import open_store
 from study.bench.candidates import better_of, of_file
+from study.bench.journal import LOG
 from study.bench.words import horizon
-from study.sampler.sampler import FeatureKernelSampler
+from study.sampler.sampler import MOST_OFF_GRID, FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.config import Table, read_whole
@@ -31,7 +34,9 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-FREE = ("about", "safety", "storage")  # parts of the file that may change under a running bench
+SMOOTH = "smooth"  # the cost of a store, if the file names none
+# Parts of the file that may change under a running bench: none tells what a trial was.
+FREE = ("about", "off_grid", "safety", "storage")
 READABLE = "a readable TOML file of a bench"
 
 
@@ -52,11 +57,27 @@ class Goal:
             InputError: the file does not say what failures are worth, or no such time.
         """
         if self.failed is None:
-            allowed = "failed = [value at once, value at the end], and duration_s, in [goal]"
-            raise InputError("goal.failed", "missing", allowed)
+            allowed = (
+                "failed_at_once, failed_at_end and duration_s in [goal] of a new bench; "
+                "or the value of the failed trial itself"
+            )
+            raise InputError("goal.failed_at_once", "missing", allowed)
         checks.number(0.0, self.duration_s)("seconds", seconds)
         first, last = self.failed
         return first + (last - first) * seconds / self.duration_s
+
+    @property
+    def failures(self) -> dict[str, float]:
+        """What failures are worth, by the key of the file; none where it does not say."""
+        if self.failed is None:
+            return {}
+        return dict(zip(("failed_at_once", "failed_at_end"), self.failed, strict=True))
+
+    def is_good(self, value: float) -> bool:
+        """Whether it is as good as `success`; any value is where nothing says what success is."""
+        if self.success is None:
+            return True
+        return value >= self.success if self.maximise else value <= self.success
 
     def in_worlds(self, term: "Term") -> "Cost":
         """Values by a column of a store, or a function of them; runs that fell are failures.
@@ -112,7 +133,35 @@ class Plan:
     goal: Goal
     columns: Mapping[str, Column]
     safety: Safety
+    off_grid: int | None  # points near the best trials that are looked at; None: as the sampler has
     url: str  # of the study database
+
+    @property
+    def limited(self) -> list[str]:
+        """Names of the columns that have limits."""
+        return [name for name, column in self.columns.items() if column.limits("", 0.0)]
+
+    def limits(self, told: Mapping[str, float]) -> dict[str, float]:
+        """What is above zero where a limit is broken, by name, of the columns of a trial."""
+        return {
+            limit: excess
+            for name, value in told.items()
+            for limit, excess in self.columns[name].limits(name, value).items()
+        }
+
+    def kept(self, told: Mapping[str, float]) -> bool | None:
+        """Whether the columns of a trial keep all limits; None: one that has limits is missing."""
+        if any(excess > 0.0 for excess in self.limits(told).values()):
+            return False
+        return True if all(name in told for name in self.limited) else None
+
+    @property
+    def least_of_a_walk(self) -> float | None:
+        """What a walk of the whole duration costs at least, 1 / (1 + t) of the smooth cost."""
+        candidates, duration_s = self.candidates.unread, self.goal.duration_s
+        if "store" not in candidates or candidates.get("cost", SMOOTH) != SMOOTH:
+            return None
+        return 1.0 / (1.0 + duration_s) if math.isfinite(duration_s) else None
 
     @property
     def direction(self) -> StudyDirection:
@@ -145,9 +194,18 @@ class Plan:
         return horizon(runs_s, self.goal.duration_s)
 
     def sampler(
-        self, candidates: FeatureTable, allowed: NDArray[np.bool_] | None = None
+        self,
+        candidates: FeatureTable,
+        allowed: NDArray[np.bool_] | None = None,
+        limits_of: Sequence[FrozenTrial] = (),
     ) -> FeatureKernelSampler:
-        """The sampler over candidates; trials off the table have what their nearest rows have."""
+        """The sampler over candidates; trials off the table have what their nearest rows have.
+
+        Args:
+            candidates: the rows.
+            allowed: which of them may be proposed, [n]; None: all.
+            limits_of: trials elsewhere, of which the limits alone are learned.
+        """
         rows, options = candidates.rows, dict[str, Any]()
         if rows.worlds is None and rows.alike is None:
 
@@ -157,7 +215,13 @@ class Plan:
 
             options = {"feature_function": features}
         return FeatureKernelSampler(
-            candidates, seed=self.seed, success=self.goal.success, allowed=allowed, **options
+            candidates,
+            seed=self.seed,
+            success=self.goal.success,
+            off_grid=self.off_grid if allowed is None else 0,
+            allowed=allowed,
+            limits_of=limits_of,
+            **options,
         )
 
 
@@ -181,6 +245,9 @@ def _plan_of(table: Table, path: Path) -> Plan:
     safety = table.table("safety")
     storage = table.table("storage").text("url", file_url(path.with_suffix(".db")))
     shown_url(storage)  # refuses what is no study database
+    if "url" in data.get("storage", {}):
+        storage = _beside(path, storage, name)
+    off_grid = table.integer("off_grid", 0, 0, MOST_OFF_GRID) if "off_grid" in data else None
     plan = Plan(
         path,
         {key: value for key, value in data.items() if key not in FREE},
@@ -195,6 +262,7 @@ def _plan_of(table: Table, path: Path) -> Plan:
             safety.number("least_success", Safety.least_success, 0.0, 1.0),
             safety.number("least_kept", Safety.least_kept, 0.0, 1.0),
         ),
+        off_grid,
         storage,
     )
     for part in (table, goal, safety, table.table("columns"), table.table("storage")):
@@ -204,6 +272,22 @@ def _plan_of(table: Table, path: Path) -> Plan:
             "safety.least_success", plan.safety.least_success, "0 without goal.success"
         )
     return plan
+
+
+def _beside(path: Path, url: str, name: str) -> str:
+    """The URL of a database whose relative file lies beside the file of the bench.
+
+    Until version 0.3.0 it lay in the working folder: a bench that was begun there is found there.
+    """
+    if is_postgresql(url):
+        return url
+    file = studies_path(url)
+    beside = path.parent / file
+    if file.is_absolute() or beside.exists() or not file.exists():
+        return file_url(beside)
+    with read_studies(url) as found:
+        begun = found is not None and name + LOG in optuna.get_all_study_names(found)
+    return url if begun else file_url(beside)
 
 
 def _goal(table: Table) -> Goal:
@@ -237,7 +321,7 @@ def _of_store(table: Table, goal: Goal) -> FeatureTable:
     from study.experiment.objective import PRINTED, Objective, Term, named_function
 
     path, features = table.folder / table.text("store"), table.texts("features")
-    cost = table.text("cost", "smooth")
+    cost = table.text("cost", SMOOTH)
     better = better_of(table)
     if features:
         return FeatureTable.from_parquet(path, features=features)

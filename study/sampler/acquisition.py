@@ -51,6 +51,8 @@ class Model:
     known: Learned  # constants that were learned so far; new ones are added
     ensemble: Relation | None = None  # of simulated worlds, whose costs are expected
     success: float | None = None  # cost up to which a trial has succeeded
+    elsewhere: Points | None = None  # e trials of other studies, whose limits alone count
+    limits_elsewhere: Floats | None = None  # of each, [e, c]
 
     @cached_property
     def feasible(self) -> Mask:
@@ -89,14 +91,23 @@ class Model:
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
 
+    @property
+    def told_limits(self) -> Floats:
+        """Constraints of trials elsewhere and of those here, [e + n, c]."""
+        if self.limits_elsewhere is None:
+            return self.limits
+        return np.vstack([self.limits_elsewhere, self.limits])
+
     @cached_property
     def limit_posteriors(self) -> list[Posterior]:
         """One posterior a constraint that has been reported."""
-        posteriors = []
-        for limit in self.limits.T:
+        posteriors, trials = [], self.trials
+        if self.elsewhere is not None:
+            trials = self.elsewhere.followed_by(trials)
+        for limit in self.told_limits.T:
             known = np.isfinite(limit)
             if known.any():
-                points = self.trials.take(known)
+                points = trials.take(known)
                 posteriors.append(self._after(points, limit[known].__getitem__))
         return posteriors
 

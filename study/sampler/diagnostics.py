@@ -459,9 +459,10 @@ def _chance_kept(model: Model, points: Points) -> Floats:
     Laplace's rule of succession. Else it is the model's, with Student's t for the few trials that
     its scale was learned from.
     """
-    chance = np.full(len(points), 1.0 if model.limits.shape[1] else np.nan)
-    for limit, posterior in zip(model.limits.T, model.limit_posteriors, strict=True):
-        told = limit[np.isfinite(limit)]
+    limits = [limit[np.isfinite(limit)] for limit in model.told_limits.T]
+    limits = [told for told in limits if len(told)]
+    chance = np.full(len(points), 1.0 if limits else np.nan)
+    for told, posterior in zip(limits, model.limit_posteriors, strict=True):
         n, is_broken = len(told), bool((told > 0.0).any())
         if n < LEAST_TOLD and not is_broken:
             chance[:] = np.nan

@@ -54,6 +54,7 @@ class Options:
     strict: bool
     success: float | None
     allowed: NDArray[np.bool_] | None
+    limits_of: tuple[FrozenTrial, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -141,10 +142,12 @@ class Policy:
         ensemble: Relation | None = None,
         running: Points | None = None,
         own_turn: int = 0,
+        elsewhere: Points | None = None,
     ) -> Model:
         """The model of one trial, after the trials of a history, at the points where they were.
 
-        Without `running`, that of finished trials alone, whatever limits they have.
+        Without `running`, that of finished trials alone, whatever limits they have. `elsewhere` is
+        where the trials of `limits_of` were.
         """
         kernel, cost, nowhere = self.options.kernel, history.cost, seen.take(np.arange(0))
         no_limits, d = np.empty((len(cost), 0)), history.parameters.shape[1]
@@ -153,8 +156,11 @@ class Policy:
             return model
         success = self.options.success
         success = None if success is None else history.sign * success
-        limits = read_limits(history.trials)
-        model = replace(model, limits=limits, running=running, success=success)
+        limits = read_limits([*history.trials, *self.options.limits_of])
+        own, others = limits[: len(cost)], limits[len(cost) :]
+        model = replace(model, limits=own, running=running, success=success)
+        if elsewhere is not None:
+            model = replace(model, elsewhere=elsewhere, limits_elsewhere=others)
         kept = cost[model.feasible]
         if self.learns_trust and is_doubtful(kept, own_turn):
             return replace(model, kernel=NEARNESS)

@@ -108,6 +108,8 @@ class FeatureKernelSampler(BaseSampler):
             that of the largest expected improvement. None: improvement alone counts.
         allowed: which rows of a table may be proposed, [n]; None: all. Points off it are not looked
             at then.
+        limits_of: trials of other studies over the same table, whose constraints alone are learned:
+            what broke a limit there is expected to break it here.
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its objective has
@@ -129,6 +131,7 @@ class FeatureKernelSampler(BaseSampler):
         independent_sampler=checks.optional(checks.instance(BaseSampler)),
         success=checks.optional(checks.number()),
         allowed=checks.optional(_MASK),
+        limits_of=checks.each(checks.instance(FrozenTrial)),
     )
     def __init__(
         self,
@@ -144,6 +147,7 @@ class FeatureKernelSampler(BaseSampler):
         independent_sampler: BaseSampler | None = None,
         success: float | None = None,
         allowed: NDArray[np.bool_] | None = None,
+        limits_of: Sequence[FrozenTrial] = (),
     ) -> None:
         given = dict(locals())
         self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
@@ -158,7 +162,9 @@ class FeatureKernelSampler(BaseSampler):
         if off_grid is None:
             off_grid = OFF_GRID if chosen == WORLDS and allowed is None else 0
         extra = frozenset(extra_parameters)
-        options = Options(chosen, off_grid, space, extra, strict, success, allowed)
+        options = Options(
+            chosen, off_grid, space, extra, strict, success, allowed, tuple(limits_of)
+        )
         _require_sense(features, feature_function, options, self._kernel)
         seed = secrets.randbits(64) if seed is None else seed
         self._independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
@@ -343,6 +349,7 @@ def _require_sense(
         refuse(lacking, "kernel", kernel, "none, or euclidean: the table has no features")
         return
     refuse(mask is not None, "allowed", given, "none without a table")
+    refuse(options.limits_of, "limits_of", given, "none without a table")
     allowed = "none: only a table needs it beside `features`"
     refuse(function is not None, "feature_function", given, allowed)
     if features is None:

@@ -343,7 +343,21 @@ class TablePolicy(Policy):
         ensemble = self._ensemble(history)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
         running = self._seen(history.running, history.running_rows, (), ensemble)
-        return self.model(history, seen, ensemble, running, own_turn)
+        elsewhere = None
+        if others := self.options.limits_of:
+            elsewhere = self._seen(*self._places([trial.params for trial in others]), (), ensemble)
+        return self.model(history, seen, ensemble, running, own_turn, elsewhere)
+
+    def _places(self, params: Sequence[Mapping[str, Any]]) -> tuple[Floats, NDArray[np.int64]]:
+        """Parameters as rows have them, [m, d], and the row that each is, or OFF_TABLE, [m]."""
+        rows, places = self.rows, np.empty((len(params), len(self.rows.names)))
+        for place, values in enumerate(params):
+            known = rows.space.row(values)
+            if known is None:
+                raise InputError(f"params[{place}]", dict(values), f"one of {rows.space.as_dict()}")
+            places[place] = known
+        found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
+        return places, np.array(found, dtype=np.int64)
 
     def _off_table(
         self, history: History, utility: Floats, model: Model, own_turn: int
@@ -465,14 +479,7 @@ class TablePolicy(Policy):
         if params is None:
             points, numbers = self._points(model.ensemble), rows.numbers
             return prediction_of(model, points, numbers, history)
-        places = np.empty((len(params), len(rows.names)))
-        for place, values in enumerate(params):
-            known = rows.space.row(values)
-            if known is None:
-                raise InputError(f"params[{place}]", dict(values), f"one of {rows.space.as_dict()}")
-            places[place] = known
-        found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
-        numbers = np.array(found, dtype=np.int64)
+        places, numbers = self._places(params)
         points = self._seen(places, numbers, (), model.ensemble)
         return prediction_of(model, points, numbers, history)
 

@@ -64,6 +64,11 @@ class Points:
         """Some of them, by number or by mask."""
         return Points(self.features[index], self.coordinates[index])
 
+    def followed_by(self, others: "Points") -> "Points":
+        """These, and then the others."""
+        features = np.vstack([self.features, others.features])
+        return Points(features, np.vstack([self.coordinates, others.coordinates]))
+
 
 def log_excess(values: Floats, cost: Floats) -> Floats:
     """log(1 + (value - least) / typical) of values [m], by costs [n], typical the median excess.

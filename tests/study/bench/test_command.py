@@ -231,6 +231,8 @@ def test_words_of_a_sheet(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
         bench("abort 0", capsys)
         assert f"(again: broken off {times})" in bench("next", capsys)
     bench("record 0 --value 1", capsys)
+    assert "Expected: 1 (interval unknown)" in bench("next", capsys)  # of one value
+    bench("record 1 --value 2", capsys)
     assert "the mean without noise)" in bench("next", capsys)
 
 

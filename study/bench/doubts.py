@@ -1,0 +1,101 @@
+"""Numbers of a bench that were perhaps entered wrongly, as far as the entries can tell.
+
+A number is questioned that no simulated world has, or that is far from those of all other trials:
+another unit, a lost decimal point, a clock in nanoseconds. A wrong number in the midst of others is
+not found.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+from study.bench.journal import State, Trial
+from study.bench.plan import Column, Plan
+
+Range = Sequence[float]
+
+BEYOND_WORLDS = 0.5  # of their range: the machine is not quite any of them
+LEAST_KNOWN = 3  # other numbers, before one of them can be far from all
+BEYOND_TRIALS = 3.0  # of their range
+FACTOR = 3.0  # from the nearest one, of numbers of one sign
+LARGEST = 1e100  # no measurement, in whatever unit
+
+
+def odd_value(value: float, simulated: Range | None, others: Sequence[float]) -> str:
+    """A warning of a trial's value; "" where nothing speaks against it.
+
+    Args:
+        value: that was entered.
+        simulated: the least and the largest one in the worlds; None: in none of these units.
+        others: those of other trials.
+    """
+    if not abs(value) < LARGEST:
+        return f"{value:g} is no measurement: is it right?"
+    if simulated is None:
+        return _odd_among(value, others)
+    low, high = simulated
+    beyond = BEYOND_WORLDS * (high - low)
+    if low - beyond <= value <= high + beyond and not _other_sign(value, low, high):
+        return ""
+    return f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
+
+
+def doubts(plan: Plan, state: State, simulated: Range | None) -> dict[int, str]:
+    """What is to be questioned, by the number of the trial.
+
+    Args:
+        plan: of the bench.
+        state: of the bench.
+        simulated: as of `odd_value`.
+    """
+    found = dict[int, str]()
+    told = [trial for trial in state.trials.values() if trial.value is not None]
+    for trial in told:
+        others = [other for other in told if other is not trial]
+        if said := list(_doubts_of(plan, trial, others, simulated)):
+            found[trial.number] = "; ".join(said)
+    return found
+
+
+def _doubts_of(
+    plan: Plan, trial: Trial, others: Sequence[Trial], simulated: Range | None
+) -> Iterator[str]:
+    assert trial.value is not None
+    values = [other.value for other in others if other.value is not None]
+    if not trial.failed and (said := odd_value(trial.value, simulated, values)):
+        yield f"{plan.goal.value} {said}"
+    least = plan.least_of_a_walk
+    if least is not None and trial.value < least:
+        yield (
+            f"{plan.goal.value} {trial.value:g} is less than a walk of {plan.goal.duration_s:g} s "
+            f"can cost, {least:.4g}: was it a log with clock times?"
+        )
+    for name, value in trial.columns.items():
+        known = [other.columns[name] for other in others if name in other.columns]
+        if said := _odd_column(value, plan.columns[name], known):
+            yield f"{name} {said}"
+
+
+def _odd_column(value: float, column: Column, others: Sequence[float]) -> str:
+    """The limits of a column tell of its size too."""
+    if not abs(value) < LARGEST:
+        return f"{value:g} is no measurement: is it right?"
+    ends = [end for end in (column.least, column.most) if math.isfinite(end)]
+    return _odd_among(value, [*others, *ends] if others else [])
+
+
+def _odd_among(value: float, others: Sequence[float]) -> str:
+    """Whether a number is far from all others, of which there are enough."""
+    if len(others) < LEAST_KNOWN:
+        return ""
+    low, high = min(others), max(others)
+    beyond = BEYOND_TRIALS * (high - low)
+    if low - beyond <= value <= high + beyond and not _other_sign(value, low, high):
+        return ""
+    nearest = low if value < low else high
+    if nearest * value > 0.0 and 1.0 / FACTOR <= value / nearest <= FACTOR:
+        return ""
+    return f"{value:g} is far from all other trials, {low:.4g} to {high:.4g}: is it right?"
+
+
+def _other_sign(value: float, low: float, high: float) -> bool:
+    return (low > 0.0 > value) or (high < 0.0 < value)
