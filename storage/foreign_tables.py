@@ -8,6 +8,7 @@ clock), and refused by name where it is something else: a date is no number of n
 Columns that nobody asks for may hold anything.
 """
 
+import re
 from collections.abc import Collection, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -171,6 +172,8 @@ class ForeignTable:
         kind = column.type
         if pa.types.is_dictionary(kind):
             return column.cast(kind.value_type)
+        if pa.types.is_string_view(kind):
+            return column.cast(pa.string())
         if not pa.types.is_decimal(kind):
             return column
         if kind.scale > 0:
@@ -202,7 +205,7 @@ class ForeignTable:
         field = f"{self.field}.{name}[{row}]"
         if not wrong:
             raise InputError(field, word, NOT_WORDS)
-        if wrong == [0] and len(words) > 1 and not typed.is_meant(word):
+        if wrong == [0] and len(words) > len(odd) and not typed.is_meant(word):
             units = "this looks like a row of units below the names: take it out"
             raise InputError(field, word, f"{NUMBERS}; {units}")
         raise InputError(field, word, typed.mend(word) or NUMBERS)
@@ -289,6 +292,7 @@ def _of_text(content: bytes, words: Collection[str]) -> pa.Table:
     if text.startswith("sep="):  # by which a file tells Excel its separator
         text = text.partition("\n")[2]
     mark = typed.separator(text)
+    text = re.sub(rf"[\r\n][{mark}\s]*\Z", "\n", text)  # a spreadsheet ends in rows of no cells
     if mark == typed.BLANKS:
         mark, text = "\t", "\n".join("\t".join(line.split()) for line in text.splitlines())
     source = text.encode()
@@ -329,7 +333,7 @@ def _has_decimal_commas(table: pa.Table, words: Collection[str]) -> bool:
         cells = cells.filter(pc.invert(pc.is_in(cells, pa.array(sorted(GAPS)))))
         with_comma = pc.match_substring_regex(cells, f"^{typed.WITH_COMMA}$")
         may_be_either = pc.match_substring_regex(cells, f"^{typed.EITHER}$")
-        is_whole = pc.match_substring_regex(cells, "^[+-]?[0-9]+$")
+        is_whole = pc.match_substring_regex(cells, f"^[+-]?[0-9]+{typed.EXPONENT}$")
         is_alike = pc.all(pc.or_(with_comma, is_whole)).as_py()
         if is_alike and pc.any(pc.and_not(with_comma, may_be_either)).as_py():
             return True
@@ -340,7 +344,7 @@ def _may_be_long(table: pa.Table, name: str) -> bool:
     """Whether a column of floats may have been whole numbers of more digits than Arrow reads."""
     if table.column_names.count(name) != 1 or not pa.types.is_floating(table[name].type):
         return False
-    return bool(pc.any(pc.greater(pc.abs(table[name]), float(LARGEST_EXACT))).as_py())
+    return bool(pc.any(pc.greater_equal(pc.abs(table[name]), float(LARGEST_EXACT))).as_py())
 
 
 def _has_long(words: pa.ChunkedArray) -> bool:

@@ -16,7 +16,9 @@ EXPONENT = r"([eE][+-]?[0-9]{1,4})?"
 WITH_POINT = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+){EXPONENT}")
 WITH_COMMA = rf"[+-]?[0-9]*,[0-9]+{EXPONENT}"
 EITHER = r"[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+"  # 1,234: a decimal comma, or a mark of thousands
-MEANT = re.compile(r"[+-]?[.,]?[0-9][0-9.,' ]*([eE][+-]?[0-9]+)?")  # in any way of writing
+MARKS = "., '\N{RIGHT SINGLE QUOTATION MARK}\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}"
+MEANT = re.compile(rf"[+-]?[.,]?[0-9][0-9{MARKS}]*([eE][+-]?[0-9]+)?")  # in any way of writing
+CLOCK = re.compile(r"[0-9]{1,4}([-/.])[0-9]{1,2}\1[0-9]{1,4}([T ,].*)?|[0-9]{1,2}:[0-9]{2}.*")
 
 SEPARATORS = "\t;,"
 BLANKS = " "  # a run of them parts two columns
@@ -46,6 +48,11 @@ def is_meant(word: object) -> bool:
     return isinstance(word, str) and MEANT.fullmatch(word.strip()) is not None
 
 
+def is_clock(word: object) -> bool:
+    """Whether a word begins as a date or a time of the day."""
+    return isinstance(word, str) and CLOCK.fullmatch(word.strip()) is not None
+
+
 def mend(word: str) -> str:
     """How to write a number that cannot be read as it is; "": it is none."""
     if not is_meant(word):
@@ -59,7 +66,7 @@ def mend(word: str) -> str:
         meant = plain
     else:
         place = max(text.rfind("."), text.rfind(","))  # of the decimal mark
-        whole, fraction = (re.sub(r"[.,' ]", "", part) for part in (text[:place], text[place:]))
+        whole, fraction = (re.sub(f"[{MARKS}]", "", part) for part in (text[:place], text[place:]))
         meant = f"{whole}.{fraction}"
     return f"{meant}: a decimal point, and no marks between thousands"
 
@@ -106,7 +113,7 @@ def separator(text: str) -> str:
         return BLANKS
     for place, row in enumerate(others, start=2):
         if len(row) != len(first):
-            cells = f"row {place} has {len(row)} cells, and row 1 has {len(first)}"
+            cells = f"row {place} has {len(row)} cells, and row 1, of names, {len(first)}"
             raise ValueError(f"{cells}; {DECIMAL_COMMAS}")
     return SEPARATORS[-1]
 

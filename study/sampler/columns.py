@@ -123,7 +123,8 @@ def _parameter_column(
     if len(bad):
         raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
     if column.dtype.kind in "iu":
-        for row in np.flatnonzero(np.abs(numbers) > LARGEST_EXACT)[:1].tolist():
+        is_long = (column > LARGEST_EXACT) | (column < -LARGEST_EXACT)
+        for row in np.flatnonzero(is_long)[:1].tolist():
             allowed = "whole numbers up to 2^53, which a float holds; longer ones, as words"
             raise InputError(f"table.{name}[{row}]", int(column[row]), allowed)
     numbers = numbers + 0.0  # no negative zero: rows are compared by their bits
@@ -176,7 +177,8 @@ def _choices(
         listed = [None if _is_gap(value) else value for value in listed]
     if given is None:
         for row, value in enumerate(listed):
-            if not isinstance(value, CHOICES) and not _is_gap(value):
+            is_choice = isinstance(value, CHOICES) and not typed.is_clock(value)
+            if not is_choice and not _is_gap(value):
                 raise InputError(f"table.{name}[{row}]", value, KINDS)
             if typed.is_meant(value):
                 allowed = "a number, not a word that looks like one; or a choice, declared as such"

@@ -139,7 +139,7 @@ def matrix_of(field: str, given: Any, count: str) -> Floats:
     With count "w" they may be of several goals, [n, w, k].
     """
     try:
-        if np.asarray(given).dtype.kind in "mM":  # NumPy would count nanoseconds
+        if np.asarray(given).dtype.kind in "mMc":  # NumPy would count nanoseconds, and drop parts
             raise TypeError
         matrix = np.array(checks.unmasked(given), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -44,6 +44,7 @@ def of_columns(folder: Path, **columns: Any) -> ForeignTable:
     ("a.csv", '"dose","cost","kind"\n"1","0.25","soft"\n"2","1.5","hard"\n'),
     ("a.csv", "dose, cost, kind\n1, 0.25,soft\n2, 1.5,hard\n"),
     ("a.csv", "dose;cost;kind\n1;0,25;soft\n2;1,5;hard\n\n\n"),
+    ("a.csv", "dose;cost;kind\r\n1;0,25;soft\r\n2;1,5;hard\r\n;;\r\n;;\r\n"),
     ("a.csv", "dose,cost,kind\r1,0.25,soft\r2,1.5,hard\r"),
 ])  # fmt: skip
 def test_a_text_in_any_clear_dialect(tmp_path: Path, name: str, text: str) -> None:
@@ -76,7 +77,7 @@ def test_what_excel_calls_unicode_and_a_packed_parquet_file(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("content", "said"), [
-    (b"a,b\n1,5,2\n", "row 2 has 3 cells, and row 1 has 2; decimal commas need columns"),
+    (b"a,b\n1,5,2\n", "row 2 has 3 cells, and row 1, of names, 2; decimal commas need columns"),
     (b"a\n1,5\n", "decimal commas need columns"),
     (b"a,b\n1,\xb5\n", "save it as CSV UTF-8"),
     (b"PK\x03\x04rest", "spreadsheet or a ZIP archive: save the table as CSV"),
@@ -103,6 +104,8 @@ def test_a_text_that_cannot_be_read_in_one_way(tmp_path: Path, content: bytes, s
     ("z,y\n1,2\n", r"'x' .* one of the columns z, y"),
     ("x,y\n18446744073709551615,1\n18446744073709551614,2\n", r"x\[0\]: '1844.* numbers"),
     ("x,y\n9007199254740993,1\n9007199254740992,2\n", r"x: 9007199254740993 .* 2\^53"),
+    ("x,y\n9007199254740993,1\n1.5,2\n", r"x\[0\]: '9007199254740993' .* numbers"),
+    ("x;y\n1\u00a0000,5;1\n", r"x\[0\]: .* 1000.5: a decimal point"),
     ("x;y\n0,5;1\n1.5;2\n0.5;3\n", r"x\[0\]: '0,5' .* 0.5: a decimal point"),
 ])  # fmt: skip
 def test_a_column_that_has_no_numbers_in_one_reading(tmp_path: Path, text: str, said: str) -> None:
@@ -123,8 +126,11 @@ def test_gaps_and_infinity(tmp_path: Path) -> None:
     assert np.array_equal(table.numbers("x"), [1.0, np.nan, 3.0], equal_nan=True)
     assert np.array_equal(table.numbers("y"), [np.inf, -np.inf, np.nan], equal_nan=True)
     assert np.isnan(table.numbers("z")).all()
-    table = of_text(tmp_path, "x;y\n0,5;1\nNA;2\n1;3\n")
-    assert np.array_equal(table.numbers("x"), [0.5, np.nan, 1.0], equal_nan=True)
+    table = of_text(tmp_path, "x;y\n0,5;1\nNA;2\n1;3\n-1e-3;4\n")
+    assert np.array_equal(table.numbers("x"), [0.5, np.nan, 1.0, -0.001], equal_nan=True)
+    table = of_columns(tmp_path, x=["s", None])  # no row of units: nothing else is a number
+    with pytest.raises(InputError, match=r"table.x\[0\]: 's' .* one in each row$"):
+        table.numbers("x")
 
 
 def test_types_of_a_parquet_file(tmp_path: Path) -> None:
@@ -133,6 +139,7 @@ def test_types_of_a_parquet_file(tmp_path: Path) -> None:
         decimal=pa.array([Decimal("1.5"), Decimal("1.75")], pa.decimal128(8, 2)),
         whole=pa.array([Decimal("3"), Decimal("4")], pa.decimal128(8, 0)),
         coded=pa.array(["a", "b"]).dictionary_encode(),
+        view=pa.array(["a", "b"], pa.string_view()),
         flag=[True, False],
         maybe=[True, None],
         gap=pa.array([2**53, None]),
@@ -142,7 +149,7 @@ def test_types_of_a_parquet_file(tmp_path: Path) -> None:
     )
     assert table.values("decimal").tolist() == [1.5, 1.75]
     assert table.values("whole").tolist() == [3, 4] and table.values("whole").dtype == np.int64
-    assert table.values("coded").tolist() == ["a", "b"]
+    assert table.values("coded").tolist() == table.values("view").tolist() == ["a", "b"]
     assert table.values("flag").tolist() == [True, False]
     assert table.numbers("flag").tolist() == [1.0, 0.0]
     assert table.values("maybe").tolist() == [True, None]

@@ -41,8 +41,8 @@ def test_columns_are_parted_by_what_parts_all_rows_alike(text: str, mark: str) -
 
 
 @pytest.mark.parametrize(("text", "said"), [
-    ("a,b\n1,5,2\n", "row 2 has 3 cells, and row 1 has 2; decimal commas need"),
-    ("x\n1,5\n", "row 2 has 2 cells, and row 1 has 1; decimal commas need"),
+    ("a,b\n1,5,2\n", "row 2 has 3 cells, and row 1, of names, 2; decimal commas need"),
+    ("x\n1,5\n", "row 2 has 2 cells, and row 1, of names, 1; decimal commas need"),
     ("a,b\n1,2\n1,5,2,5\n", "row 3 has 4 cells"),
     ("a,b;c,d\n1,2;3,4\n", "two of tabs, ; and ,"),
 ])  # fmt: skip

@@ -94,6 +94,10 @@ def test_whole_numbers_on_a_logarithmic_scale_stay_whole(tmp_path: Path) -> None
     ([10, 20], 'step.dose = 10\nlog = ["dose"]', r"candidates.step.dose: 10.0 .* logarithmic"),
     ([0, 1], 'log = ["dose"]', r"candidates.log: 'dose' .* above 0; its least value is 0"),
     (["2026-05-04", "2026-05-05"], "", r"candidates.dose: '2026-05-04' .* of a date"),
+    (["04.05.2026", "05.05.2026"], "", r"table.dose\[0\]: '04.05.2026' .* of a date"),
+    (["05/04/2026", "05/05/2026"], "", r"table.dose\[0\]: '05/04/2026' .* of a date"),
+    (["14:30:00.5", "14:31:00"], "", r"table.dose\[0\]: '14:30:00.5' .* of a date"),
+    ([2**53 + 1, 1], "", r"table.dose\[0\]: 9007199254740993 .* 2\^53"),
     (["2026-05-04"], 'type.dose = "float"', r"candidates.dose: '2026-05-04' .* of a date"),
     (["", ""], "", r"table.dose\[0\]: nan .* a finite number"),
     (["", ""], 'type.dose = "float"', r"candidates.dose: 'no number'"),
@@ -183,13 +187,14 @@ def test_arrays_and_frames_of_what_is_no_parameter() -> None:
     when = pd.to_datetime(["2026-05-04", "2026-05-05"])
     frame = pd.DataFrame({"when": when, "word": ["1,5", "2,5"], "id": [2**60, 2**60 + 1], "f": 1.5})
     frame["day"] = [date(2026, 5, 4), date(2026, 5, 5)]
+    frame["complex"] = [1j, 2j]
     frame["price"] = [Decimal("1.5"), Decimal("2.25")]
     frame["units"] = [Decimal("3"), Decimal("4")]
     for name in ("when", "word", "id", "day"):
         with pytest.raises(InputError, match=rf"^table.{name}\[0\]: "):
             FeatureTable.from_dataframe(frame, parameters=[name], features=["f"])
-    for name in ("when", "day"):
-        with pytest.raises(InputError, match=r"table.features\[0\]: '?.*2026"):
+    for name, shown in (("when", "2026"), ("day", "2026"), ("complex", "1j")):
+        with pytest.raises(InputError, match=rf"table.features\[0\]: .*{shown}"):
             FeatureTable.from_dataframe(frame, parameters=["price"], features=[name])
     both = FeatureTable.from_dataframe(frame, parameters=["price", "units"], features=["price"])
     assert both.rows.space.as_dict() == {
