@@ -1,13 +1,9 @@
 """What turns the walker's joints, as OpenSim has it: muscles, a passive foot, motors.
 
 A muscle is a Millard2012EquilibriumMuscle on a FunctionBasedPath, whose expressions OpenSim reads
-from version 4.5.2 on. OpenSim's coordinate is c = -phi, phi being the joint's angle. With s, rho,
-r, max and ref those of the `Attachment`, the path grows by
-
-    s rho r (sin(ref - max) + sin(c + max)),  or  s rho r (ref + c)  of a constant arm,
-
-and the arm is -s r cos(c + max), or -s r: without rho, which scales the walker's lengths alone. So
-the arm is not the slope of the length, and the file gives length, arm and speed.
+from version 4.5.2 on. They are sums of the simulator's own factors (`LENGTHS_M`, `TORQUES_NM`). The
+walker's pennation scales its lengths and not its arms, so the arm is not the slope of the length,
+and the file gives length, arm and speed. OpenSim's coordinates are the joints' angles, negative.
 
 OpenSim has no tendon whose force is the square of its strain; the strain of its nearest curve
 differs by up to 0.0019. So the fibre's length among the states is what OpenSim's tendon leaves of
@@ -16,6 +12,7 @@ recorded force is of the last physics step, whose pose is one step older than th
 """
 
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -24,12 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.pictures.stick_figure import DRAWN
-from taichi_nmm.body import SIDES as WHOLE_SIDES
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
-from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, MuscleData
+from taichi_nmm.kernel.muscle_table import FMAX_N, LENGTHS_M, MUSCLE_DATA, TORQUES_NM
 from taichi_nmm.result import MUSCLES, Trajectory
-from taichi_nmm.world import MUSCLE_NAMES as NAMES_IN_WORLDS
-from taichi_nmm.world import Worlds
+from taichi_nmm.world import MUSCLE_NAMES, Worlds
 
 Array = NDArray[np.float64]
 
@@ -44,105 +39,53 @@ SIDED = [(side, muscle) for side in SIDES for muscle in MUSCLES]
 
 @dataclass(frozen=True)
 class OwnMuscle:
-    """A muscle of one walker's own world, by OpenSim's name.
+    """A muscle of a walker's own world.
 
     Attributes:
-        name: with its side, as `soleus_l`.
+        name: OpenSim's, with the side, as `soleus_l`.
         muscle: of `MUSCLES`.
-        side: an index into `SIDES`.
-        fmax_n: largest isometric force; 0 where the muscle is missing.
-        optimal_m: the fibre's optimal length.
-        slack_m: the tendon's.
-        activation_s: time constant of the activation.
+        side: of `SIDES`.
+        fmax: largest isometric force, N; 0 where the muscle is missing.
+        optimal: the fibre's optimal length, m.
+        slack: the tendon's slack length, m.
+        time: constant of the activation, s.
     """
 
     name: str
     muscle: str
-    side: int
-    fmax_n: float
-    optimal_m: float
-    slack_m: float
-    activation_s: float
-
-    @property
-    def data(self) -> MuscleData:
-        """The nominal muscle."""
-        return MUSCLE_DATA[self.muscle]
+    side: str
+    fmax: float
+    optimal: float
+    slack: float
+    time: float
 
 
 def muscles_of(world: Worlds | None) -> list[OwnMuscle]:
     """The 14 muscles of the first of some worlds, in the order of `SIDED`; None is the nominal."""
-    rows = world or Worlds.nominal()
-    factors = {
-        name: dict(zip(NAMES_IN_WORLDS, values[0].tolist(), strict=True))
-        for name, values in vars(rows).items()
-        if name in ("strength", "optimal_length", "slack_length", "activation_time")
-    }
-    muscles = []
+    own, muscles = world or Worlds.nominal(), []
     for side, muscle in SIDED:
-        data, number = MUSCLE_DATA[muscle], SIDES.index(side)
-        in_world = f"{muscle}_{WHOLE_SIDES[number]}"
+        data = MUSCLE_DATA[muscle]
+        whole_side = "left" if side == "l" else "right"
+        column = MUSCLE_NAMES.index(f"{muscle}_{whole_side}")
         muscles.append(
             OwnMuscle(
                 name=f"{OPENSIM['muscles'][muscle]}_{side}",
                 muscle=muscle,
-                side=number,
-                fmax_n=data.fmax_n * factors["strength"][in_world],
-                optimal_m=data.optimal_length_m * factors["optimal_length"][in_world],
-                slack_m=data.slack_length_m * factors["slack_length"][in_world],
-                activation_s=ACTIVATION_TIME_S * factors["activation_time"][in_world],
+                side=side,
+                fmax=data.fmax_n * float(own.strength[0, column]),
+                optimal=data.optimal_length_m * float(own.optimal_length[0, column]),
+                slack=data.slack_length_m * float(own.slack_length[0, column]),
+                time=ACTIVATION_TIME_S * float(own.activation_time[0, column]),
             )
         )
     return muscles
 
 
-@dataclass(frozen=True)
-class Span:
-    """How a path depends on a coordinate c.
-
-    Attributes:
-        joint: an index into `JOINTS`.
-        growth_m: a factor of sin(c + largest), or of c where the arm is constant.
-        arm_m: at its largest, positive where the muscle drives the coordinate upwards.
-        largest_rad: as it stands in the sine; None is a constant arm.
-    """
-
-    joint: int
-    growth_m: float
-    arm_m: float
-    largest_rad: float | None
-
-
-def path_of(data: MuscleData) -> tuple[float, list[Span]]:
-    """Length of fibre and tendon together, m: a constant, and what each coordinate adds."""
-    constant, spans = data.optimal_length_m + data.slack_length_m, []
-    for joint, name in enumerate(JOINTS):
-        attachment = getattr(data, name)
-        if attachment is None:
-            continue
-        growth = attachment.sign * attachment.pennation * attachment.arm_m
-        reference = float(np.deg2rad(attachment.reference_angle_deg))
-        largest = None
-        if attachment.angle_of_largest_arm_deg is None:
-            constant += growth * reference
-        else:
-            largest = float(np.deg2rad(attachment.angle_of_largest_arm_deg))
-            constant += growth * float(np.sin(reference - largest))
-        spans.append(Span(joint, growth, -attachment.sign * attachment.arm_m, largest))
-    return constant, spans
-
-
-def path_lengths(muscle: OwnMuscle, trajectory: Trajectory) -> Array:
-    """Length of fibre and tendon together at each sample, m, [t]."""
-    length, spans = path_of(muscle.data)
-    lengths = np.full(len(trajectory.time_s), length)
-    for span in spans:
-        coordinate = -trajectory.joint_rad[:, len(JOINTS) * muscle.side + span.joint]
-        if span.largest_rad is None:
-            lengths += span.growth_m * coordinate
-        else:
-            lengths += span.growth_m * np.sin(coordinate + span.largest_rad)
-    return lengths
+def path_lengths(trajectory: Trajectory) -> Array:
+    """Lengths of fibre and tendon together, in the order of `SIDED`, m, [14, t]."""
+    hip, knee, ankle = trajectory.joint_rad.reshape(-1, len(SIDES), len(JOINTS)).transpose(2, 1, 0)
+    factors = (np.ones_like(hip), hip, np.sin(knee), np.cos(knee), np.sin(ankle), np.cos(ankle))
+    return np.concatenate(list(np.einsum("mf,fst->smt", LENGTHS_M, np.array(factors))))
 
 
 def fibre_lengths(trajectory: Trajectory, world: Worlds | None) -> dict[str, Array]:
@@ -151,20 +94,20 @@ def fibre_lengths(trajectory: Trajectory, world: Worlds | None) -> dict[str, Arr
     Of a slack tendon, the walker's own length, or what keeps it slack. Missing muscles have none.
     """
     forces, strains = tendon_curve()
-    lengths = {}
+    paths, lengths = path_lengths(trajectory), {}
     for column, muscle in enumerate(muscles_of(world)):
-        if muscle.fmax_n == 0.0:
+        if muscle.fmax == 0.0:
             continue
-        share = trajectory.muscle_force_n[:, column] / muscle.fmax_n
-        unstretched = path_lengths(muscle, trajectory) - muscle.slack_m
-        taut = unstretched - muscle.slack_m * np.interp(share, forces, strains)
+        share = trajectory.muscle_force_n[:, column] / muscle.fmax
+        unstretched = paths[column] - muscle.slack
+        taut = unstretched - muscle.slack * np.interp(share, forces, strains)
         slack = np.maximum(trajectory.fibre_length_m[:, column], unstretched)
         lengths[muscle.name] = np.where(share > 0.0, taut, slack)
     return lengths
 
 
 BEZIER_SAMPLES = 400  # of each of the curve's two parts: within 1e-6 of strain
-LARGEST_FORCE = 100.0  # over Fmax; the curve is a line from the end of its toe on
+LARGEST_FORCE = 1e6  # over Fmax; the curve is a line from the end of its toe on
 
 
 def tendon_curve() -> tuple[Array, Array]:
@@ -212,7 +155,7 @@ def _corner(
 
 def forces_text(world: Worlds | None) -> str:
     """Muscles, passive feet, and a motor of each joint, as XML."""
-    parts = [_muscle_text(muscle) for muscle in muscles_of(world) if muscle.fmax_n > 0.0]
+    parts = [_muscle_text(muscle) for muscle in muscles_of(world) if muscle.fmax > 0.0]
     feet = (world or Worlds.nominal()).prosthesis[0].tolist()
     for side, (stiffness, damping, rest) in zip(SIDES, feet, strict=True):
         if stiffness or damping:
@@ -226,59 +169,70 @@ def forces_text(world: Worlds | None) -> str:
 
 
 def _coordinate(joint: str, side: str) -> str:
-    path = LEG[JOINTS.index(joint)].format(side=side)
-    return path.rpartition("/")[2]
+    return _path(joint, side).rpartition("/")[2]
+
+
+def _path(joint: str, side: str) -> str:
+    return LEG[JOINTS.index(joint)].format(side=side)
+
+
+# Terms of the expressions, as the factors of `LENGTHS_M` and `TORQUES_NM` have them.
+LENGTH_TERMS = ("1", "(-{hip})", "sin(-{knee})", "cos({knee})", "sin(-{ankle})", "cos({ankle})")
+SPEED_TERMS = (
+    "0", "(-{hip}_speed)",
+    "(-cos({knee})*{knee}_speed)", "(-sin({knee})*{knee}_speed)",
+    "(-cos({ankle})*{ankle}_speed)", "(-sin({ankle})*{ankle}_speed)",
+)  # fmt: skip
+ARM_TERMS = {
+    "hip": ("(-1)", "0", "0", "0", "0"),
+    "knee": ("0", "(-cos({knee}))", "sin({knee})", "0", "0"),
+    "ankle": ("0", "0", "0", "(-cos({ankle}))", "sin({ankle})"),
+}
 
 
 def _muscle_text(muscle: OwnMuscle) -> str:
-    side = SIDES[muscle.side]
-    constant, spans = path_of(muscle.data)
-    coordinates = [_coordinate(JOINTS[span.joint], side) for span in spans]
-    length, speed, arms = [repr(constant)], [], []
-    for span, c in zip(spans, coordinates, strict=True):
-        if span.largest_rad is None:
-            length.append(f"({span.growth_m!r})*{c}")
-            speed.append(f"({span.growth_m!r})*{c}_speed")
-            arms.append(f"({span.arm_m!r})")
-        else:
-            angle = f"({c}+({span.largest_rad!r}))"
-            length.append(f"({span.growth_m!r})*sin{angle}")
-            speed.append(f"({span.growth_m!r})*cos{angle}*{c}_speed")
-            arms.append(f"({span.arm_m!r})*cos{angle}")
-    values = " ".join(coordinates)
-    rates = " ".join(f"{c}_speed" for c in coordinates)
-    paths = (LEG[span.joint].format(side=side) for span in spans)
+    row = MUSCLES.index(muscle.muscle)
+    lengths_m, arms_m = LENGTHS_M[row], TORQUES_NM[row] / FMAX_N[row]
+    sums = {joint: _sum(arms_m, terms) for joint, terms in ARM_TERMS.items()}
+    arms = {joint: expression for joint, expression in sums.items() if expression}
+    names = {joint: _coordinate(joint, muscle.side) for joint in JOINTS}
+    spanned = [names[joint] for joint in arms]
+
+    def function(expression: str, variables: Iterable[str]) -> str:
+        return XML["function"].format(
+            expression=expression.format(**names), variables=" ".join(variables)
+        )
+
     return XML["muscle"].format(
-        name=muscle.name,
-        coordinates=" ".join(f"/jointset/{path}" for path in paths),
-        length=_function("+".join(length), values),
-        arms="".join(_function(arm, values) for arm in arms),
-        speed=_function("+".join(speed), f"{values} {rates}"),
-        fmax=muscle.fmax_n,
-        optimal=muscle.optimal_m,
-        slack=muscle.slack_m,
-        vmax=float(muscle.data.vmax_per_s),
-        time=muscle.activation_s,
-        tendon={name: float(value) for name, value in OPENSIM["tendon"].items()},
+        **vars(muscle),
+        vmax=float(MUSCLE_DATA[muscle.muscle].vmax_per_s),
+        coordinates=" ".join(f"/jointset/{_path(joint, muscle.side)}" for joint in arms),
+        length=function(_sum(lengths_m, LENGTH_TERMS), spanned),
+        arms="".join(function(expression, spanned) for expression in arms.values()),
+        speed=function(
+            _sum(lengths_m, SPEED_TERMS), [*spanned, *(f"{name}_speed" for name in spanned)]
+        ),
+        tendon=OPENSIM["tendon"],
     )
 
 
-def _function(expression: str, variables: str) -> str:
-    return XML["function"].format(expression=expression, variables=variables)
+def _sum(factors: Array, terms: Iterable[str]) -> str:
+    """Without the terms that are nothing."""
+    both = zip(factors.tolist(), terms, strict=True)
+    return "+".join(f"({factor!r})*{term}" for factor, term in both if factor and term != "0")
 
 
 def lines_text(world: Worlds | None) -> str:
     """Lines for the eye along muscle_paths.toml: OpenSim does not draw a FunctionBasedPath."""
     lines = []
     for muscle in muscles_of(world):
-        if muscle.fmax_n == 0.0:
+        if muscle.fmax == 0.0:
             continue
         points = []
         for number, (segment, along, ahead) in enumerate(DRAWN[muscle.muscle]["path"]):
             body, *directions = OPENSIM["segments"][segment]
-            axis, front = np.reshape(directions, (2, 2)).astype(float)
-            x, y = (along * axis + ahead * front).tolist()
-            name, frame = f"{muscle.name}_{number}", body.format(side=SIDES[muscle.side])
+            x, y = (np.array([along, ahead]) @ np.reshape(directions, (2, 2))).tolist()
+            name, frame = f"{muscle.name}_{number}", body.format(side=muscle.side)
             points.append(XML["point"].format(name=name, body=frame, x=x, y=y))
         lines.append(XML["line"].format(name=muscle.name, points="\n".join(points)))
     return "".join(f"{line}\n" for line in lines)
@@ -291,26 +245,16 @@ def motor_torques(trajectory: Trajectory, world: Worlds | None = None) -> dict[s
     muscles: while a leg goes over to swing, its hip and knee get but a share of their torques. The
     trajectory's torques are means over its intervals, and so are these.
     """
-    within = passive_torques(trajectory, world)
-    for column, muscle in enumerate(muscles_of(world)):
-        for span in path_of(muscle.data)[1]:
-            joint = len(JOINTS) * muscle.side + span.joint
-            arm = np.full(len(within), span.arm_m)
-            if span.largest_rad is not None:
-                arm *= np.cos(span.largest_rad - trajectory.joint_rad[:, joint])
-            within[:, joint] += arm * trajectory.muscle_force_n[:, column]
+    angle = trajectory.joint_rad.reshape(-1, len(SIDES), len(JOINTS))
+    share = trajectory.muscle_force_n.reshape(-1, len(SIDES), len(MUSCLES)) / FMAX_N
+    factors = share @ TORQUES_NM
+    within = np.empty_like(angle)
+    within[..., 0] = factors[..., 0]
+    cosines, sines = factors[..., 1::2], factors[..., 2::2]
+    within[..., 1:] = cosines * np.cos(angle[..., 1:]) + sines * np.sin(angle[..., 1:])
+    ankle_rate = trajectory.qdot[:, [5, 8]] - trajectory.qdot[:, [4, 7]]
+    stiffness, damping, rest_rad = (world or Worlds.nominal()).prosthesis[0].T
+    within[..., 2] += stiffness * (rest_rad - angle[..., 2]) - damping * ankle_rate
     means = within - 0.5 * np.diff(within, axis=0, prepend=within[:1])
-    beside = -trajectory.joint_torque_nm - means
+    beside = means.reshape(-1, len(MOTORS)) - trajectory.joint_torque_nm
     return dict(zip(MOTORS, beside.T, strict=True))
-
-
-def passive_torques(trajectory: Trajectory, world: Worlds | None) -> Array:
-    """Of passive feet on the coordinates of the joints, N m, [t, 6]."""
-    torques = np.zeros_like(trajectory.joint_rad)
-    links, ankle = [[4, 5], [7, 8]], JOINTS.index("ankle")
-    for side, foot in enumerate((world or Worlds.nominal()).prosthesis[0]):
-        stiffness, damping, rest_rad = foot
-        joint = len(JOINTS) * side + ankle
-        rate = np.diff(trajectory.qdot[:, links[side]])[:, 0]
-        torques[:, joint] = stiffness * (trajectory.joint_rad[:, joint] - rest_rad) + damping * rate
-    return torques

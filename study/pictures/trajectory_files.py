@@ -30,7 +30,13 @@ from study.pictures.opensim_muscles import (
 )
 from study.pictures.stick_figure import LEFT, NOT_SAMPLED, RIGHT, down, finite, forward, leg, trunk
 from taichi_nmm import __version__
-from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
+from taichi_nmm.body import (
+    GRAVITY_MPS2,
+    SEGMENT_NAMES,
+    SHANK_LENGTH_M,
+    THIGH_LENGTH_M,
+    Bodies,
+)
 from taichi_nmm.errors import InputError
 from taichi_nmm.result import DELAYED, Trajectory
 from taichi_nmm.world import Worlds
@@ -141,7 +147,9 @@ def loads(trajectory: Trajectory, body: Bodies) -> Columns:
     q, qdot = trajectory.q, trajectory.qdot
     columns = {"time": _interval_middles(trajectory)}
     for side, foot in enumerate(FEET):
-        mass, inertia, com_m = (each[0, 3 + 3 * side] for each in vars(body).values())
+        link = SEGMENT_NAMES.index(f"foot_{SIDES[side]}")
+        mass, inertia = body.mass_kg[0, link], body.inertia_kgm2[0, link]
+        com_m = body.com_m[0, link]
         thigh, shank, angle = q[:, 3 + 3 * side : 6 + 3 * side].T
         w = qdot[:, 3 + 3 * side : 6 + 3 * side, None]
         speed = qdot[:, :2] - THIGH_LENGTH_M * w[:, 0] * forward(thigh)
@@ -191,8 +199,12 @@ def _cross(arm: Array, force: Array) -> Array:
 
 def model_text(body: Bodies, name: str = "walk", world: Worlds | None = None) -> str:
     """The model of the first body in the first world, as XML."""
-    mass, inertia, com = (values[0].tolist() for values in vars(body).values())
-    numbers = {"mass": mass, "inertia": inertia, "com": com, "down": [-each for each in com]}
+    numbers = {
+        "mass": body.mass_kg[0].tolist(),
+        "inertia": body.inertia_kgm2[0].tolist(),
+        "com": body.com_m[0].tolist(),
+        "down": (-body.com_m[0]).tolist(),
+    }
     text = FOLDER.joinpath(MODEL).read_text("utf-8")
     return text.format(
         name=name, version=__version__, forces=forces_text(world), lines=lines_text(world),

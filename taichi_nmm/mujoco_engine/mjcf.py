@@ -57,7 +57,8 @@ RELATIVE[range(3, 9), JOINT_PARENT] = -1.0
 
 def linkage(bodies: Bodies, row: int, settings: Settings, friction: float) -> Element:
     """MJCF of one of some bodies: all but the ground, and the limits of the joints."""
-    mass, inertia, com = (values[row].tolist() for values in vars(bodies).values())
+    mass, inertia = bodies.mass_kg[row].tolist(), bodies.inertia_kgm2[row].tolist()
+    com = bodies.com_m[row].tolist()
     template = Path(__file__).with_name("walker.xml").read_text(encoding="utf-8")
     text = template.format(
         mass=mass, inertia=inertia, com=com, down=[-each for each in com],
