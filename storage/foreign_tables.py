@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from storage.tables import read_any
 from taichi_nmm import typed
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.reading import PACKED_BY, is_folder, reading
 
 Floats = NDArray[np.float64]
@@ -215,7 +215,7 @@ def _require_columns(field: str, wanted: Sequence[str], known: Sequence[str]) ->
     """Refuse a name that no column has, or that several have."""
     for name in wanted:
         if name not in known:
-            raise InputError(field, name, f"one of the columns {', '.join(known)}")
+            raise InputError(field, name, f"one of the columns {listed(known, name)}")
         if known.count(name) > 1:
             raise InputError(field, name, f"a name of one column, not of {known.count(name)}")
 

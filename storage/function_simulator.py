@@ -31,7 +31,7 @@ from storage.points import within_bounds
 from storage.simulator import FAILED, HORIZON_S, SURVIVED, Report, Simulator, Uniform
 from taichi_nmm import checks
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, in_a_line
+from taichi_nmm.errors import InputError, in_a_line, listed
 
 ENDED = "run_ended"
 RAN = "ran"
@@ -227,7 +227,7 @@ class FunctionSimulator(Simulator):
         names = [name for name in self.columns.names or () if name != ENDED]
         if not isinstance(found, Mapping) or set(found) != set(names):
             wrong = list(found) if isinstance(found, Mapping) else type(found).__name__
-            raise self._fault(f"a function that returns {', '.join(names)} by name, not {wrong}")
+            raise self._fault(f"a function that returns {listed(names)} by name, not {wrong}")
         for name in names:
             try:
                 rows[name] = np.broadcast_to(np.asarray(found[name], dtype=np.float64), rows.shape)

@@ -21,7 +21,7 @@ from optuna.distributions import BaseDistribution
 from storage.function_simulator import SEED, DrawnNumbers, FunctionSimulator
 from storage.simulator import SURVIVED
 from taichi_nmm import checks
-from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.errors import InputError, listed, one_line, shortened
 
 Floats = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def gymnasium_model(file: str) -> Path:
     folder = Path(found.origin).parent / "envs" / "mujoco" / "assets"
     names = sorted(each.name for each in folder.glob("*.xml"))
     if file not in names:
-        raise InputError("model", file, f"one of {', '.join(names)}")
+        raise InputError("model", file, f"one of {listed(names, file)}")
     return folder / file
 
 
@@ -128,7 +128,7 @@ class MujocoSimulator(FunctionSimulator):
         given = dict(worlds or {})
         for name in given:
             if name not in WORLDS:
-                raise InputError(f"worlds.{name}", given[name], f"one of {', '.join(WORLDS)}")
+                raise InputError(f"worlds.{name}", given[name], f"one of {listed(WORLDS, name)}")
         super().__init__(
             controller,
             parameters=parameters,
@@ -152,7 +152,8 @@ class MujocoSimulator(FunctionSimulator):
             allowed = f"{self._plain.nq} numbers, as the model has positions"
             raise InputError("start_qpos", list(self._start_qpos), allowed)
         if not 0 <= self._root < self._plain.nbody:
-            names = ", ".join(self._plain.body(k).name for k in range(1, self._plain.nbody))
+            bodies = [self._plain.body(k).name for k in range(1, self._plain.nbody)]
+            names = listed(bodies, root)
             raise InputError("root", root, f"a body of the model: {names}")
 
     @property

@@ -159,15 +159,20 @@ class Cluster:
             raise InputError("cluster", self.address, allowed)
 
     @staticmethod
-    def asked(address: str | None, mixed: bool) -> "Cluster | None":
+    def asked(address: str | None, mixed: bool, workers: int | None = None) -> "Cluster | None":
         """The cluster of `--cluster` and `--mixed`; None where no address is given.
 
         Raises:
-            InputError: no address, no Dask, or --mixed without a cluster.
+            InputError: no address, no Dask, --mixed without a cluster, or `--workers` with one.
         """
         if address is None and mixed:
             raise InputError("mixed", True, "only beside --cluster")
-        return None if address is None else Cluster(address, mixed)
+        if address is None:
+            return None
+        found = Cluster(address, mixed)
+        if workers is not None:
+            raise InputError("workers", workers, "none beside --cluster, which has its own")
+        return found
 
     @property
     def local_processes(self) -> int:

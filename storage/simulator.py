@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from taichi_nmm import checks
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.errors import InputError, listed, one_line, shortened
 
 WALKER = "walker"
 SIMULATORS = {WALKER: "taichi_nmm.walker_simulator:Walker"}  # imported when a store needs one
@@ -380,7 +380,7 @@ def run_points(
     rows, computed_by = simulator.run(points, worlds, horizon_s, report)
     if not isinstance(rows, np.ndarray) or rows.dtype != simulator.columns:
         wrong = rows.dtype.names or rows.dtype if isinstance(rows, np.ndarray) else type(rows)
-        names = ", ".join(simulator.columns.names or ())
+        names = listed(simulator.columns.names or ())
         raise _fault(simulator, f"a run with columns {names} of their types, not {wrong}")
     if rows.shape != (len(points), count):
         shape = f"[{len(points)} points, {count} worlds]"

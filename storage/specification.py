@@ -34,7 +34,7 @@ from storage.store import ORIGIN, arrow_schema, columns_of
 from storage.tables import FORMAT, document_hash
 from taichi_nmm import checks
 from taichi_nmm.config import REQUIRED, Table
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 HORIZONS_S = 1e-9, 1e12  # shortest and longest run: of a circuit, of a forest
 WALKS_S = 0.1, 1000.0  # of the walker
@@ -346,7 +346,7 @@ def _other_keys(document: dict[str, Any], taken: Set[str]) -> dict[str, Any]:
     """The document of a simulator or of a rule, which has no key that is taken."""
     for key in document:
         if key in taken:
-            names = ", ".join(sorted(taken))
+            names = listed(sorted(taken), key)
             allowed = f"a document of the simulator or its worlds without {names}"
             raise InputError(SIMULATOR_KEY, key, allowed)
     return document
@@ -394,7 +394,9 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
     later = [family for family in families if family.after]
     for family in later:
         if family.after not in (names := [each.name for each in first]):
-            allowed = f"a family that comes after none: {', '.join(names) or 'there is none'}"
+            allowed = (
+                f"a family that comes after none: {listed(names, family.after) or 'there is none'}"
+            )
             raise InputError(f"families.{family.name}.after", family.after, allowed)
     return (*first, *later)
 
@@ -430,7 +432,7 @@ def _read_repertoire(
     names = own.texts("families") or tuple(first)
     for name in names:
         if name not in first:
-            allowed = f"families that come after none: {', '.join(first) or 'there is none'}"
+            allowed = f"families that come after none: {listed(first, name) or 'there is none'}"
             raise InputError(own.path("families"), name, allowed)
     if not first:
         raise InputError("repertoire", "no family", "a store with [families.<name>] or [robust]")

@@ -15,7 +15,7 @@ from storage.simulator import SIMULATOR_KEY, SIMULATORS, WALKER, Simulator, know
 from storage.tables import FORMAT, document_hash, file_hash, read_about, read_columns, write_table
 from taichi_nmm import checks
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.reading import is_folder, json_document, reading
 
 MANIFEST_NAME = "manifest.json"
@@ -205,7 +205,7 @@ class Store:
         names = list(self.columns if columns is None else columns)
         for name in names:
             if name not in self.columns:
-                raise InputError("column", name, f"one of {', '.join(self.columns)}")
+                raise InputError("column", name, f"one of {listed(self.columns, name)}")
         return (read_columns(file, names) for file in self.files)
 
     def numpy(self, columns: Iterable[str] | None = None) -> NDArray[np.void]:

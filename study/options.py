@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from taichi_nmm import typed
-from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.errors import InputError, listed, one_line, shortened
 from taichi_nmm.settings import ENGINES
 
 PROGRAM = "taichi-nmm"
@@ -33,6 +33,7 @@ LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
 NEGATIVE = re.compile(
     r"-[.,]?\d"
 )  # the begin of a number, which is no option; also of -1e5 and -0,5
+ARGUMENT = re.compile(r"\Aargument --([\w-]+)\S*: ")  # as argparse begins a line, with all names
 UNPRINTABLE = ("Cc", "Cs", "Zl", "Zp")  # Unicode's control characters, half characters, line ends
 OTHERS = "--COLUMN"  # stands for options of names that a file gives
 BOTH_ENGINES = "both"
@@ -136,7 +137,9 @@ class Options(argparse.ArgumentParser):
         return found
 
     def error(self, message: str) -> NoReturn:
-        """One line, as for all bad input."""
+        """One line, as for all bad input; one of ours names the option as all fields are named."""
+        if "cannot be used; allowed: " in message:
+            message = ARGUMENT.sub(r"\1: ", message)
         self.exit(2, f"error: {one_line(shortened(message))}\n")
 
     def whole(self, flag: str, low: int, high: int | str, **options: Any) -> None:
@@ -179,7 +182,7 @@ def parser_of(name: str) -> Options:
         InputError: no such command; the line lists all.
     """
     if name not in COMMANDS:
-        raise InputError("command", name, ", ".join(COMMANDS))
+        raise InputError("command", name, listed(COMMANDS, name))
     command = COMMANDS[name]
     parser = Options(file_of(name), f"{PROGRAM} {name}", command["about"])
     parser.takes_others = command.get("others", False)
@@ -207,7 +210,11 @@ def require_used(args: argparse.Namespace, used: Sequence[str], by: str) -> None
         known |= others.keys()
     for name, value in (given | others).items():
         if name not in known:
-            raise InputError(name, value, f"{by} takes {' '.join(used) or 'no options'}")
+            raise InputError(
+                name,
+                str(value) if isinstance(value, Path) else value,
+                f"{by} takes {' '.join(used) or 'no options'}",
+            )
 
 
 def _refuse_second(name: str, value: object, before: object) -> NoReturn:

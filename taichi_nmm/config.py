@@ -7,7 +7,7 @@ from typing import Any
 
 from taichi_nmm import checks
 from taichi_nmm.checks import R
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.reading import is_file, toml_document
 
 REQUIRED = object()
@@ -97,7 +97,7 @@ class Table:
     def done(self) -> None:
         """Refuse keys that nothing has read."""
         for key, value in self._data.items() if self._has_all_keys else ():
-            raise InputError(self.path(key), value, f"only the keys {', '.join(self._known)}")
+            raise InputError(self.path(key), value, f"only the keys {listed(self._known, key)}")
 
     def mistaken(self, key: str = "") -> bool:
         """Whether a mistake was found at a key or below it; "": anywhere in this table."""
@@ -170,7 +170,7 @@ def read_toml(path: str | Path) -> Table:
     variants = data.pop("variants", {})
     if not isinstance(variants, dict) or not all(isinstance(v, dict) for v in variants.values()):
         raise InputError("variants", variants, "tables by name")
-    allowed = f"a variant of {file}: {', '.join(variants)}"
+    allowed = f"a variant of {file}: {listed(variants, name)}"
     if data.pop("only_variants", False) and not name:
         raise InputError("config", str(path), allowed)
     if name and name not in variants:

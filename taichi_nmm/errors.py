@@ -1,6 +1,9 @@
 """The one exception for everything that a user can get wrong."""
 
+from collections.abc import Iterable
+
 LONGEST_VALUE = 400  # characters of a value that are shown; a path may have more
+MOST_LISTED = 16  # names in a line
 LONGEST_ALLOWED = 1200  # characters of `allowed`, which may list all names
 
 
@@ -38,6 +41,23 @@ def shortened(text: str, longest: int = LONGEST_VALUE) -> str:
         return text
     half = longest // 2
     return f"{text[:half]}...{text[-half:]}"
+
+
+def listed(names: Iterable[object], near: object = "") -> str:
+    """Names in a line; of many, those that look most like `near`, and how many more there are."""
+    known = [str(name) for name in names]
+    if len(known) <= MOST_LISTED:
+        return ", ".join(known)
+    from difflib import SequenceMatcher  # where there is a mistake
+
+    wanted = SequenceMatcher(b=str(near).casefold()[:LONGEST_VALUE])
+
+    def likeness(name: str) -> float:
+        wanted.set_seq1(name.casefold()[:LONGEST_VALUE])
+        return wanted.ratio()
+
+    nearest = sorted(known, key=likeness, reverse=True) if str(near) else known
+    return f"{', '.join(nearest[:MOST_LISTED])} and {len(known) - MOST_LISTED} more"
 
 
 def one_line(text: str) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_nmm import checks
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.reading import json_document
 
 
@@ -99,7 +99,7 @@ def searched_parameters(names: Sequence[str]) -> tuple[Parameter, ...]:
     """
     for name in names:
         if name not in LOW_LEVEL_NAMES:
-            raise InputError("searched", name, f"any of {', '.join(LOW_LEVEL_NAMES)}")
+            raise InputError("searched", name, f"any of {listed(LOW_LEVEL_NAMES, name)}")
     return tuple(parameter for parameter in LOW_LEVEL_GAINS if parameter.name in names)
 
 
@@ -173,7 +173,7 @@ def check_gains(
     names = [parameter.name for parameter in group]
     for name in values:
         if name not in names:
-            raise InputError(field, name, f"only the names {' '.join(names)}")
+            raise InputError(field, name, f"only the names {listed(names, name)}")
     known = ((p.name, checks.number(p.low, p.high, f"{p.low:g} to {p.high:g}")) for p in group)
     return np.array([check(f"{field}.{name}", values.get(name)) for name, check in known], float)
 
@@ -217,7 +217,7 @@ def _gains_by_name(source: str) -> dict[str, Any]:
     if source in ("published", "K_T"):  # K_T: its name before 0.3.0, accepted until 0.4.0
         return dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
     shipped = {file.stem: file for file in sorted(NAMED_GAINS_DIRECTORY.glob("*.json"))}
-    names = ", ".join(["published", *shipped])
+    names = listed(["published", *shipped], source)
     allowed = f"one of {names}; or a JSON file: a readable JSON object of the {len(GAINS)} gains"
     data = json_document("gains", shipped.get(source, source), allowed)
     values = data.get("gains", data)

@@ -31,7 +31,7 @@ from study.bench.words import operator_here, require_names
 from study.sampler.space import as_suggested
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 WHOLE, VALUE = checks.whole(0), checks.optional(checks.number())
 COLUMNS = checks.optional(checks.by_name(checks.number()))
@@ -351,7 +351,7 @@ class Bench:
             raise InputError("seconds", failed_s, allowed)
         for name, given in (COLUMNS("columns", columns) or {}).items():
             if name not in self.plan.columns:
-                known = ", ".join(self.plan.columns) or "none: [columns] of the file names them"
+                known = listed(self.plan.columns, name) or "none: [columns] of the file names them"
                 raise InputError(name, given, f"one of the columns {known}")
         note = checks.text("note", note)
         result = {"value": value, "columns": dict(columns or {}), "note": note}
@@ -365,7 +365,7 @@ class Bench:
         for name in dict.fromkeys([*space, *params]):
             if name not in space or name not in params:
                 what = params.get(name, "missing")
-                raise InputError(name, what, f"one value of each of {', '.join(space)}")
+                raise InputError(name, what, f"one value of each of {listed(space, name)}")
         found = dict[str, Any]()
         for name, of in space.items():
             try:

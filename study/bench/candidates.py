@@ -24,7 +24,7 @@ from storage.foreign_tables import ForeignTable
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
 from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 Kind = Literal["float", "whole", "choice"]
 
@@ -144,7 +144,9 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
     for pattern in patterns:
         named = [name for name in found.names if fnmatch(name, pattern)]
         if not named:
-            raise InputError("candidates.outcomes", pattern, f"some of {', '.join(found.names)}")
+            raise InputError(
+                "candidates.outcomes", pattern, f"some of {listed(found.names, pattern)}"
+            )
         outcomes[pattern] = np.column_stack([found.numbers(name) for name in named])
     return FeatureTable.from_arrays(
         columns,
@@ -164,7 +166,7 @@ def _declared(table: Table, names: tuple[str, ...]) -> dict[str, Declared]:
     for key, named in keys.items():
         for name in named:
             if name not in names:
-                allowed = f"one of the parameters {', '.join(names) or '(none)'}"
+                allowed = f"one of the parameters {listed(names, name) or '(none)'}"
                 raise InputError(f"candidates.{key}", name, allowed)
     ends = {name: bounds.range(name, (0, 0), -FARTHEST, FARTHEST) for name in bounds.unread}
     found = {}

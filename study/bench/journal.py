@@ -24,7 +24,7 @@ from storage.databases.studies import (
     storage_errors,
     write_down,
 )
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 LOG = " (log)"  # after the name of the study whose attributes are the entries
 KEY = "entry {:06d}"
@@ -109,7 +109,8 @@ class State:
         Raises:
             InputError: there is none, or it is finished where it must not be, or the reverse.
         """
-        pending = ", ".join(str(n) for n, trial in self.trials.items() if trial.value is None)
+        waiting = [n for n, trial in self.trials.items() if trial.value is None]
+        pending = listed(waiting, number)
         if number not in self.trials:
             known = f"0 to {self.count - 1}; pending: {pending or 'none'}"
             raise InputError("trial", number, known if self.count else "none: ask for the next one")
@@ -248,7 +249,8 @@ def undoable(entries: list[Entry], number: int | None, operator: str) -> Entry:
         raise InputError("undo", "the last", allowed)
     found = own[-1:] if number is None else [one for one in standing if one.number == number]
     if not found:
-        numbers = ", ".join(str(entry.number) for entry in standing) or "there is none"
+        standing_numbers = [entry.number for entry in standing]
+        numbers = listed(standing_numbers, number or "") or "there is none"
         raise InputError("undo", "the last" if number is None else number,
                          f"an entry that stands: {numbers}")  # fmt: skip
     (chosen,) = found

@@ -25,7 +25,7 @@ from study.bench.journal import MOST_DIGITS, Trial
 from study.bench.words import PROGRAM
 from study.options import COMMANDS, require_used
 from taichi_nmm import typed
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.reading import json_document, toml_document
 
 EVERYWHERE = "0.0.0.0"
@@ -36,7 +36,7 @@ def main(args: Namespace) -> None:
     """Do the action, and say what it did."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     if args.action not in ACTIONS:
-        raise InputError("action", args.action, ", ".join(ACTIONS))
+        raise InputError("action", args.action, listed(ACTIONS, args.action))
     used = COMMANDS["bench"]["uses"][args.action]
     if args.action == "new":
         require_used(args, used, args.action)
@@ -60,7 +60,7 @@ def only_bench() -> Path:
         if {"candidates", "goal"} <= toml_document("bench", path, "readable TOML").keys()
     ]  # fmt: skip
     if len(found) != 1:
-        names = ", ".join(map(str, found)) or "none in this folder"
+        names = listed(found) or "none in this folder"
         raise InputError("bench", names, "one: give --bench FILE")
     return found[0]
 
@@ -196,7 +196,9 @@ def import_trials(bench: Bench, args: Namespace) -> None:
     known = ForeignTable.read("import", path)
     for name in (*names, "value"):
         if name not in known.names:
-            raise InputError("import", name, f"a file with the columns {', '.join(names)}, value")
+            raise InputError(
+                "import", name, f"a file with the columns {listed(names, name)}, value"
+            )
     choices = {name: choices_of(distribution) for name, distribution in bench.space.items()}
     named = [name for name in names if choices[name]]
     found = ForeignTable.read("import", path, words=[*named, "note"])
@@ -206,8 +208,8 @@ def import_trials(bench: Bench, args: Namespace) -> None:
         is_text = given.dtype.kind == "O" and name not in named
         params[name] = (found.numbers(name) if is_text else given).tolist()  # or says what is wrong
     for name in named:
-        listed = ["" if word is None else str(word) for word in params[name]]
-        params[name] = [choices[name].get(word, word) for word in listed]
+        told_words = ["" if word is None else str(word) for word in params[name]]
+        params[name] = [choices[name].get(word, word) for word in told_words]
     values = found.numbers("value")
     told = {name: found.numbers(name) for name in columns if name in found.names}
     notes = found.values("note").tolist() if "note" in found.names else [""] * len(found)

@@ -42,7 +42,7 @@ def main(args: Namespace) -> None:
     settings = experiment.conditions.settings
     require_engine(settings)
     workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
-    cluster = Cluster.asked(args.cluster, args.mixed)
+    cluster = Cluster.asked(args.cluster, args.mixed, args.workers)
     request = Request(out, args.storage, arms, args.runs, args.trials, workers, cluster)
     with closing(ProgressBar()) as bar:
 
@@ -64,7 +64,7 @@ def on_robots(args: Namespace) -> None:
     simulator.require_machine()
     out = folder_of(args, experiment.name)
     workers = simulator.processes(cores()) if args.workers is None else args.workers
-    cluster = Cluster.asked(args.cluster, args.mixed)
+    cluster = Cluster.asked(args.cluster, args.mixed, args.workers)
     opened = open_pool(workers, cluster, out, simulator, PACKAGES, [experiment.store])
     began_s = time.monotonic()
     with opened as pool, closing(ProgressBar()) as bar:

@@ -15,6 +15,7 @@ from storage.databases.urls import SQLITE, file_url
 from study.experiment.experiment import SUMMARY
 from study.experiment.folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.loopback import HOST, Application, guarded, wsgi_server
+from study.options import require_used
 from taichi_nmm.errors import InputError
 from taichi_nmm.reading import is_file, is_folder
 
@@ -64,6 +65,8 @@ def guarded_dashboard(storage: BaseStorage, artifacts: Path | None) -> Applicati
 def main(args: Namespace) -> None:
     """Serve until Ctrl-C."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
+    if args.storage is not None and args.artifacts is not None:
+        require_used(args, ("--storage", "--artifacts", "--port"), "--storage with --artifacts")
     url = find_database(args.folder, args.storage)
     artifacts = find_artifacts(args.folder, url, args.artifacts)
     with read_studies(url) as known:  # a database that is refused is not changed

@@ -26,7 +26,7 @@ def main(args: Namespace) -> None:
     out = args.out or Path("out") / args.config.stem
     workers = simulator.processes(cores()) if args.workers is None else args.workers
     folder = None if args.fresh else out
-    cluster = Cluster.asked(args.cluster, args.mixed)
+    cluster = Cluster.asked(args.cluster, args.mixed, args.workers)
     opened = open_pool(workers, cluster, folder, simulator.on_one_thread())
     with opened as pool, closing(ProgressBar()) as bar:
         progress = partial(bar.move, "run", total=specification.walkers)

@@ -14,6 +14,7 @@ from tqdm import tqdm
 import taichi_nmm
 from storage.points import sobol_points
 from study.experiment.trials import walked
+from study.options import require_used
 from taichi_nmm import GAINS, Bodies, Settings, terrain
 from taichi_nmm.result import COMPLETED
 from taichi_nmm.settings import OWN_ENGINE
@@ -23,6 +24,7 @@ SHORT_S, LONG_S = 5.0, 100.0
 TOP_FRACTION = 0.05
 AGREEMENT_POINTS = 4096
 MUJOCO_BATCH = 250  # points at once
+OF_MUJOCO = ("--engine", "--samples", "--seed", "--json")  # options that it uses
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ def show(measured: Iterable[Figure], how: str, as_json: bool) -> None:
 
 def main(args: Namespace) -> None:
     """Measure and print."""
+    if args.engine != OWN_ENGINE:
+        require_used(args, OF_MUJOCO, f"--engine {args.engine}")
     require_engine(Settings(engine=args.engine))
     if args.engine == OWN_ENGINE:
         how = f"{args.samples} Sobol points, float32, 1 ms unless stated otherwise"

@@ -25,7 +25,7 @@ from study.experiment.gains import (
     row_at_speed,
 )
 from study.experiment.trials import OUTCOMES, row_text
-from study.options import BOTH_ENGINES
+from study.options import BOTH_ENGINES, require_used
 from study.pictures import find_ffmpeg, strip, style, write_gait_cycle, write_movie, write_strip
 from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
@@ -48,6 +48,7 @@ CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name t
 REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected", *dict(FURTHER_FIELDS))
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 COLUMN = 10  # characters
+OF_THE_FRONT = ("--front", "--store", "--config", "--arch", "--json")  # options that it uses
 
 
 def find_gains(args: Namespace) -> NamedGains:
@@ -175,6 +176,7 @@ def show_front(args: Namespace, experiment: Experiment) -> None:
 def main(args: Namespace) -> None:
     """Walk and draw."""
     if args.front:
+        require_used(args, OF_THE_FRONT, "--front")
         show_front(args, read(args))
         return
     gains = find_gains(args)

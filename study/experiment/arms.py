@@ -19,7 +19,7 @@ from study.experiment.samplers import Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.conditions import TRIAL_S
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 PAPER_ARM = "dog"  # the paper's
 OUR_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing
@@ -60,7 +60,7 @@ def find_arm(name: str) -> Arm:
         InputError: there is none.
     """
     if name not in ARMS:
-        raise InputError("arm", name, f"one of {', '.join(ARMS)}")
+        raise InputError("arm", name, f"one of {listed(ARMS, name)}")
     return ARMS[name]
 
 

@@ -24,7 +24,7 @@ from study.sampler.table import FeatureTable
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
 from taichi_nmm.config import Table, read_toml, read_whole
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.parameters import (
     ASYMMETRIES,
     DEVICE,
@@ -232,7 +232,7 @@ def store_path(experiment: Experiment, store: str) -> Path:
         InputError: the configuration does not name it.
     """
     if store not in experiment.stores:
-        known = ", ".join(experiment.stores) or "none"
+        known = listed(experiment.stores, store) or "none"
         allowed = f"a folder in the configuration's [stores], which has {known}"
         raise InputError(f"stores.{store}", "missing", allowed)
     return experiment.stores[store]

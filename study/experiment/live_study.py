@@ -32,7 +32,7 @@ from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStud
 from study.experiment.trials import ATTRIBUTES, attributes, simulate_trials
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 WAIT_S = 1.0  # between two looks at what the others of a crew do
 
@@ -260,7 +260,7 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
 def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
     checks.each(_number, len(experiment.objective.each))(f"{prefix}: values", trial.values)
     if trial.params.keys() != experiment.space.keys():
-        allowed = f"one of each of {', '.join(experiment.names)}"
+        allowed = f"one of each of {listed(experiment.names)}"
         raise InputError(f"{prefix}: parameters", list(trial.params), allowed)
     for parameter in experiment.parameters:
         ends = checks.number(parameter.low, parameter.high)

@@ -32,7 +32,7 @@ from storage.function_simulator import source_of
 from storage.simulator import SURVIVED, import_object
 from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.config import REQUIRED, Table
-from taichi_nmm.errors import InputError, in_a_line
+from taichi_nmm.errors import InputError, in_a_line, listed
 from taichi_nmm.result import COMPLETED, FELL, NEEDED, RESULT_DTYPE, smooth_cost, walking_cost
 
 Floats = NDArray[np.float64]
@@ -228,7 +228,9 @@ def read_objective(table: Table, columns: Sequence[str], survived: str | None = 
     given = table.table("terms") if cost == WEIGHTED else own
     for name in given.unread:
         if name not in columns and not FUNCTION.fullmatch(name):
-            raise InputError(given.path(name), "no number of a run", f"one of {', '.join(columns)}")
+            raise InputError(
+                given.path(name), "no number of a run", f"one of {listed(columns, name)}"
+            )
     terms = tuple(_read_term(given, name) for name in list(given.unread))
     if not any(term.weight for term in terms) and not given.mistaken():
         raise InputError(table.path("terms"), "nothing to pay for", "a weight other than zero")

@@ -43,7 +43,7 @@ from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
 from taichi_nmm.config import Table, read_toml, read_whole
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 Floats = NDArray[np.float64]
 
@@ -185,7 +185,7 @@ def read_robots(
     experiment = read_whole(read_toml(path), read)
     store = open_store(experiment.store)
     if tuple(store.specification["gains"]) != experiment.names:
-        words = f"{experiment.simulator.name}, with the parameters {', '.join(experiment.names)}"
+        words = f"{experiment.simulator.name}, with the parameters {listed(experiment.names)}"
         raise InputError("store", str(experiment.store), f"a store of {words}")
     candidates(experiment.store, experiment.objective)  # a cost that the store lacks is refused
     for line in cautions(store, experiment.simulator.survived):
@@ -198,7 +198,7 @@ def _read_arms(configured: tuple[str, ...], asked: str | None) -> tuple[str, ...
     named = asked.split(",") if asked is not None else configured
     for name in named:
         if name not in ARMS:
-            raise InputError("arm", name, f"one of {', '.join(ARMS)}")
+            raise InputError("arm", name, f"one of {listed(ARMS, name)}")
     chosen = tuple(dict.fromkeys(named or ARMS))
     lacking = [name for name in chosen if name in NEED_TORCH and find_spec("torch") is None]
     if not lacking:

@@ -27,13 +27,12 @@ from study.explore.server import SCRIPTS, Message, flow
 from study.explore.trials import STATE, TRIAL
 from study.explore.words import described, menu
 from study.pictures import style
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 RANGE = re.compile(r"\s*(\w+)\s+(\S+?)\.\.(\S+)\s*")
 
 Floats = NDArray[np.float64]
 Ranges = dict[str, tuple[float, float]]
-MANY = "a column of the menus"  # where a refusal would name more than a line
 
 
 def read_selection(text: str, columns: Sequence[str]) -> Ranges:
@@ -49,8 +48,7 @@ def read_selection(text: str, columns: Sequence[str]) -> Ranges:
             raise InputError("selection", part.strip(), "column low..high, column low..high, ...")
         name, low, high = match.groups()
         if name not in columns:
-            allowed = f"one of {', '.join(columns)}"
-            raise InputError("selection", name, allowed if len(columns) < 20 else MANY)
+            raise InputError("selection", name, f"one of {listed(columns, name)}")
         try:
             found[name] = (float(low), float(high))
         except ValueError:

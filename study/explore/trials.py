@@ -21,7 +21,7 @@ from storage.databases.urls import file_url
 from storage.simulator import SIMULATOR_KEY, WALKER
 from storage.store import Store, open_store
 from study.experiment import folder
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.reading import is_file, json_document, reading
 
@@ -83,8 +83,10 @@ def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) ->
     name = names[0] if name is None and len(names) == 1 else name
     if name is None or name not in names:
         short = [re.sub(r"run-\d+$", "run-NNN", each) for each in names]
-        listed = dict.fromkeys(names if len(names) <= MOST_LISTED else short)
-        allowed = f"--study with one of {', '.join(listed)}" if names else "a study with trials"
+        shown = dict.fromkeys(names if len(names) <= MOST_LISTED else short)
+        allowed = "a study with trials"
+        if names:
+            allowed = f"--study with one of {listed(shown, name or '')}"
         raise InputError("study", name or "none named", f"{allowed}, of {file}")
     study = load_whole(storage, name)
     trials = [each for each in study.get_trials(False) if each.state is not TrialState.WAITING]

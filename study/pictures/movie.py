@@ -13,7 +13,7 @@ import numpy as np
 from storage.commit import commit
 from storage.simulator import find_simulator
 from study.pictures.scene import LARGE, SMALL, Film, frames
-from taichi_nmm.errors import InputError, one_line, shortened
+from taichi_nmm.errors import InputError, listed, one_line, shortened
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -107,7 +107,7 @@ def filmable(name: str, parameters: Collection[str]) -> Any:
     if not isinstance(robot, MujocoSimulator):
         raise InputError("simulator", name, "a MujocoSimulator: others have nothing to film")
     if set(parameters) != set(robot.space):
-        raise InputError("simulator", name, f"one with the parameters {', '.join(parameters)}")
+        raise InputError("simulator", name, f"one with the parameters {listed(parameters)}")
     return robot
 
 

@@ -32,7 +32,7 @@ from study.experiment.folder import (
 )
 from study.experiment.objective import FRONT, FUNCTION, PRINTED, WEIGHTED
 from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 from taichi_nmm.reading import is_folder, json_document, reading
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
@@ -256,7 +256,9 @@ def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
         known = pq.read_schema(path).names
         for name in columns:
             if known.count(name) != 1:
-                raise InputError(f"{path.name}: column", name, f"one of {', '.join(known)}, once")
+                raise InputError(
+                    f"{path.name}: column", name, f"one of {listed(known, name)}, once"
+                )
         table = read_any(path, columns)
     for name in columns:
         _require_column(table[name], name, path)

@@ -22,7 +22,7 @@ from optuna.distributions import (
 from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
 from taichi_nmm import checks, typed
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 if TYPE_CHECKING:
     from storage.foreign_tables import ForeignTable  # slow to load: where a file is read
@@ -55,7 +55,7 @@ def checked_columns(
     for field, given in (("table.bounds", bounds), ("table.space", space)):
         for name in given:
             if name not in parameters:
-                raise InputError(field, name, f"one of {', '.join(sorted(parameters))}")
+                raise InputError(field, name, f"one of {listed(sorted(parameters), name)}")
     for name, ends in bounds.items():
         if name in space:
             raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
@@ -246,7 +246,7 @@ class FileColumns:
         others = [name for name in store.columns if name not in ranges]
         for name in self.features:
             if name not in others:
-                raise InputError("score", name, f"one of {', '.join(others)}")
+                raise InputError("score", name, f"one of {listed(others, name)}")
         features = _features(ForeignTable("score", store.table(self.features)), self.features)
         columns, bounds, space = store_parameters(ranges, store.gains())
         space |= self.space or {}

@@ -21,7 +21,7 @@ from study.sampler.goals import Goals
 from study.sampler.space import Number, Space
 from study.sampler.table import Rows
 from study.sampler.transforms import by_side, stand_ins, without_infinities
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 Floats = NDArray[np.float64]
 
@@ -281,7 +281,7 @@ def not_suggested(names: Sequence[str], trial: FrozenTrial) -> InputError | None
     """The error of a trial without one of these parameters; None if it has all."""
     for name in names:
         if name not in trial.params:
-            allowed = f"an objective that suggests all of {', '.join(names)}"
+            allowed = f"an objective that suggests all of {listed(names, name)}"
             return InputError(name, f"not suggested in trial {trial.number}", allowed)
     return None
 

@@ -30,7 +30,7 @@ from study.sampler.transforms import (
 )
 from study.sampler.worlds import Better, Ensemble, Outcomes, Worlds
 from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import InputError, listed
 
 if TYPE_CHECKING:
     import pandas
@@ -450,8 +450,7 @@ class FeatureTable:
         """Named columns of a pandas data frame; otherwise as `from_arrays`."""
         for name in [*parameters, *features]:
             if name not in frame.columns:
-                known = ", ".join(str(column) for column in frame.columns)
-                raise InputError("column", name, f"one of {known}")
+                raise InputError("column", name, f"one of {listed(frame.columns, name)}")
         columns = {name: frame[name].to_numpy() for name in parameters}
         stacked = [feature_matrix(frame[name].to_numpy(), (name,)) for name in features]
         matrix = np.hstack(stacked) if stacked else np.empty((len(frame), 0))

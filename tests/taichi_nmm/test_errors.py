@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 
-from taichi_nmm.errors import InputError
+from taichi_nmm.errors import MOST_LISTED, InputError, listed
 
 
 class Unspeakable:
@@ -32,3 +32,15 @@ def test_it_is_one_printable_line_of_bounded_length() -> None:
     assert len(line) < 2000 and "xx: 1 cannot be used; allowed: yy" in line
     line = str(InputError("path", f"/begin/{'x' * 5000}/end.json", "a file"))
     assert "/begin/" in line and "/end.json'" in line  # both ends
+
+
+def test_of_many_names_the_nearest_are_listed_and_the_others_counted() -> None:
+    names = [f"world{number}" for number in range(300)]
+    few = names[:MOST_LISTED]
+    assert listed(few, "world7") == ", ".join(few)
+    line = listed([*names, "Torque"], "torqe")
+    assert line.startswith("Torque, ") and line.endswith(f" and {301 - MOST_LISTED} more")
+    assert line.count(",") == MOST_LISTED - 1
+    assert listed(names, "world29").startswith("world29, ")
+    assert listed(names).startswith("world0, world1, ") and len(listed(names)) < 200
+    assert listed([]) == ""
