@@ -322,6 +322,11 @@ def read_specification(
         repertoire=repertoire,
     )
     table.done()
+    names = specification.schema.names
+    for name in names:  # as of a column "origin", or of families of which one begins the other
+        if names.count(name) > 1:
+            allowed = "names of columns and families that give each column of a store another name"
+            raise InputError(SIMULATOR_KEY, name, allowed)
     return specification
 
 

@@ -184,6 +184,15 @@ class Plan:
         table.done()
         return found
 
+    def cautions(self) -> list[str]:
+        """A line for each family of the store in which no row came to the end."""
+        given = self.candidates.unread
+        if "store" not in given or given.get("features"):
+            return []
+        from study.experiment.features import cautions_of
+
+        return cautions_of(open_store(self.candidates.folder / given["store"]))
+
     def horizon_note(self) -> str:
         """A sentence on runs of the store that last longer or shorter than a trial; "": none."""
         given = self.candidates.unread

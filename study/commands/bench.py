@@ -43,6 +43,8 @@ def main(args: Namespace) -> None:
         bench = Bench.new(needed(args.what, "what", "the TOML file of the bench"), args.operator)
         rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
+        for line in bench.plan.cautions():
+            print(f"warning: {line}", file=sys.stderr)
         print(f"next: {shlex.join([*PROGRAM, 'next', '--bench', str(bench.plan.path)])}")
         return
     require_used(args, [*used, "--bench"], args.action)

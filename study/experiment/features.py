@@ -193,15 +193,15 @@ def world_table(path: str | Path, cost: Cost | None = None, *others: Cost) -> Fe
     """
     store = open_store(path)
     store.require_bounds()
-    warn_of(store, stacklevel=4)  # of the caller, beyond this check of arguments
+    for line in cautions_of(store):
+        warnings.warn(line, stacklevel=3)  # of the caller, beyond the check of arguments
     return table_of_worlds(store, (cost or Objective().in_worlds, *others))
 
 
-def warn_of(store: Store, stacklevel: int = 2) -> None:
-    """Warn, by a `UserWarning` each, of families in which no row came to the end."""
+def cautions_of(store: Store) -> list[str]:
+    """A line for each family in which no row came to the end; none of a store before 0.3.0."""
     kept = [name for family in store.families for name in store.kept(family)[:1]]
-    for line in cautions(store, kept[0]) if kept else ():
-        warnings.warn(line, stacklevel=stacklevel)
+    return cautions(store, kept[0]) if kept else []
 
 
 def table_of_worlds(

@@ -411,4 +411,4 @@ class RobotResults:
                 p = mcnemar(*(self.arms[arm].has_walker[:, -1] for arm in (ours, other))).p
                 rows.append([robots.ARMS[other].label, *cells, f"{p:.2g}"])
             heads = [h for at in self.checkpoints for h in (f"after {at}: won", "lost", "p")]
-            yield table([f"{robots.ARMS[ours].label} against", *heads, "walkers: p"], rows)
+            yield table([f"{robots.ARMS[ours].label} against", *heads, "lasted: p"], rows)

@@ -267,6 +267,22 @@ def test_each_world_keeps_what_kept_names() -> None:
             plant(5.0, kept=wrong)
 
 
+@pytest.mark.parametrize(("columns", "families", "twice"), [
+    (("origin",), {"hot": {"settings": 1}}, "origin"),
+    (("late_x", "x"), {"hot": {"settings": 1}, "hot_late": {"settings": 1}}, "hot_late_x_mean"),
+])  # fmt: skip
+def test_no_two_columns_of_a_store_have_one_name(
+    columns: tuple[str, ...], families: dict[str, Any], twice: str
+) -> None:
+    own = changed(
+        robot.drive, columns=("survived_fraction", *columns), measures={columns[0]: (0.0, 1.0)}
+    )
+    search = {"evaluations": 10_000, "candidates": 20}
+    with pytest.raises(InputError, match=f"^simulator: '{twice}' .* another name"):
+        table = Table({"samples": 8, "families": families, "repertoire": search})
+        read_specification(table, simulator=own)
+
+
 def test_a_store_of_many_columns_says_which_it_keeps() -> None:
     """Else it would have 6 numbers a row for each of them, hundreds of gigabytes."""
     columns = ("survived_fraction", *(f"cell_{number}_v" for number in range(500)))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import serving
+from tests.processes import printed, serving
 from tests.study import fake_walker
 from tests.tools.conftest import Tool
 from tests.tools.running import load_command
@@ -60,6 +60,8 @@ def test_a_port_in_use(store: Path, tool: Tool) -> None:
 
 def test_a_request_waits_for_the_page_while_the_command_starts(store: Path) -> None:
     """It is taken before the packages of the page are loaded, which takes seconds."""
+    loaded = "import study.commands.explore, sys; print('bokeh' in sys.modules)"
+    assert printed("-c", loaded).strip() == "False"
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
     words = ("-m", "taichi_nmm", "explore", store, "--port", port, "--no-browser")

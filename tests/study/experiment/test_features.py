@@ -1,6 +1,7 @@
 """What a store knows of its rows, as candidates of studies."""
 
 import re
+import shutil
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -13,10 +14,12 @@ from numpy.testing import assert_array_equal
 
 from storage import make_store
 from storage.store import open_store
+from study.bench.plan import read_plan
 from study.experiment.arms import ARMS, check_arms
 from study.experiment.experiment import candidates
 from study.experiment.features import world_table
-from tests.storage import plants
+from tests.cases import ASSETS
+from tests.storage import plants, robot
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -145,6 +148,28 @@ def test_a_family_that_no_row_finished_is_warned_of(tmp_path: Path, changes, lin
         warnings.simplefilter("always")
         world_table(path, lambda given, _: given["loss_j"])
     found = [str(each.message) for each in found if each.filename == __file__]
-    assert len(found) == len(lines)
+    bench = tmp_path / "bench.toml"
+    bench.write_text('candidates = {store = "store", cost = "loss_j"}\ngoal = {}\n')
+    assert found == read_plan(bench).cautions() and len(found) == len(lines)
     for line, expected in zip(found, lines, strict=True):
         assert re.search(expected, line)
+
+
+def test_a_store_of_an_older_version_opens_with_what_its_worlds_kept(tmp_path: Path) -> None:
+    """0.3.0 kept how far a run came and the first other column, in float32, for 8 s."""
+    path = ASSETS / "store-0.3.0"
+    store = open_store(path, verify=True)
+    assert store.kept("gale") == ("survived_fraction", "speed_mps") and len(store) == 24
+    assert store.outcomes("gale", "speed_mps").dtype == np.float32
+    with pytest.warns(UserWarning, match=r"gale\.horizon_s: 0 of 18 rows lasted 8 s"):
+        assert world_table(path, lambda given, _: given["speed_mps"]).rows.offered.sum() == 18
+    half = shutil.copytree(path, tmp_path / "half")
+    (half / "manifest.json").unlink()
+    (half / "part-00001.parquet").unlink()
+    assert len(open_store(half, unfinished=True)) == 16
+    gale = {"settings": 2, "world": {"wind": [1.0, 3.0]}, "horizon_s": 8.0}
+    with refused(r"^columns\.\d+: 'gale_.*: double.*' .* 'gale_.*: float.*; or another --out"):
+        make_store(
+            robot.Cart, half, workers=1, samples=24, shard_rows=16, seed=3, families={"gale": gale}
+        )
+    assert len(open_store(half, unfinished=True)) == 16
