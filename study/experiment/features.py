@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from storage.cautions import cautions
+from storage.simulator import WALKER
 from storage.store import Store, evaluated_name, open_store
 from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
@@ -18,6 +19,7 @@ from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError, shortened
 from taichi_nmm.parameters import LOW_LEVEL_GAINS
+from taichi_nmm.walker_simulator import KEPT
 
 Floats = NDArray[np.float64]
 
@@ -162,10 +164,20 @@ def _in_families(
             allowed = (
                 f"a parameter, or what the worlds of {shortened(str(store.path))} keep: {names}"
             )
-            remedy = f'a store of a configuration with kept = ["{column}"] has it'
-            raise InputError("cost", column, f"{allowed}; {remedy}")
+            if _can_be_kept(store, column):
+                allowed += f'; a store of a configuration with kept = ["{column}"] has it'
+            raise InputError("cost", column, allowed)
     found = store.all_outcomes(column, store.families)
     return {family: values.astype(np.float64) for family, values in found.items()}
+
+
+def _can_be_kept(store: Store, column: str) -> bool:
+    """Whether it is a number of a run: a column of the base setting, or another of the walker's."""
+    if store.simulator == WALKER:
+        return column in KEPT
+    first = store.columns.index(evaluated_name(store.families[0]))
+    is_word = f"{column}: string" in store.specification["columns"]
+    return column in store.columns[1:first] and not is_word
 
 
 def _ran(store: Store) -> dict[str, NDArray[np.bool_]]:

@@ -95,6 +95,9 @@ def test_a_cost_of_what_no_world_keeps_is_refused_with_the_key(tmp_path, kept) -
     assert len(str(error.value)) < 500
     with refused("^cost: 'finished_at_s' "):
         world_table(path, lambda given, horizon_s: given.get("finished_at_s", 0.0))
+    for none in ("no_column", "run_ended", "row", "hot_loss_j_mean"):
+        with refused(f"^cost: '{none}' .* keep: survived_fraction[^;]*$"):
+            world_table(path, lambda given, _, none=none: given[none])
 
 
 def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(tmp_path: Path) -> None:

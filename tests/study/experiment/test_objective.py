@@ -125,7 +125,7 @@ def test_worlds_count_in_the_units_of_the_objective(fake_simulator: None, tmp_pa
 def test_worlds_keep_the_columns_that_a_store_names(fake_simulator: None, tmp_path: Path) -> None:
     """No cost is of the base setting's level ground, whose column the store may have."""
     experiment = fake_walker.experiment(tmp_path)
-    for name in ("activation_sol_mean", "activation_cubed_mean", "no_column"):
+    for name in ("activation_sol_mean", "activation_cubed_mean"):
         lacking = replace(experiment, objective=Objective("weighted", (Term(name, 1.0),), 30.0))
         with refused(f"^cost: '{name}' .* survived_fraction, mean_.*kept = ..{name}") as error:
             candidates(lacking, "worlds", ARMS["worlds"].feature)
