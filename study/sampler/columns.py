@@ -87,6 +87,8 @@ def checked_columns(
             is_inside = own.low <= value <= own.high
             allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
             raise InputError(f"table.{name}[{row}]", value, allowed)
+        if isinstance(own, FloatDistribution):  # beyond an end by rounding alone
+            np.clip(column, own.low, own.high, out=column)
     return Space.of(distributions), raw, names, matrix, worlds
 
 
@@ -109,6 +111,9 @@ def _parameter_column(
         raise InputError(f"table.{name}.shape", column.shape, f"({length},), as the features")
     if column.dtype.kind == "O" and given is None:
         column = _without_decimals(column)
+    may_hide_flags = column.dtype.kind in "iuf" and isinstance(values, list | tuple)
+    if may_hide_flags and any(isinstance(value, bool) for value in values):  # type: ignore[union-attr]
+        column = np.array(values, dtype=object)
     if isinstance(given, CategoricalDistribution) or (
         given is None and column.dtype.kind not in "iuf"
     ):
@@ -122,11 +127,14 @@ def _parameter_column(
     bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
         raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
-    if column.dtype.kind in "iu":
-        is_long = (column > LARGEST_EXACT) | (column < -LARGEST_EXACT)
-        for row in np.flatnonzero(is_long)[:1].tolist():
-            allowed = "whole numbers up to 2^53, which a float holds; longer ones, as words"
-            raise InputError(f"table.{name}[{row}]", int(column[row]), allowed)
+    for row in np.flatnonzero(np.abs(numbers) >= LARGEST_EXACT).tolist():
+        value: Any = values[row] if isinstance(values, list | tuple) else column[row]
+        is_whole = isinstance(value, int | np.integer)  # its float may be that of 2^53
+        if is_whole and abs(int(value)) > LARGEST_EXACT:
+            allowed = (
+                "whole numbers up to 2^53, which a float holds; longer ones by space=, as choices"
+            )
+            raise InputError(f"table.{name}[{row}]", int(value), allowed)
     numbers = numbers + 0.0  # no negative zero: rows are compared by their bits
     if given is not None:
         return numbers, given
@@ -160,6 +168,12 @@ def _without_decimals(column: NDArray[Any]) -> NDArray[Any]:
 def feature_matrix(features: ArrayLike | None, names: Sequence[str] | None) -> Floats:
     """Features as [n, k]; NaN is a gap, infinity a value."""
     matrix = matrix_of("table.features", features, "k")
+    whole = np.asarray(features)
+    if whole.dtype.kind in "iu" and np.abs(matrix).max() >= LARGEST_EXACT:
+        for column, own in zip(matrix.T, whole.reshape(matrix.shape).T, strict=True):
+            if len(np.unique(own)) > len(np.unique(column)):
+                allowed = "whole numbers up to 2^53, or of which no two are the same float"
+                raise InputError("table.features", int(own[np.abs(column).argmax()]), allowed)
     if names is not None and len(names) != matrix.shape[1]:
         raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
     return matrix
@@ -175,6 +189,7 @@ def _choices(
     listed = column.tolist()
     if given is not None and None in given.choices:  # pandas has NaN for it
         listed = [None if _is_gap(value) else value for value in listed]
+    _require_no_flag_among_numbers(name, listed if given is None else given.choices)
     if given is None:
         for row, value in enumerate(listed):
             is_choice = isinstance(value, CHOICES) and not typed.is_clock(value)
@@ -196,6 +211,18 @@ def _choices(
         if value not in index:
             raise InputError(f"table.{name}[{row}]", value, f"one of {choices}")
     return np.array([index[value] for value in listed]), given or CategoricalDistribution(choices)
+
+
+def _require_no_flag_among_numbers(name: str, values: Sequence[Any]) -> None:
+    """Refuse True beside 1: choices are told apart by equality, in Optuna too."""
+    known = dict[Any, Any]()
+    for row, value in enumerate(values):
+        if not isinstance(value, bool | Real):
+            continue
+        first = known.setdefault(value, value)
+        if isinstance(first, bool) is not isinstance(value, bool):
+            allowed = f"flags or numbers, not both: it equals {first!r}; or words"
+            raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
 def _is_gap(value: Any) -> bool:

@@ -154,15 +154,16 @@ def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     """The row that a trial is, or is about to be; None where its parameters are no row.
 
     The number that was left in the trial counts if what the trial has is that row's; of a COMPLETE
-    one that is all of it. A trial without a number is looked up by its exact values.
+    one that is all of it. A trial without a number is looked up by its values.
     """
     row, values = trial.user_attrs.get(ROW_ATTRIBUTE), values_of(trial)
     if isinstance(row, int) and 0 <= row < len(table):
         expected = table.as_parameters(row)
         if values == expected:  # nearly always; the rest is for those that have more, or fewer
             return row
-        partial = trial.state is not TrialState.COMPLETE
-        if all(values[name] == v if name in values else partial for name, v in expected.items()):
+        named = {name: values[name] for name in expected if name in values}
+        is_whole = len(named) == len(expected) or trial.state is not TrialState.COMPLETE
+        if is_whole and (named.items() <= expected.items() or bool(table.having(named)[row])):
             return row
     return table.find(values)
 

@@ -6,12 +6,18 @@
 | rows | [n, d] | the index of its choice | as suggested |
 | unit cube | [n, e], e >= d | one column a choice, 1/sqrt(2) where taken | its logarithm |
 
+A number stands for another one, of a row or at the end of a range, if it is that number as printed
+with `PRINTED_DIGITS` digits or more, or is as near to it as rounding brings two ways of computing a
+decimal grid: `GRID_TOLERANCE` of the distance to the next row. Where several are that near, an
+equal one comes first, then the nearest.
+
 Distances in the unit cube are what a Euclidean kernel sees: a parameter's whole range is 1, and two
 different choices are 1 apart. New points are drawn anywhere, or near good ones.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from numbers import Real
 from typing import Any
 
@@ -27,6 +33,8 @@ from optuna.distributions import (
 Floats = NDArray[np.float64]
 Number = FloatDistribution | IntDistribution
 
+PRINTED_DIGITS = 8  # significant ones, as of a bench's sheet
+GRID_TOLERANCE = 1e-6  # np.arange(-100, 100, 0.001) is off by 7e-7 of its step
 STEP_TOLERANCE = 1e-8  # of a step: how far a value on the grid may be off, as for Optuna
 CHOICE_LENGTH = np.sqrt(0.5)  # of a one-hot code: two of them are 1 apart
 STEP_DECADES = (-2.5, -0.3)  # log10 of a step's standard deviation, in ranges: 0.3 % to 50 %
@@ -65,12 +73,17 @@ class Space:
     def number(self, column: int, value: Any) -> float | None:
         """A value of one parameter as a row has it; None for a choice or a kind it has not."""
         distribution = self.distributions[column]
-        if not isinstance(distribution, CategoricalDistribution) and not _is_number(value):
+        if isinstance(distribution, CategoricalDistribution):
+            place = _choice(distribution, value)
+            return None if place is None else float(place)
+        if not is_number(value):
             return None
         try:
-            return float(distribution.to_internal_repr(value))  # also outside of the range
-        except (TypeError, ValueError):
+            number = float(distribution.to_internal_repr(value))  # also outside of the range
+        except (TypeError, ValueError, OverflowError):
             return None
+        is_other = isinstance(value, int) and int(number) != value  # beyond 2^53
+        return None if is_other else number
 
     def pinned(self, values: Mapping[str, Any]) -> "Space":
         """The space, with these values of some parameters in all new points."""
@@ -147,11 +160,68 @@ def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
     It is a ValueError if the distribution does not have it.
     """
     if isinstance(distribution, CategoricalDistribution):
-        return distribution.choices[int(distribution.to_internal_repr(value))]
+        place = _choice(distribution, value)
+        if place is None:
+            raise ValueError(f"{value!r} is not in {distribution}")
+        return distribution.choices[place]
     assert isinstance(distribution, Number)
-    if not _is_number(value) or not bool(_taken(distribution, np.array([value], float))[0]):
+    if not is_number(value) or not bool(_taken(distribution, _column_of(value))[0]):
         raise ValueError(f"{value!r} is not in {distribution}")
-    return round(value) if isinstance(distribution, IntDistribution) else float(value)
+    if isinstance(distribution, IntDistribution):
+        return round(value)
+    return min(max(float(value), distribution.low), distribution.high)
+
+
+def printed_tolerance(value: float) -> float:
+    """How far a number may be from one that is printed like it, with eight digits or more."""
+    shown = Decimal(repr(value)).normalize()
+    digits = max(len(shown.as_tuple().digits), PRINTED_DIGITS)
+    return 0.5 * (1.0 + 1e-6) * 10.0 ** (shown.adjusted() + 1 - digits) if value else 0.0
+
+
+def standing_for(
+    distribution: Number, column: Floats, value: float
+) -> tuple[NDArray[np.bool_], Floats]:
+    """Which numbers [n] of a column a value may stand for, and how far each is, in ranges.
+
+    Whole numbers are printed whole.
+    """
+    away = np.abs(column - value)
+    whole = isinstance(distribution, IntDistribution)
+    printed = 0.0 if whole else printed_tolerance(value)
+    span = float(distribution.high - distribution.low) or 1.0
+    nearest = float(column[away.argmin()])
+    near = printed
+    if abs(nearest - value) <= max(printed, GRID_TOLERANCE * span):
+        gap = np.abs(column[column != nearest] - nearest).min(initial=span)
+        if distribution.log:  # or the least of 1e-9 to 1 would be all that is below 1e-6
+            gap = min(gap, abs(nearest))
+        near = max(printed, GRID_TOLERANCE * gap)
+    return away <= near, away / span
+
+
+def _column_of(value: Any) -> Floats:
+    """A number as a column; a ValueError if it is none that a float can hold."""
+    try:
+        return np.array([float(value)])
+    except OverflowError as error:
+        raise ValueError(str(error)) from None
+
+
+def _choice(distribution: CategoricalDistribution, value: Any) -> int | None:
+    """The place of a choice that a value is or, of floats, stands for; None without any."""
+    try:
+        return int(distribution.to_internal_repr(value))
+    except (TypeError, ValueError):
+        pass
+    choices: Sequence[Any] = distribution.choices
+    numbers = [(place, choice) for place, choice in enumerate(choices) if isinstance(choice, float)]
+    if not numbers or not is_number(value):
+        return None
+    column = np.array([float(choice) for _, choice in numbers])
+    ends = FloatDistribution(column.min(), column.max())
+    near, away = standing_for(ends, column, float(value))
+    return numbers[int(np.where(near, away, np.inf).argmin())][0] if near.any() else None
 
 
 def first_not_taken(
@@ -173,17 +243,21 @@ def first_not_taken(
 
 
 def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
-    """Which numbers [n] lie in a distribution, and on its steps."""
-    inside = (distribution.low <= values) & (values <= distribution.high)
+    """Which numbers [n] lie in a distribution, or stand for an end of it, and are on its steps."""
+    low, high = float(distribution.low), float(distribution.high)
+    if isinstance(distribution, FloatDistribution):
+        low -= max(printed_tolerance(low), STEP_TOLERANCE * (high - low))
+        high += max(printed_tolerance(high), STEP_TOLERANCE * (high - low))
+    inside = (low <= values) & (values <= high)
     if distribution.step is None:
         return np.asarray(inside)
     steps = (values - distribution.low) / distribution.step
     return np.asarray(inside & (np.abs(steps - np.round(steps)) < STEP_TOLERANCE))
 
 
-def _is_number(value: Any) -> bool:
+def is_number(value: Any) -> bool:
     """Whether it is a number, and not a flag that counts as one."""
-    return isinstance(value, Real) and not isinstance(value, bool)
+    return isinstance(value, Real | Decimal) and not isinstance(value, bool)
 
 
 def _external(distribution: BaseDistribution, value: float) -> Any:

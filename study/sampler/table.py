@@ -21,7 +21,7 @@ from optuna.distributions import BaseDistribution
 from study.sampler.columns import Bounds, FileColumns, checked_columns, feature_matrix
 from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation, factor_of_gram, factor_of_graph
-from study.sampler.space import Space, first_not_taken
+from study.sampler.space import Number, Space, first_not_taken, standing_for
 from study.sampler.transforms import (
     NormalScores,
     Points,
@@ -174,25 +174,39 @@ class Rows:
         return self.space.values(self.parameters[row])
 
     def find(self, values: Mapping[str, Any]) -> int | None:
-        """The first row with exactly these values; None where there is none."""
+        """The first row that these values are, or stand for (`space`); None without any."""
         wanted = self.space.row(values)
         if wanted is None:
             return None
         key, (sorted_hash, order) = _hash(wanted[None])[0], self._index
         place = int(np.searchsorted(sorted_hash, key))
-        if place == len(order) or sorted_hash[place] != key:
-            return None
-        row = int(order[place])
-        return row if bool((self.parameters[row] == wanted).all()) else None
+        if place < len(order) and sorted_hash[place] == key:
+            row = int(order[place])
+            if bool((self.parameters[row] == wanted).all()):
+                return row
+        near = self.having(values)
+        return int(near.argmax()) if near.any() else None
 
     def having(self, values: Mapping[str, Any]) -> NDArray[np.bool_]:
-        """Which rows have exactly these values of some parameters, [n]."""
-        have = np.ones(len(self), dtype=bool)
+        """Which rows these values of some parameters stand for, [n]: of several the nearest."""
+        have, farthest = np.ones(len(self), dtype=bool), np.zeros(len(self))
+        distributions = self.space.distributions
         for column, name in enumerate(self.names):
-            if name in values:
-                number = self.space.number(column, values[name])
-                have &= self.parameters[:, column] == (np.nan if number is None else number)
-        return have
+            if name not in values:
+                continue
+            number, distribution = self.space.number(column, values[name]), distributions[column]
+            if number is None:
+                return np.zeros(len(self), dtype=bool)
+            own = self.parameters[:, column]
+            if isinstance(distribution, Number):
+                near, away = standing_for(distribution, own, number)
+                farthest = np.maximum(farthest, away)
+            else:
+                near = own == number
+            have &= near
+            if not have.any():
+                return have
+        return np.asarray(have & (farthest == farthest[have].min()))
 
     def outside(self, column: int, suggested: BaseDistribution) -> int | None:
         """The first row whose value of one parameter a distribution has not; None: it has all."""

@@ -504,8 +504,11 @@ class TablePolicy(Policy):
         proposal = self.forget(trial) or NOTHING
         rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
         missing, ran = not_suggested(rows.names, trial) if is_complete else None, trial.params
-        other = next((name for name, v in proposal.values.items() if ran.get(name, v) != v), None)
         row, known = rows.find(ran), row_of(rows, trial)
+        other = None
+        if row is None or row != proposal.notes.get(ROW_ATTRIBUTE):
+            others = (n for n, v in proposal.values.items() if n in ran and not _is(trial, n, v))
+            other = next(others, None)
         if row is not None and known != noted:
             set_attributes(study, trial, notes_of(row, rows.features[row]))
         wrong = missing is not None or other is not None or noted not in (OFF_TABLE, known)
@@ -519,3 +522,12 @@ class TablePolicy(Policy):
             error = distribution_misfit(rows, rows.names.index(other), trial.distributions[other])
             allowed = f"{proposal.values[other]!r}, as was proposed"
             self.misfit(error or InputError(other, ran[other], allowed))
+
+
+def _is(trial: FrozenTrial, name: str, value: Any) -> bool:
+    """Whether a trial ran a value of a parameter, in the form in which it was suggested."""
+    ran = trial.params[name]
+    try:
+        return bool(ran == value or ran == as_suggested(trial.distributions[name], value))
+    except ValueError:
+        return False

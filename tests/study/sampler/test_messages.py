@@ -80,6 +80,13 @@ CASES: dict[str, Callable[[], object]] = {
     "table.…: … allowed: a value of …":
         lambda: new_table(space={"a": FloatDistribution(0, 1, step=0.25)}),
     "table.…: … allowed: a value; or None as a choice: space=…": lambda: arrays([1, None, 3]),
+    "table.…: … allowed: whole numbers up to 2^53, which a float holds; …":
+        lambda: arrays([2**60, 2**60 + 1, 5]),
+    "table.features: … allowed: whole numbers up to 2^53, or …":
+        lambda: new_table([2**60, 2**60 + 1, 5]),
+    "table.…: … allowed: flags or numbers, not both: …": lambda: arrays([1, True, "x"]),
+    "table.…: … allowed: numbers, words or flags; …":
+        lambda: arrays(np.array(["2026-11-27", "2026-11-28", "2026-11-29"], dtype="M8[s]")),
     "table.…: … allowed: one of (…)":
         lambda: arrays(["x", "y", "z"], space={"a": CategoricalDistribution(["x", "y"])}),
     "column: … allowed: one of …": lambda: FeatureTable.from_dataframe(

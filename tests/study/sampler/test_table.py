@@ -45,10 +45,11 @@ def test_arrays_make_rows_of_native_values():
     assert len(FeatureTable.from_arrays({"a": [0.35, 0.85]}, [1, 2], space=space)) == 2
 
 
-def test_rows_are_found_by_exact_values():
+def test_rows_are_found_by_their_values():
     rows = FeatureTable.from_arrays(MIXED, [1, 3, 4]).rows
     assert rows.find({"rate": 1.0, "units": 2, "kind": "relu", "other": 2}) == 2
-    assert rows.find({"rate": np.nextafter(1.0, 2.0), "units": 2, "kind": "relu"}) is None
+    assert rows.find({"rate": np.nextafter(1.0, 2.0), "units": 2, "kind": "relu"}) == 2
+    assert rows.find({"rate": 1.000001, "units": 2, "kind": "relu"}) is None
     assert rows.find({"rate": 1.0, "units": 2, "kind": "gelu"}) is None
     assert rows.find({"rate": 1.0}) is None
 
