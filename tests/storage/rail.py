@@ -30,16 +30,16 @@ def made(text: str = XML, **changes: Any) -> MujocoSimulator:
 
 
 class Model:
-    """A function that pickles, and returns the model of a text."""
+    """A function that pickles, and returns the model of a text with its files."""
 
-    def __init__(self, text: str) -> None:
-        self.text, self.__name__ = text, "rail"
+    def __init__(self, text: str, files: dict[str, bytes] | None = None) -> None:
+        self.text, self.files, self.__name__ = text, files or {}, "rail"
 
     def __call__(self) -> Any:
         """The model."""
         import mujoco
 
-        return mujoco.MjSpec.from_string(self.text)
+        return mujoco.MjSpec.from_string(self.text, assets=self.files)
 
 
 Rail = made()

@@ -1,6 +1,9 @@
 """MuJoCo's models as simulators: against a plain loop, closed forms, and what is refused."""
 
+import hashlib
+import os
 import pickle
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,9 +17,10 @@ from storage.simulator import find_simulator, run_points
 from study.options import CONFIGS
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
-from tests.cases import ASSETS
+from tests.cases import ASSETS, cases
 from tests.storage import rail
 from tests.storage.rail import XML, Rail, made, swing
+from tests.tools.running import load_tool
 
 HARD = {"mass": [0.8, 1.3], "mass_spread": 0.2, "friction": [0.3, 1.0], "strength": [0.5, 1.0],
         "delay_s": [0.0, 0.03], "noise": 0.01, "noise_rate": 0.1, "slope": [-0.1, 0.1],
@@ -149,6 +153,136 @@ def test_strength_scales_the_force_of_muscles_and_not_their_range() -> None:
         assert ratio.tolist() == [1.0, 1.0, 0.5, 0.5, *[1.0] * 5]
 
 
+@cases("odd-models.toml", "xml", "refused", "nothing")
+def test_a_number_means_the_same_on_any_model(
+    xml: str, refused: list[str], nothing: list[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "odd.xml"
+    file.write_text(xml)
+    found = load_tool("try_models").measured(file)
+    words = {number: word for number, (word, _) in found.items()}
+    assert {number: why for number, (word, why) in found.items() if word == "WRONG"} == {}
+    assert {number for number, word in words.items() if word == "refused"} == {*refused}
+    assert {number for number, word in words.items() if word == "-"} - {"pose"} == {*nothing}
+
+
+def test_energy_and_weight_are_what_the_robot_has() -> None:
+    """A joint takes 4 N of an actuator's 100; a table and gravity along y do not add to a robot."""
+    given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01, "fallen": never}
+    strong = CART.replace('gear="4"', 'gear="100"')
+    clipped = strong.replace('axis="1 0 0"', 'axis="1 0 0" actuatorfrcrange="-4 4"')
+    table = '<body pos="9 9 9"><geom size="1" mass="70"/></body>'
+    tabled = CART.replace("</worldbody>", f"{table}</worldbody>")
+    sideways = CART.replace('gravity="0 0 -10"', 'gravity="0 -10 0"')
+    for text in (CART, clipped, tabled, sideways):
+        robot = MujocoSimulator(rail.Model(text), full, **given)
+        row = robot.trial({"share": 1.0}, {}, 1.0)
+        assert row["distance_m"] == pytest.approx(1.0, rel=5e-3)
+        # sampled at the ends of 100 control steps: 1 % more than 4 N times 1 m
+        assert row["energy_j"] == pytest.approx(4.04, rel=5e-3)
+        assert row["cost_of_transport"] == pytest.approx(4.04 / 20.0, rel=5e-3)
+    afloat = MujocoSimulator(rail.Model(CART.replace("0 0 -10", "0 0 0")), full, **given)
+    assert "cost_of_transport" not in afloat.trial({"share": 1.0}, {}, 1.0)
+    assert afloat.outcomes == ("survived_fraction", "energy_j", "speed_mps")
+
+
+def test_a_trial_is_a_row() -> None:
+    world = {"mass": 1.2, "noise": 0.01, "push_mps": 0.3}
+    seeds = [np.random.SeedSequence(3)]
+    drawn = Rail.read_worlds(Table({"world": world})).draw(seeds)
+    rows = run_points(Rail, np.array([[1.5, 2.0]]), drawn, 1, SECONDS)[0]
+    own = world | {"seed": float(drawn["seed"][0])}
+    found = Rail.trial({"beats": 2, "kp": 1.5}, own, SECONDS)
+    assert found == {name: float(rows[name][0, 0]) for name in COLUMNS}
+
+
+CUBE = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
+FACES = "\nf 1 2 3\nf 4 5 6\nf 7 8 1\nf 2 5 8\n"
+GRID = np.array([2, 2], dtype=np.int32).tobytes()
+FILES: dict[str, tuple[bytes, bytes]] = {  # of a model, before and after a change
+    "geo/foot.obj": ((CUBE + FACES).encode(), (CUBE + FACES).replace("1", "1.8", 4).encode()),
+    "geo/hills.bin": (GRID + bytes(16), GRID + np.float32([0, 0, 0, 1]).tobytes()),
+    "geo/net.obj": ((CUBE + FACES).encode(), (CUBE + FACES).replace("1", "1.8", 4).encode()),
+    "shin/geo/shin.obj": ((CUBE + FACES).encode(), (CUBE + FACES).replace("1", "1.8", 4).encode()),
+    "part.xml": (
+        b'<mujocoinclude><geom size=".3"/></mujocoinclude>',
+        b'<mujocoinclude><geom size=".4"/></mujocoinclude>',
+    ),
+    "shin/shin.xml": (
+        b"""<mujoco model="shin"><compiler meshdir="geo"/><asset><mesh name="shin" file="shin.obj"/>
+        </asset><worldbody><body name="shin"><geom type="mesh" mesh="shin" density="10"/></body>
+        </worldbody></mujoco>""",
+        b"""<mujoco model="shin"><compiler meshdir="geo"/><asset><mesh name="shin" file="shin.obj"/>
+        </asset><worldbody><body name="shin"><geom type="mesh" mesh="shin" density="20"/></body>
+        </worldbody></mujoco>""",
+    ),
+}
+NAMING = (ASSETS / "naming.xml").read_text()
+
+
+@pytest.mark.parametrize("changed", FILES)
+def test_a_file_that_a_model_names_is_in_its_version(changed: str, tmp_path: Path) -> None:
+    for name, (before, _) in FILES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(before)
+    (tmp_path / "model.xml").write_text(NAMING)
+
+    def version() -> str:
+        return MujocoSimulator(
+            tmp_path / "model.xml", full, parameters=SHARE, fallen=never
+        ).code_version
+
+    first = version()
+    assert version() == first
+    (tmp_path / changed).write_bytes(FILES[changed][1])
+    os.utime(tmp_path / changed, (1e9, 1e9))  # MuJoCo keeps files, and asks for their times in s
+    assert version() != first
+
+
+OTHERS = (
+    "<include",
+    "<flexcomp",
+    "<edge",
+    "</flexcomp",
+    "<attach",
+    "<model name",
+    "<hfield",
+    '<geom type="hfield"',
+)
+
+
+def test_assets_of_a_function_are_in_its_version() -> None:
+    lines = [line for line in NAMING.splitlines() if not line.strip().startswith(OTHERS)]
+    text = "\n".join(lines)
+    versions = [
+        MujocoSimulator(
+            rail.Model(text, {"foot.obj": content}), full, parameters=SHARE, fallen=never
+        ).code_version
+        for content in (*FILES["geo/foot.obj"], FILES["geo/foot.obj"][0])
+    ]
+    assert versions[0] == versions[2] != versions[1]
+
+
+def test_a_model_without_files_has_the_version_of_before() -> None:
+    """Half a store of 0.3.0 goes on, where its numbers are the same."""
+    file = hashlib.sha256(Path(rail.__file__).read_bytes()).hexdigest()[:16]
+    spec = mujoco.MjSpec.from_string(XML)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    found = hashlib.sha256(b"1" + file.encode() + spec.to_xml().encode()).hexdigest()[:16]
+    assert Rail.code_version == found
+    for change in ('forcerange="-9 9"', 'damping="1"', 'armature="1"'):
+        text = XML.replace('gear="20"', f'gear="20" {change}')
+        other = mujoco.MjSpec.from_string(text)
+        other.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        before = hashlib.sha256(b"1" + file.encode() + other.to_xml().encode()).hexdigest()[:16]
+        assert made(text).code_version != before
+
+
+def test_the_root_and_the_file_of_a_rule_are_in_a_store() -> None:
+    assert "root" not in Rail.document() and made(root="leg").document()["root"] == "leg"
+    assert made(fallen=never).code_version != Rail.code_version
+
+
 def watched(point: Any, sensed: SensedState, memory: Any) -> Any:
     SEEN.append((sensed.qpos.copy(), sensed.qvel.copy()))
     return np.zeros((len(sensed.x_m), 1))
@@ -178,6 +312,9 @@ def two_columns(point: Any, sensed: SensedState, memory: Any) -> Any:
     return np.zeros((len(sensed.x_m), 2))
 
 
+FLOATING = XML.replace("<option ", '<option gravity="0 0 0" ')
+
+
 @pytest.mark.parametrize(("build", "match"), [
     (lambda: made(worlds={"wind": 1.0}), r"^worlds\.wind: .* one of mass, mass_spread"),
     (lambda: made("<mujoco/>"), "^model: 'rail' .* a model with actuators"),
@@ -192,6 +329,17 @@ def two_columns(point: Any, sensed: SensedState, memory: Any) -> Any:
                   np.ones((1, 2)), {"rough_m": 0.1}), r"^world\.rough_m: .* one plane"),
     (lambda: runs(MujocoSimulator(rail.Model(XML), two_columns, parameters=rail.PARAMETERS),
                   np.ones((1, 2)), {}), r"controls of shape \[1, 1\] .* not \[1, 2\]"),
+    (lambda: made(root="world"), "^root: 'world' .* a body of the model: trunk, leg"),
+    (lambda: made(worlds={"mass": -1.0}), r"^world\.mass: -1\.0 .* more than 0"),
+    (lambda: made(FLOATING, worlds={"slope": 0.1}, fallen=never),
+     r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity"),
+    (lambda: made(FLOATING, fallen=never).read_worlds(Table({"world": {"slope": [0.0, 0.1]}})),
+     r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity"),
+    (lambda: made(XML.replace('pos="0 0 0.5"', 'pos="0 0 -1"')),
+     "^fallen: None .* a rule of your own for rail: its root, trunk, starts at a height of -1 m"),
+    (lambda: Rail.trial({"kp": 1.0}, {}, 1.0), r"^point: \['kp'\] .* the parameters kp, beats"),
+    (lambda: Rail.trial({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0), r"^world\.wind: .* of mass"),
+    (lambda: Rail.states({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0), r"^world\.wind: 1\.0"),
 ])  # fmt: skip
 def test_what_is_refused(build: Any, match: str) -> None:
     with pytest.raises(InputError, match=match):
