@@ -6,7 +6,7 @@ outside of it is ever proposed.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from typing import Any, Literal, cast
@@ -113,6 +113,21 @@ def choices_of(distribution: BaseDistribution) -> dict[str, Any]:
     if not isinstance(distribution, CategoricalDistribution):
         return {}
     return {"" if choice is None else str(choice): choice for choice in distribution.choices}
+
+
+def beyond_bounds(candidates: Table, begun: Mapping[str, BaseDistribution]) -> Iterator[str]:
+    """Parameters of a bench that go beyond the bounds which its file declares, a line each.
+
+    Until version 0.3.0 bounds of whole numbers were made whole, downwards.
+    """
+    for name, (low, high) in candidates.unread.get("bounds", {}).items():
+        own = begun.get(name)
+        if isinstance(own, IntDistribution) and (own.low < low or own.high > high):
+            yield (
+                f"candidates.bounds.{name}: the bench was begun with {own.low} to {own.high}, "
+                f"beyond {low:g} to {high:g}; in a new bench, which takes an `export` of this one, "
+                "the bounds hold"
+            )
 
 
 def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> FeatureTable:

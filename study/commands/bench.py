@@ -20,7 +20,7 @@ from storage.commit import commit_text, require_writable
 from storage.foreign_tables import ForeignTable
 from study.bench import words
 from study.bench.bench import Bench
-from study.bench.candidates import choices_of
+from study.bench.candidates import beyond_bounds, choices_of
 from study.bench.journal import MOST_DIGITS, Trial
 from study.bench.words import PROGRAM
 from study.options import COMMANDS, require_used
@@ -121,6 +121,8 @@ def status(bench: Bench, args: Namespace) -> None:
     print(" | ".join(filter(None, [bench.plan.name, bench.plan.about, state.context])))
     for field, name, why in words.clashes(bench.plan.columns, bench.space):
         warning = f"{field} {name}: {why}; what was typed may stand in another place"
+        print(f"warning: {warning}", file=sys.stderr)
+    for warning in beyond_bounds(bench.plan.candidates, bench.space):
         print(f"warning: {warning}", file=sys.stderr)
     for trial in state.trials.values():
         value = "pending" if trial.value is None else f"{trial.value:.6g}"

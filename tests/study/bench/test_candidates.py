@@ -16,6 +16,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 
 from study.bench.bench import Bench
 from study.bench.plan import Plan, read_plan
+from study.cli import main
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
 
@@ -162,8 +163,8 @@ def test_files_as_other_programs_write_them(
     assert Bench(tmp_path / "bench.toml").state.trials[0].params == trial.params
 
 
-def test_a_bench_of_an_earlier_version_keeps_its_parameters(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_bench_of_an_earlier_version_keeps_its_parameters_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Until 0.3.0 whole doses within [9.5, 50.5] were whole numbers from 9 on."""
     old = plan(tmp_path, WHOLE, "bounds.dose = [9.5, 50.5]")
@@ -178,6 +179,8 @@ def test_a_bench_of_an_earlier_version_keeps_its_parameters(
     (trial,) = Bench(old.path).next()
     assert isinstance(trial.params["dose"], int)
     assert of_dose(Bench(old.path).candidates) == IntDistribution(9, 50)
+    main(["bench", "status", "--bench", str(old.path)])
+    assert "bounds.dose: the bench was begun with 9 to 50, beyond 9.5" in capsys.readouterr().err
 
 
 # Tables of other doors have the same types.
