@@ -1,5 +1,7 @@
 """What makes a store a poor guide: worlds that no row ran, or ran to the end."""
 
+import math
+
 import numpy as np
 
 from storage.store import Store, evaluated_name, outcome_name
@@ -20,7 +22,7 @@ def cautions(store: Store, survived: str) -> list[str]:
     lines = []
     if not np.any(rows[survived] >= 1.0):
         horizon_s = store.specification["simulation"]["duration_s"]
-        longest = f"the longest {rows[survived].max():.2g} of it"
+        longest = f"the longest {_below(rows[survived].max())} of it"
         lines.append(
             f"simulation.duration_s: 0 of {len(rows)} rows lasted {horizon_s:g} s; {longest}"
         )
@@ -33,5 +35,11 @@ def cautions(store: Store, survived: str) -> list[str]:
             lines.append(f"{path}.{key}: 0 of {len(rows)} rows reached {settings[key]:g}")
         elif not np.any(lasted >= 1.0):
             share = f"0 of {len(lasted)} rows lasted {settings['horizon_s']:g} s in any world"
-            lines.append(f"{path}.horizon_s: {share}; the longest {lasted.max():.2g} of it")
+            longest = f"the longest {_below(np.nanmax(lasted))} of it"
+            lines.append(f"{path}.horizon_s: {share}; {longest}")
     return [f"{shortened(str(store.path))}: {line}" for line in lines]
+
+
+def _below(share: float) -> str:
+    """A share below 1, as a number that is below 1, too."""
+    return f"{math.floor(10_000 * share) / 10_000:g}"

@@ -347,3 +347,12 @@ def test_a_store_in_which_nothing_came_to_the_end_says_so(tmp_path: Path) -> Non
         r"families\.never\.min_survived_fraction: 0 of 16 rows reached 1",
     ), strict=True):  # fmt: skip
         assert re.search(expected, line)
+
+
+@pytest.mark.parametrize(("share", "shown"), [(0.99997, "0.9999"), (0.5, "0.5"), (0.0, "0")])
+def test_a_share_below_1_is_not_said_to_be_1(share: float, shown: str, tmp_path: Path) -> None:
+    almost = changed(returns({"survived_fraction": share, "speed_mps": 1.0}))
+    with pytest.warns(
+        UserWarning, match=rf"rows lasted 5 s; the longest {re.escape(shown)} of it$"
+    ):
+        make_store(almost, tmp_path / "store", workers=1, samples=4)
