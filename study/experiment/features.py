@@ -17,7 +17,7 @@ from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
-from taichi_nmm.errors import InputError, shortened
+from taichi_nmm.errors import InputError, listed, shortened
 from taichi_nmm.parameters import LOW_LEVEL_GAINS
 from taichi_nmm.walker_simulator import KEPT
 
@@ -160,7 +160,7 @@ def _in_families(
         return {family: np.tile(each, worlds[family]) for family, each in one.items()}
     for family in store.families:
         if column not in (kept := store.kept(family)):
-            names = shortened(", ".join(kept)) or "nothing, in a store older than 0.3.0"
+            names = listed(kept, column) or "nothing, in a store older than 0.3.0"
             allowed = (
                 f"a parameter, or what the worlds of {shortened(str(store.path))} keep: {names}"
             )
