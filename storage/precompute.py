@@ -251,7 +251,9 @@ def score_family(
         columns[spread][place] = values.std(axis=1)
     failed = failed_runs(simulator, rows)
     for score, name in outcomes.items():
-        values = rows[score].astype(simulator.outcome_type)
+        with np.errstate(over="ignore"):
+            values = rows[score].astype(simulator.outcome_type)
+        values[np.isinf(values) & np.isfinite(rows[score])] = np.nan  # no infinity, a best or worst
         if score != simulator.survived:
             values[failed] = np.nan  # no number, which a zero would be
         columns[name][place] = values

@@ -33,3 +33,9 @@ def charge(point: Mapping[str, Any], world: Mapping[str, Any], seconds: float) -
 Battery = FunctionSimulator(
     charge, parameters=PARAMETERS, worlds={"heat_k": 300.0}, columns=COLUMNS
 )
+
+
+def explode(point: Mapping[str, Any], world: Mapping[str, Any], seconds: float) -> dict[str, float]:
+    """A loss of finite joules, of which float32 has no number for large currents."""
+    loss_j = 1e39 if point["current_a"] > 10.0 else 1.0
+    return {"survived_fraction": 1.0, "loss_j": loss_j, "finished_at_s": seconds}

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from storage import make_store
+from storage import FunctionSimulator, make_store
 from storage.store import open_store
 from study.bench.plan import read_plan
 from study.experiment.arms import ARMS, check_arms
@@ -139,6 +139,21 @@ def test_a_run_that_failed_has_no_number_that_is_cheap(tmp_path: Path) -> None:
     assert_array_equal(known.offered, ~burnt)
     priced = lambda given, _: np.where(given["survived_fraction"] >= 1.0, given["loss_j"], 1e9)  # noqa: E731
     assert world_table(path, priced).rows.offered.all()
+
+
+class Packed(FunctionSimulator):
+    outcome_type = np.float32  # type: ignore[assignment]
+
+
+def test_a_number_too_large_for_its_type_is_no_infinity(tmp_path: Path) -> None:
+    """Infinity would be the best of all where values are maximised."""
+    huge = Packed(plants.explode, parameters=plants.PARAMETERS, columns=plants.COLUMNS)
+    hot = {"settings": 2, "min_survival_s": 0.0}
+    make_store(huge, tmp_path / "store", workers=1, samples=16, families={"hot": hot})
+    store = open_store(tmp_path / "store")
+    loss, current = store.outcomes("hot", "loss_j"), store.gains()[:, 0]
+    assert loss.dtype == np.float32 and not np.isinf(loss).any()
+    assert_array_equal(np.isnan(loss).all(axis=1), current > 10.0)
 
 
 @pytest.mark.parametrize(("changes", "lines"), [
