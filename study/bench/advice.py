@@ -120,7 +120,7 @@ class Advice:
         Raises:
             InputError: there is none.
         """
-        good = [trial for trial in self.told if self._may_be_named(trial)]
+        good = [trial for trial in self.told if self.plan.may_be_named(trial)]
         if not good:
             allowed = "a finished trial that neither failed nor broke a limit"
             context = f" in context {self.state.context!r}" * bool(self.state.context)
@@ -139,7 +139,7 @@ class Advice:
 
     def repeat(self) -> int | None:
         """The trial of which a repeat would tell most: the least sure one that may be the best."""
-        good = [trial for trial in self.told if self._may_be_named(trial)]
+        good = [trial for trial in self.told if self.plan.may_be_named(trial)]
         if not good:
             return None
         best = self.best()
@@ -167,14 +167,10 @@ class Advice:
         parts = [f"{name} of {_trials(numbers)}" for name, numbers in missing.items()]
         return f"Not entered, so that nobody knows whether it was kept: {'; '.join(parts)}."
 
-    def _may_be_named(self, trial: Trial) -> bool:
-        """Whether a finished trial neither failed nor, as far as is known, broke a limit."""
-        return not trial.failed and self.plan.kept(trial.columns) is not False
-
     def _doubts_of(self, trial: Trial) -> list[str]:
         """What speaks against a trial that may be named."""
         same = [other for other in self.told if other.params == trial.params]
-        bad = [other.number for other in same if not self._may_be_named(other)]
+        bad = [other.number for other in same if not self.plan.may_be_named(other)]
         found = [f"But {_trials(bad)} of the same parameters failed or broke a limit."] * bool(bad)
         unknown = self.unknown_limits([trial])
         return [*found, unknown] if unknown else found

@@ -15,7 +15,6 @@ import numpy as np
 import optuna
 from optuna.distributions import (
     BaseDistribution,
-    FloatDistribution,
     distribution_to_json,
     json_to_distribution,
 )
@@ -23,12 +22,12 @@ from optuna.distributions import (
 from storage.databases.studies import read_errors, shown_url
 from storage.tables import difference
 from study.bench.advice import EXPECTED, Advice, Recommended, simulated_range
-from study.bench.doubts import Range, doubts, odd_value
+from study.bench.doubts import Range, doubts, odd_failures, odd_value
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
 from study.bench.plan import Goal, Plan, read_plan
 from study.bench.shown import show
 from study.bench.words import operator_here, require_names
-from study.sampler.space import as_suggested
+from study.sampler.space import as_suggested, printed_tolerance
 from study.sampler.table import FeatureTable
 from taichi_nmm import checks
 from taichi_nmm.errors import InputError, listed
@@ -36,7 +35,6 @@ from taichi_nmm.errors import InputError, listed
 WHOLE, VALUE = checks.whole(0), checks.optional(checks.number())
 COLUMNS = checks.optional(checks.by_name(checks.number()))
 MOST_BATCH = 1000
-PRINTED = ".8g"  # how a sheet has a number
 
 
 class Own(NamedTuple):
@@ -266,22 +264,43 @@ class Bench:
             InputError: a parameter is missing, unknown or out of its range, by name; or a result
                 as of `record`. Nothing is entered then.
         """
-        own = [Own(*row) for row in rows]
+        return self._add_own([Own(*row) for row in rows], twice=True)[0]
+
+    def add_new(self, rows: Sequence[Own]) -> tuple[list[int], list[int]]:
+        """The same for those that are not there yet, such as the rows of a file that has grown.
+
+        A trial with these parameters, in this context, of which this value was ever entered, is one
+        of the rows; each trial is one row at most.
+
+        Returns:
+            Numbers of the new trials, and of those that were there.
+        """
+        return self._add_own(rows, twice=False)
+
+    def _add_own(self, own: Sequence[Own], *, twice: bool) -> tuple[list[int], list[int]]:
+        """Numbers of the trials that were entered, and of those that were there, if that counts."""
         checked = [self._params(row.params) for row in own]
         results = [
             self._checked(checks.number()("value", row.value), row.columns, row.note) for row in own
         ]
         with self._turn() as state:
             trials = list[dict[str, Any]]()
+            others, known = list(state.trials.values()), list[int]()
             for row, params, result in zip(own, checked, results, strict=True):
                 params = _as_known(params, state.trials.values())
                 trial = self._new(state, len(trials), params, {}, "The operator's own.")
                 trial.context = state.context if row.context is None else row.context
+                same = [other for other in others if _is_same(trial, row.value, other)]
+                if same and not twice:
+                    others.remove(same[0])
+                    known.append(same[0].number)
+                    continue
                 given = _given(trial) | result | {"failed": row.failed}
                 told = {"operator": row.operator, "time": row.time}
                 trials.append(given | {key: word for key, word in told.items() if word})
-            self._add("add", {"trials": trials})
-        return [trial["number"] for trial in trials]
+            if trials or twice:
+                self._add("add", {"trials": trials})
+        return [trial["number"] for trial in trials], known
 
     @checks.checked("context.", name=checks.text)
     def context(self, name: str) -> None:
@@ -369,7 +388,7 @@ class Bench:
         found = dict[str, Any]()
         for name, of in space.items():
             try:
-                found[name] = as_suggested(of, _within(of, params[name]))
+                found[name] = as_suggested(of, params[name])
             except ValueError:
                 raise InputError(name, params[name], str(of)) from None
         return found
@@ -392,7 +411,7 @@ class Bench:
         if number is not None:
             return [f"trial {number}: {found[number]}"] if number in found else []
         lines = [f"trial {which}: {said}" for which, said in found.items()]
-        return [*_odd_failures(self.plan.goal, self._simulated), *lines]
+        return [*odd_failures(self.plan, self._simulated), *lines]
 
     @property
     def _simulated(self) -> Range | None:
@@ -433,25 +452,23 @@ def _with_expectations(advice: Advice, trials: Sequence[Trial]) -> list[Trial]:
     ]
 
 
-def _is_printed(value: Any, typed: Any) -> bool:
+def _stands_for(typed: Any, value: Any) -> bool:
     """Whether something typed is a value as a sheet has it."""
-    printed = float(f"{value:{PRINTED}}") if isinstance(value, float) else value
-    return bool(typed in (value, printed))
+    if isinstance(typed, float) and isinstance(value, float):
+        return abs(typed - value) <= printed_tolerance(typed)
+    return bool(typed == value)
 
 
-def _within(distribution: BaseDistribution, typed: Any) -> Any:
-    """The end of a range that something typed is as printed; or what was typed."""
-    if isinstance(distribution, FloatDistribution):
-        for end in (distribution.low, distribution.high):
-            if _is_printed(end, typed):
-                return end
-    return typed
+def _is_same(new: Trial, value: float, other: Trial) -> bool:
+    """Whether a trial of this value is there already, perhaps corrected since."""
+    alike = new.params == other.params and new.context == other.context
+    return alike and value in other.values
 
 
 def _as_known(params: dict[str, Any], trials: Iterable[Trial]) -> dict[str, Any]:
     """Parameters that are as printed those of an earlier trial are that trial's."""
     for trial in trials:
-        if all(_is_printed(value, params[name]) for name, value in trial.params.items()):
+        if all(_stands_for(params[name], value) for name, value in trial.params.items()):
             return trial.params
     return params
 
@@ -473,11 +490,3 @@ def _require_failures(goal: Goal, simulated: Range | None) -> None:
             least, most = simulated
             allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
             raise InputError(f"goal.{key}", value, allowed)
-
-
-def _odd_failures(goal: Goal, simulated: Range | None) -> list[str]:
-    """Failures that are far from all that was simulated: values and worlds need one unit."""
-    if simulated is None:
-        return []
-    odd = {key: odd_value(value, simulated, ()) for key, value in goal.failures.items()}
-    return [f"goal.{key}: {said}" for key, said in odd.items() if said]

@@ -6,6 +6,7 @@ not found.
 """
 
 import math
+import statistics
 from collections.abc import Iterator, Sequence
 
 from study.bench.journal import State, Trial
@@ -15,6 +16,9 @@ Range = Sequence[float]
 
 BEYOND_WORLDS = 0.5  # of their range: the machine is not quite any of them
 LEAST_KNOWN = 3  # other numbers, before one of them can be far from all
+BEYOND_FAILURES = 3.0  # of the range of worlds: who fails may be worse than all of them
+SAME_PRICE = 0.1  # relative, of a fall at once
+APART = 1e3  # times the median: another wrong number, which must not hide this one
 BEYOND_TRIALS = 3.0  # of their range
 FACTOR = 3.0  # from the nearest one, of numbers of one sign
 LARGEST = 1e100  # no measurement, in whatever unit
@@ -37,6 +41,27 @@ def odd_value(value: float, simulated: Range | None, others: Sequence[float]) ->
     if low - beyond <= value <= high + beyond and not _other_sign(value, low, high):
         return ""
     return f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
+
+
+def odd_failures(plan: Plan, simulated: Range | None) -> list[str]:
+    """What is to be questioned of what failures are worth: values and worlds need one unit."""
+    failures, fall = plan.goal.failures, plan.price_of_a_fall
+    if not failures or simulated is None:
+        return []
+    at_once = failures["failed_at_once"]
+    if fall is not None and abs(at_once - fall) > SAME_PRICE * abs(fall):
+        return [
+            f"goal.failed_at_once: {at_once:g}, but the store's cost prices falls itself, one at "
+            f"once at {fall:.4g}: enter falls by their cost, or take a column of the store for it"
+        ]
+    low, high = simulated
+    beyond = BEYOND_FAILURES * (high - low)
+    return [
+        f"goal.{key}: {value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: "
+        "do trials and worlds have one unit?"
+        for key, value in failures.items()
+        if not low - beyond <= value <= high + beyond
+    ]
 
 
 def doubts(plan: Plan, state: State, simulated: Range | None) -> dict[int, str]:
@@ -85,6 +110,9 @@ def _odd_column(value: float, column: Column, others: Sequence[float]) -> str:
 
 def _odd_among(value: float, others: Sequence[float]) -> str:
     """Whether a number is far from all others, of which there are enough."""
+    if others:
+        middle = statistics.median(map(abs, others))
+        others = [other for other in others if abs(other) <= APART * middle]
     if len(others) < LEAST_KNOWN:
         return ""
     low, high = min(others), max(others)

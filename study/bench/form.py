@@ -210,13 +210,15 @@ def page(
     if entry.isdecimal() and int(entry[:MOST_DIGITS]) < len(bench.entries):
         made = bench.entries[int(entry[:MOST_DIGITS])]
         value = made.data.get("value")
-        told = [str(made).strip(), "" if value is None else bench.odd(value)]
+        odd = "" if value is None else bench.odd(value)
+        doubts = bench.doubts(made.data["trial"]) if "trial" in made.data else []
+        told = [str(made).strip(), *([odd] if odd else doubts)]
     trials = list(state.trials.values())
     return str(PAGE.render(
         plan=bench.plan, context=state.context, operator=bench.operator, told=" ".join(told),
         error=error, given=given or {}, shown=shown, undone=state.undone, filmed=filmed,
         times=times, remark=bench.plan.horizon_note(),
-        pending=[trial for trial in trials if trial.value is None],
+        pending=bench.pending(),
         finished=[trial for trial in reversed(trials) if trial.value is not None],
         entries=bench.entries[: -SHOWN_ENTRIES - 1 : -1],
     ))  # fmt: skip

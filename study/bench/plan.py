@@ -19,7 +19,7 @@ from storage.databases.urls import file_url, is_postgresql
 from storage.simulator import SURVIVED
 from storage.store import open_store
 from study.bench.candidates import better_of, of_file
-from study.bench.journal import LOG
+from study.bench.journal import LOG, Trial
 from study.bench.words import horizon
 from study.sampler.sampler import MOST_OFF_GRID, FeatureKernelSampler
 from study.sampler.table import FeatureTable
@@ -155,6 +155,10 @@ class Plan:
             return False
         return True if all(name in told for name in self.limited) else None
 
+    def may_be_named(self, trial: Trial) -> bool:
+        """Whether a finished trial neither failed nor, as far as is known, broke a limit."""
+        return not trial.failed and self.kept(trial.columns) is not False
+
     @property
     def least_of_a_walk(self) -> float | None:
         """What a walk of the whole duration costs at least, 1 / (1 + t) of the smooth cost."""
@@ -162,6 +166,22 @@ class Plan:
         if "store" not in candidates or candidates.get("cost", SMOOTH) != SMOOTH:
             return None
         return 1.0 / (1.0 + duration_s) if math.isfinite(duration_s) else None
+
+    @property
+    def price_of_a_fall(self) -> float | None:
+        """What a fall at once costs in a store whose cost prices falls itself; None: in others."""
+        candidates = self.candidates.unread
+        if "store" not in candidates or candidates.get("features"):
+            return None
+        from study.experiment.objective import PRINTED, TRIAL_DTYPE
+        from taichi_nmm.result import FELL
+
+        printed = PRINTED.get(candidates.get("cost", SMOOTH))
+        if printed is None:
+            return None
+        rows = np.zeros(1, TRIAL_DTYPE)
+        rows["end_reason"] = FELL
+        return float(printed(rows)[0])
 
     @property
     def direction(self) -> StudyDirection:

@@ -1,15 +1,13 @@
 """Tune a real machine: what to try next, and results entered by hand, over days."""
 
-import csv
 import json
 import shlex
 import socket
 import sys
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +15,10 @@ import numpy as np
 import optuna
 
 from storage.commit import commit_text, require_writable
-from storage.foreign_tables import ForeignTable
 from study.bench import words
 from study.bench.bench import Bench
-from study.bench.candidates import beyond_bounds, choices_of
+from study.bench.candidates import beyond_bounds
+from study.bench.exchange import export_text, read_trials
 from study.bench.journal import MOST_DIGITS, Trial
 from study.bench.words import PROGRAM
 from study.options import COMMANDS, require_used
@@ -43,8 +41,7 @@ def main(args: Namespace) -> None:
         bench = Bench.new(needed(args.what, "what", "the TOML file of the bench"), args.operator)
         rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
-        for line in bench.plan.cautions():
-            print(f"warning: {line}", file=sys.stderr)
+        warn([*bench.plan.cautions(), *bench.doubts()])
         print(f"next: {shlex.join([*PROGRAM, 'next', '--bench', str(bench.plan.path)])}")
         return
     require_used(args, [*used, "--bench"], args.action)
@@ -98,6 +95,7 @@ def record(bench: Bench, args: Namespace) -> None:
         if value is not None:
             raise InputError("value", value, "the value, or --log, which gives it, not both")
         value = cost_of_log(args.log, bench.plan.goal.duration_s)
+    which = None if args.action == "add" else number(args)
     if args.action == "fail":
         seconds = needed(args.seconds, "seconds", "a time")
         bench.record(number(args), failed_s=seconds, columns=columns, note=args.note)
@@ -106,13 +104,20 @@ def record(bench: Bench, args: Namespace) -> None:
     elif args.action == "add":
         gains = json_document("gains", needed(args.gains, "gains", PARAMETERS), PARAMETERS)
         value = needed(value, "value", "the trial's value")
-        print(f"trial {bench.add([(gains, value, columns, args.note)])[0]}")
+        (which,) = bench.add([(gains, value, columns, args.note)])
+        print(f"trial {which}")
     else:
         value = needed(value, "value", "the trial's value, or --log")
         bench.record(number(args), value, columns=columns, note=args.note)
-    if value is not None and (odd := bench.odd(value)):
-        print(f"warning: {odd}", file=sys.stderr)
+    odd = "" if value is None else bench.odd(value)
+    warn([odd] if odd else bench.doubts(which))
     print(bench.entries[-1])
+
+
+def warn(lines: Sequence[str]) -> None:
+    """Print what is to be looked at once more."""
+    for line in lines:
+        print(f"warning: {line}", file=sys.stderr)
 
 
 def status(bench: Bench, args: Namespace) -> None:
@@ -120,10 +125,8 @@ def status(bench: Bench, args: Namespace) -> None:
     state = bench.state
     print(" | ".join(filter(None, [bench.plan.name, bench.plan.about, state.context])))
     for field, name, why in words.clashes(bench.plan.columns, bench.space):
-        warning = f"{field} {name}: {why}; what was typed may stand in another place"
-        print(f"warning: {warning}", file=sys.stderr)
-    for warning in beyond_bounds(bench.plan.candidates, bench.space):
-        print(f"warning: {warning}", file=sys.stderr)
+        warn([f"{field} {name}: {why}; what was typed may stand in another place"])
+    warn(list(beyond_bounds(bench.plan.candidates, bench.space)))
     for trial in state.trials.values():
         value = "pending" if trial.value is None else f"{trial.value:.6g}"
         marks = ", ".join(filter(None, ["failed" * trial.failed, trial.context, trial.note]))
@@ -131,16 +134,19 @@ def status(bench: Bench, args: Namespace) -> None:
         print(f"trial {trial.number:>3}  {value:<10}{columns}  {marks}".rstrip())
     for entry in bench.entries:
         print(f"{entry}{' (undone)' if entry.number in state.undone else ''}")
+    warn(bench.doubts())
 
 
 def recommend(bench: Bench, args: Namespace) -> None:
     """Print the best gains by the model, and what to repeat; or that nothing is known yet."""
     state = bench.state
-    finished = [trial for trial in state.trials.values()
-                if trial.value is not None and trial.context == state.context]  # fmt: skip
+    where = f" in {state.context}" if state.context else ""
+    finished = [trial for trial in state.of_context(state.context) if trial.value is not None]
     if not finished:
-        where = f" in {state.context}" if state.context else ""
         print(f"Nothing to recommend yet: no trial is finished{where}.")
+        return
+    if not any(bench.plan.may_be_named(trial) for trial in finished):
+        print(f"Nothing to recommend yet: all trials{where} failed or broke a limit.")
         return
     best = bench.best()
     print(best)
@@ -179,50 +185,19 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
 
 def export(bench: Bench, args: Namespace) -> None:
     """Write the trials as CSV."""
-    names, columns = list(bench.space), bench.plan.columns
-    text = StringIO()
-    write = csv.writer(text, lineterminator="\n").writerow
-    write(["trial", "context", "value", "failed", *names, *columns, "operator", "note"])
-    for trial in bench.state.trials.values():
-        write([
-            trial.number, trial.context, trial.value, int(trial.failed),
-            *(trial.params[name] for name in names), *(trial.columns.get(c) for c in columns),
-            trial.operator, trial.note,
-        ])  # fmt: skip
-    commit_text(Path(needed(args.what, "what", "a file to write")), text.getvalue())
-    print(f"{len(bench.state.trials)} trials: {args.what}")
+    path = Path(needed(args.what, "what", "a file to write"))
+    commit_text(path, export_text(bench))
+    print(f"{len(bench.state.trials)} trials: {path}")
 
 
 def import_trials(bench: Bench, args: Namespace) -> None:
-    """Enter the trials of a CSV as the operator's own."""
-    names, columns = list(bench.space), bench.plan.columns
+    """Enter the trials of a CSV, those that are not there yet."""
     path = Path(needed(args.what, "what", "a CSV file"))
-    known = ForeignTable.read("import", path)
-    for name in (*names, "value"):
-        if name not in known.names:
-            raise InputError(
-                "import", name, f"a file with the columns {listed(names, name)}, value"
-            )
-    choices = {name: choices_of(distribution) for name, distribution in bench.space.items()}
-    named = [name for name in names if choices[name]]
-    found = ForeignTable.read("import", path, words=[*named, "note"])
-    params = dict[str, list[Any]]()
-    for name in names:
-        given = found.values(name)
-        is_text = given.dtype.kind == "O" and name not in named
-        params[name] = (found.numbers(name) if is_text else given).tolist()  # or says what is wrong
-    for name in named:
-        told_words = ["" if word is None else str(word) for word in params[name]]
-        params[name] = [choices[name].get(word, word) for word in told_words]
-    values = found.numbers("value")
-    told = {name: found.numbers(name) for name in columns if name in found.names}
-    notes = found.values("note").tolist() if "note" in found.names else [""] * len(found)
-    rows = []
-    for place in np.flatnonzero(np.isfinite(values)).tolist():
-        own = {name: float(of[place]) for name, of in told.items() if np.isfinite(of[place])}
-        row = {name: of[place] for name, of in params.items()}
-        rows.append((row, float(values[place]), own, str(notes[place] or "")))
-    print(f"trials {', '.join(map(str, bench.add(rows)))}")
+    entered, known = bench.add_new(read_trials(bench, path))
+    if entered:
+        print(f"trials {', '.join(map(str, entered))}")
+    if known:
+        print(f"there already: trials {', '.join(map(str, known))}; `add` enters a trial again")
 
 
 def other(bench: Bench, args: Namespace) -> None:

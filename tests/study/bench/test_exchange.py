@@ -1,0 +1,98 @@
+"""Export and import keep what a trial is, and a file that comes twice is recognised."""
+
+from pathlib import Path
+
+import pytest
+
+from study.bench.bench import Bench
+from study.bench.exchange import export_text, read_trials
+from study.bench.journal import Trial
+from taichi_nmm.errors import InputError
+from tests.study.bench import robot
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench.new(robot.write(tmp_path), "me")
+
+
+@pytest.fixture
+def file(bench: Bench, tmp_path: Path) -> Path:
+    """Trials of two operators on three grounds, one of which failed, and one that is pending."""
+    robot.run(bench, 2)
+    bench.operator = "you"
+    bench.next()
+    bench.record(2, failed_s=3.0, columns={"torque": 95.0}, note="fell, on the mat")
+    for context in ("gravel", "007"):
+        bench.context(context)
+        robot.run(bench, 1)
+    bench.next()
+    path = tmp_path / "trials.csv"
+    path.write_text(export_text(bench))
+    return path
+
+
+def second(tmp_path: Path) -> Bench:
+    (tmp_path / "second").mkdir(exist_ok=True)
+    return Bench.new(robot.write(tmp_path / "second"), "somebody")
+
+
+def content(trial: Trial) -> tuple[object, ...]:
+    return (
+        trial.params, trial.value, trial.context, trial.failed, trial.operator, trial.time,
+        trial.columns, trial.note,
+    )  # fmt: skip
+
+
+def test_all_that_a_trial_is_goes_out_and_comes_in(
+    bench: Bench, file: Path, tmp_path: Path
+) -> None:
+    again = second(tmp_path)
+    assert again.add_new(read_trials(again, file)) == ([0, 1, 2, 3, 4], [])
+    told = [trial for trial in bench.state.trials.values() if trial.value is not None]
+    assert [content(trial) for trial in again.state.trials.values()] == [*map(content, told)]
+    assert {trial.context for trial in again.state.trials.values()} == {"", "gravel", "007"}
+    bench.context("")
+    assert str(again.best()) == str(bench.best())
+
+
+def test_the_same_file_twice_enters_nothing(bench: Bench, file: Path, tmp_path: Path) -> None:
+    again = second(tmp_path)
+    again.add_new(read_trials(again, file))
+    again.correct(0, 0.123)  # a trial that was corrected since is the same trial
+    before = again.entries
+    assert again.add_new(read_trials(again, file)) == ([], [0, 1, 2, 3, 4])
+    assert bench.add_new(read_trials(bench, file)) == ([], [0, 1, 2, 3, 4])
+    assert again.entries == before
+    again.undo()
+    again.undo()  # the import itself: now the trials are new
+    assert again.add_new(read_trials(again, file)) == ([5, 6, 7, 8, 9], [])
+
+
+def test_a_list_that_has_grown_enters_what_is_new(bench: Bench, tmp_path: Path) -> None:
+    (trial,) = bench.next()
+    bench.record(0, 0.9)
+    row = ",".join(f"{value:.8g}" for value in trial.params.values())
+    path = tmp_path / "list.csv"
+    path.write_text(f"stiffness,damping,value,note\n{row},0.9,\n{row},0.9,again\n{row},1.1,\n")
+    assert bench.add_new(read_trials(bench, path)) == ([1, 2], [0])
+    told = bench.state.trials
+    assert [told[number].note for number in range(3)] == ["", "again", ""]
+    assert told[1].params == trial.params  # typed in again as they were printed
+    assert bench.best().trials == 3
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("stiffness,damping,value,failed\n20,1,2,7\n", "import: failed"),
+    ("stiffness,damping,value\n20,1,inf\n", "value: inf"),
+    ("stiffness,damping,value,torque\n20,1,2,inf\n", "torque"),
+    ("stiffness,value\n1,2\n", "import: 'damping'"),
+])  # fmt: skip
+def test_what_cannot_be_imported_is_one_line(
+    bench: Bench, tmp_path: Path, text: str, said: str
+) -> None:
+    path = tmp_path / "wrong.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=said):
+        bench.add_new(read_trials(bench, path))
+    assert len(bench.entries) == 1
