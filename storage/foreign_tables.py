@@ -9,7 +9,7 @@ Columns that nobody asks for may hold anything.
 """
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
@@ -145,7 +145,8 @@ class ForeignTable:
         """
         column = _as_times(self._column(name))
         kind = column.type
-        is_clock = pa.types.is_temporal(kind) and not pa.types.is_date(kind)
+        is_clock = pa.types.is_timestamp(kind) or pa.types.is_time(kind)
+        is_clock |= pa.types.is_duration(kind)
         if column.null_count:
             row = column.is_null().to_pylist().index(True)
             raise InputError(f"{self.field}.{name}[{row}]", "nothing", "a time in each row")
@@ -353,7 +354,7 @@ def _has_long(words: pa.ChunkedArray) -> bool:
 
 def _of_folder(field: str, folder: Path, own: str, columns: Sequence[str] | None) -> pa.Table:
     """The rows of all Parquet files of a folder, in the order of their names."""
-    files = sorted(file for file in folder.rglob("*") if _is_of(folder, file))
+    files = sorted(_tables_of(folder))
     if not files:
         raise InputError(field, str(folder), ALLOWED)
     keys = [_keys(file.parent.relative_to(folder)) for file in files]
@@ -381,11 +382,14 @@ def _of_folder(field: str, folder: Path, own: str, columns: Sequence[str] | None
         return pa.concat_tables(tables, promote_options="permissive")
 
 
-def _is_of(folder: Path, file: Path) -> bool:
-    """Whether a file is a table of a folder: in it, or below folders by the name KEY=VALUE."""
-    *above, name = file.relative_to(folder).parts
-    is_table = file.suffix.lower() == ".parquet" and not name.startswith(".")
-    return is_table and all("=" in part for part in above)
+def _tables_of(folder: Path) -> Iterator[Path]:
+    """The Parquet files of a folder, and of folders in it by the name KEY=VALUE."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            if "=" in path.name:
+                yield from _tables_of(path)
+        elif path.suffix.lower() == ".parquet" and not path.name.startswith("."):
+            yield path
 
 
 def _keys(folder: Path) -> dict[str, str | None]:

@@ -43,13 +43,8 @@ class Declared:
     step: float | None = None  # between two values, from the least on
     log: bool = False  # on a logarithmic scale
 
-    def distribution(self, name: str, values: NDArray[Any], numbers: Any) -> BaseDistribution:
-        """The distribution of a parameter.
-
-        Args:
-            name: of the parameter.
-            values: of its column, [n].
-            numbers: makes the column's numbers, [n], where it has any.
+    def distribution(self, name: str, table: ForeignTable) -> BaseDistribution:
+        """The distribution of the parameter that a column of a table has.
 
         Raises:
             InputError: a column or a declaration that this kind of parameter cannot have.
@@ -60,9 +55,10 @@ class Declared:
                     raise InputError(f"candidates.{key}.{name}", given, "none of a choice")
             if self.log:
                 raise InputError("candidates.log", name, "parameters that are no choices")
-            listed = [None if value != value else value for value in values.tolist()]
+            listed = [None if value != value else value for value in table.values(name).tolist()]
             return CategoricalDistribution(tuple(dict.fromkeys(listed)))
-        known = numbers()[np.isfinite(numbers())]
+        numbers = table.numbers(name)
+        known = numbers[np.isfinite(numbers)]
         if not len(known):
             raise InputError(f"candidates.{name}", "no number", "a column of numbers")
         low, high = self.bounds or (float(known.min()), float(known.max()))
@@ -72,8 +68,8 @@ class Declared:
             allowed = "none on a logarithmic scale"
             raise InputError(f"candidates.step.{name}", self.step, allowed)
         if self.step is not None:
-            _require_steps(name, numbers(), low, self.step)
-        if self._is_whole(values):
+            _require_steps(name, numbers, low, self.step)
+        if self._is_whole(table.values(name)):
             return self._whole_numbers(name, low, high)
         return FloatDistribution(low, high, log=self.log, step=self.step)
 
@@ -151,10 +147,7 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
     columns = {name: found.values(name) for name in names}
     space = begun
     if space is None:
-        space = {
-            name: one.distribution(name, columns[name], lambda name=name: found.numbers(name))
-            for name, one in declared.items()
-        }
+        space = {name: each.distribution(name, found) for name, each in declared.items()}
     outcomes = {}  # each pattern is a family
     for pattern in patterns:
         named = [name for name in found.names if fnmatch(name, pattern)]

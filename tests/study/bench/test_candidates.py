@@ -122,8 +122,11 @@ def test_what_does_not_fit_is_refused_by_name(
 def test_a_declared_choice_may_be_anything(
     tmp_path: Path, doses: list[Any], expected: list[Any]
 ) -> None:
-    table = plan(tmp_path, doses, 'type.dose = "choice"').read_candidates()
+    path = plan(tmp_path, doses, 'type.dose = "choice"').path
+    table = Bench.new(path).candidates
     assert [table.rows.as_parameters(row)["dose"] for row in range(2)] == expected
+    assert Bench(path).candidates.digest == table.digest
+    assert Bench(path).next()[0].params["dose"] in expected
 
 
 def european(path: Path) -> None:
