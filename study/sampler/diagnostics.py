@@ -9,7 +9,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 from optuna.trial import FrozenTrial
-from scipy.special import stdtr, stdtrit
 
 from study.sampler.acquisition import Model, log_kept
 from study.sampler.gp import JITTER, Posterior, misfit
@@ -434,7 +433,8 @@ def prediction_of(
             variance = variance * (freedom + 2.0) / freedom
     else:
         return Prediction(rows, unknown, unknown, unknown, unknown, kept)
-    away = (NORMAL_95 if isinf(freedom) else float(stdtrit(freedom, 0.975))) * np.sqrt(variance)
+    errors = NORMAL_95 if isinf(freedom) else float(scipy.special.stdtrit(freedom, 0.975))
+    away = errors * np.sqrt(variance)
     value, low, high = (sign * model.in_units(y) for y in (mean, mean - away, mean + away))
     low, high = (low, high) if sign > 0 else (high, low)
     success = unknown
@@ -449,7 +449,7 @@ def _chance_below(away: Floats, variance: Floats, freedom: float) -> Floats:
     """P(y <= mean + away), [m]; by Student's t where the variance is that of few samples."""
     if isinf(freedom):
         return np.exp(log_kept(-away, variance))
-    return np.asarray(stdtr(freedom, away / np.sqrt(np.maximum(variance, 1e-24))))
+    return np.asarray(scipy.special.stdtr(freedom, away / np.sqrt(np.maximum(variance, 1e-24))))
 
 
 def _chance_kept(model: Model, points: Points) -> Floats:

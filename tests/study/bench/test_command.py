@@ -292,8 +292,10 @@ def test_status_loads_little(folder: Path) -> None:
 import sys
 from study.cli import main
 main(["bench", "status"])
-found = set(sys.modules) & {"alembic", "sqlalchemy.orm", "matplotlib", "taichi", "quadrants",
-                            "sklearn", "scipy.stats", "bottle", "optuna_dashboard", "mujoco"}
+found = set(sys.modules) & {
+    "alembic", "sqlalchemy.orm", "matplotlib", "taichi", "quadrants", "sklearn", "scipy.special",
+    "scipy.stats", "bottle", "optuna_dashboard", "mujoco",
+}
 assert not found, found
 """
     done = finish(start("-c", code, program=()))

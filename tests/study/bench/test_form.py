@@ -1,5 +1,6 @@
 """The page with forms: entries by hand on a phone, one line for what is wrong, the token."""
 
+import re
 import threading
 import urllib.error
 import urllib.parse
@@ -18,12 +19,14 @@ from storage import make_store
 from storage.processes import Processes
 from study.bench.bench import Bench
 from study.bench.form import Films, application, filming_of, of_walker
+from study.bench.plan import read_plan
 from study.loopback import HOST, wsgi_server
 from study.pictures.movie import film_run
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, load_gains
 from tests.browser import opened_page, save
 from tests.storage import rail
+from tests.storage import robot as own
 from tests.study.bench import robot
 
 Serve = Callable[[str], tuple[str, str, Bench]]
@@ -210,3 +213,36 @@ def test_a_phone_beside_the_machine(serve: Serve) -> None:
         form.get_by_role("button", name="Record").click()
         page.get_by_text("Zoë: record 0").first.wait_for()
         assert bench.look().trials[0].value == 0.42 and bench.entries[-1].operator == "Zoë"
+
+
+@pytest.mark.slow
+def test_the_page_prints_a_sheet_for_each_pending_trial(serve: Serve) -> None:
+    address, _, bench = serve(HOST)
+    robot.run(bench, 6)
+    bench.next(batch=3)
+    with opened_page(1000, 800) as page:
+        page.goto(address)
+        assert len(re.findall(rb"/Type /Page\b", page.pdf(format="A4"))) == 3
+        page.emulate_media(media="print")
+        assert page.get_by_role("heading", name="Trial 7").is_visible()
+        for hidden in ("Trials to run", "Operator", "In the simulator"):
+            assert not page.get_by_text(hidden).first.is_visible()
+
+
+def test_a_store_of_shorter_runs_is_said_on_the_sheet(tmp_path: Path) -> None:
+    """Unless they are as long as a trial, or only features are read."""
+    make_store(
+        own.Cart, tmp_path / "cart", workers=1, samples=60, seed=3,
+        families={"gale": {"settings": 2, "seed": 1, "horizon_s": 8.0}},
+    )  # fmt: skip
+    said = []
+    for more in ("", "[goal]\nduration_s = 30\n", "[goal]\nduration_s = 8\n"):
+        path = tmp_path / f"bench{len(said)}.toml"
+        path.write_text(f'[candidates]\nstore = "cart"\ncost = "speed_mps"\n{more}')
+        said.append(read_plan(path).horizon_note())
+    assert said == [
+        "Simulated runs last 8 s: what is simulated is the cost of such a run.",
+        "Simulated runs last 8 s, a trial 30 s: what is simulated is the cost of such a run.", "",
+    ]  # fmt: skip
+    path.write_text('[candidates]\nstore = "cart"\nfeatures = ["survived_fraction"]\n')
+    assert read_plan(path).horizon_note() == ""
