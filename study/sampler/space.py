@@ -154,6 +154,17 @@ def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
     return new if new.any() else np.ones(len(points), dtype=bool)
 
 
+def not_near(points: Floats, taken: Floats, share: float) -> NDArray[np.bool_]:
+    """Which points of the unit cube [m, e] lie `share` of a range or more from all [t, e], [m].
+
+    In one parameter at least: it is the largest of the distances.
+    """
+    new = np.ones(len(points), dtype=bool)
+    for place in taken:
+        new &= np.abs(points - place).max(axis=1, initial=0.0) >= share
+    return new
+
+
 def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
     """A value in the form of a distribution: of its type, or the equal one of its choices.
 

@@ -6,7 +6,15 @@ from numpy.testing import assert_allclose
 from optuna import distributions
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 
-from study.sampler.space import Space, anywhere, as_suggested, first_not_taken, nearby, not_among
+from study.sampler.space import (
+    Space,
+    anywhere,
+    as_suggested,
+    first_not_taken,
+    nearby,
+    not_among,
+    not_near,
+)
 
 DISTRIBUTIONS: dict[str, distributions.BaseDistribution] = {
     "plain": FloatDistribution(-2.0, 3.0), "log": FloatDistribution(1e-5, 10.0, log=True),
@@ -58,6 +66,9 @@ def test_taken_points_are_left_out_unless_nothing_is_left_and_the_first_misfit_i
     assert not_among(points, points[:1]).tolist() == [False, True]
     assert not_among(points, points).tolist() == [True, True]
     assert not_among(points, np.empty((0, 2))).all()
+    unit = np.array([[0.5, 0.5], [0.509, 0.5], [0.511, 0.5], [0.5, 0.9]])
+    assert not_near(unit, unit[:1], 0.01).tolist() == [False, False, True, True]
+    assert not_near(unit, np.empty((0, 2)), 0.01).all()
     kinds = CategoricalDistribution(["x", "y", "z"])
     values = np.array([2.0, 0.0, 2.0, 1.0, 1.0])
     assert first_not_taken(kinds, values, CategoricalDistribution(["z", "x"])) == 3

@@ -12,11 +12,13 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler import table_policy
 from study.sampler.acquisition import Model
 from study.sampler.gp import WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
 from taichi_nmm.errors import InputError
+from tests.study.sampler.studies import Floats
 
 SPACE = {"x": FloatDistribution(0.0, 1.0), "y": FloatDistribution(1.0, 100.0, log=True)}
 ROWS = np.random.default_rng(5).random((60, 2))
@@ -384,3 +386,62 @@ def test_huge_values_leave_the_best_trial_finite(direction: str) -> None:
         best = sampler.best(study)
         assert np.isfinite([best.value, best.low, best.high]).all()
         assert study.ask(SPACE).params != best.params
+
+
+def machine(trial: optuna.Trial, noise: np.random.Generator | None = None) -> float:
+    """Two knobs and a kink at the best, as the candidates of the bench's page have it."""
+    x, y = trial.suggest_float("x", 0, 1), trial.suggest_float("y", 1, 100, log=True)
+    true = 0.2 + 4.6 * abs(x - 0.42) + 1.9 * abs(np.log(y) / np.log(100.0) - 0.57)
+    return float(true * np.exp(NOISE * (0.0 if noise is None else noise.standard_normal())))
+
+
+def kinked() -> FeatureTable:
+    """Its rows in six worlds."""
+    places = np.random.default_rng(3).uniform(0.25, 0.75, (6, 2))
+    outcomes = [0.2 + np.abs(ROWS - place) @ [4.6, 1.9] for place in places]
+    return table(np.column_stack(outcomes))
+
+
+def nearest_earlier(study: optuna.Study, space: Any) -> Floats:
+    """How far each trial but the first is from an earlier one, in ranges, in its farthest knob."""
+    unit = space.unit(np.array([space.row(trial.params) for trial in study.trials]))
+    apart = [np.abs(unit[:count] - unit[count]).max(axis=1).min() for count in range(1, len(unit))]
+    return np.array(apart)
+
+
+def test_no_day_is_spent_on_a_spot_that_was_tried() -> None:
+    known = kinked()
+    sampler = FeatureKernelSampler(known, seed=1, success=0.5)
+    study = optuna.create_study(sampler=sampler)
+    rng = np.random.default_rng(1)
+    running = [study.ask(SPACE) for _ in range(2)]
+    study.optimize(lambda trial: machine(trial, rng), n_trials=23)
+    for trial in running:
+        study.tell(trial, 1.0)
+    assert sum(trial.user_attrs["row"] < 0 for trial in study.trials) > 5
+    assert nearest_earlier(study, known.rows.space).min() >= table_policy.REPEAT
+    again = dict(study.trials[20].params)
+    study.enqueue_trial(again)
+    study.optimize(machine, n_trials=1)
+    assert study.trials[-1].params == again  # a repeat that is asked for
+
+
+def test_in_many_dimensions_proposals_are_those_without_a_word_of_repeats(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(0)
+    rows, places = rng.random((300, 16)), rng.random((8, 16))
+    outcomes = np.column_stack([0.1 + ((rows - place) ** 2).sum(axis=1) for place in places])
+    space: dict[str, Any] = {f"x{place}": FloatDistribution(0.0, 1.0) for place in range(16)}
+    columns = dict(zip(space, rows.T, strict=True))
+    known = FeatureTable.from_arrays(columns, outcomes=outcomes, space=space)
+    tried = []
+    for share in (table_policy.REPEAT, 0.0):
+        monkeypatch.setattr(table_policy, "REPEAT", share)
+        study = optuna.create_study(sampler=FeatureKernelSampler(known, seed=1))
+        for _ in range(15):
+            trial = study.ask(space)
+            at = np.array([trial.params[name] for name in space])
+            study.tell(trial, float(0.1 + ((at - 0.4) ** 2).sum()))
+        tried.append([trial.params for trial in study.trials])
+    assert tried[0] == tried[1]
