@@ -19,7 +19,7 @@ from study.pictures import stick_figure as stick
 from study.pictures import style
 from study.pictures.gait_cycle import PEOPLE
 from study.pictures.scene import BELOW_GROUND_M, FORCE_WIDTH_M, VIEW_WIDTH_M
-from taichi_nmm.result import FELL
+from taichi_nmm.result import FELL, MUSCLES
 
 ASPECT = 1.6  # of a stage, width over height
 GHOST = "#5B4B8A"
@@ -28,12 +28,15 @@ STAGE_PX, TIMELINE_PX = 340, 110  # the least width of a stage; the height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
 GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 RIM_M = 0.008  # of a muscle, both sides together
-NAMED: dict[str, str] = PEOPLE["muscles"]
+# As frames have them: their lines and activations are in the order of `MUSCLES`, those of the left
+# leg, then those of the right.
+MUSCLE_LOOKS = [
+    (f"{name}, {PEOPLE['muscles'][name]}", stick.DRAWN[name]["belly_m"]) for name in MUSCLES
+]
 
 LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
     "bones": list(stick.WIDTHS_M), "trunk": stick.TRUNK_WIDTH_M, "rim": RIM_M,
-    "muscles": [(f"{name}, {word}", stick.DRAWN[name]["belly_m"]) for name, word in NAMED.items()],
-    "points": stick.PATH_POINTS, "force": FORCE_WIDTH_M, "ghost": GHOST, "ink": style.INK,
+    "muscles": MUSCLE_LOOKS, "points": stick.PATH_POINTS, "force": FORCE_WIDTH_M, "ghost": GHOST, "ink": style.INK,
     "model": style.MODEL, "far": style.FAR_LIMB, "near": style.NEAR_LIMB, "levels": COLOURS,
 }  # fmt: skip
 

@@ -208,8 +208,8 @@ class Scene:
             canvas.disc(joint, JOINT_RADIUS_M, style.INK)
 
     def _draw_muscles(self, canvas: Canvas, number: int, side: int, edge: str) -> None:
-        colours = self._colours[number][len(MUSCLES) * side :]
-        for outlines, colour in zip(self._outlines[side], colours, strict=False):
+        colours = self._colours[number][len(MUSCLES) * side :][: len(MUSCLES)]
+        for outlines, colour in zip(self._outlines[side], colours, strict=True):
             canvas.polygon(outlines[number], colour, edge)
 
     def _draw_ground(self, canvas: Canvas, left_m: float, bottom_m: float) -> list[int]:

@@ -9,6 +9,7 @@ const PALE = 0xffe0dcd8 // ABGR, as pixels lie in memory
 const DARK = 0xff000000
 const MOST_ROWS = 200
 const NEAR_PX = 14
+const LATER_MS = 100
 const FEW = 1000 // rows, whose points are larger
 const SHOWN_PERCENT = [0.5, 99.5] // of the numbers of a column, in all views; zoom out to see the rest
 const MARGIN = 0.02 // around all points, of the axes
@@ -91,20 +92,14 @@ function refresh(args) {
     const values = data[`c${slot}`]
     for (let i = 0; i < rows; i++) if (!(values[i] >= low && values[i] <= high)) inside[i] = 0
   }
-  const first = []
   let chosen = 0
-  for (let i = 0; i < rows; i++) {
-    if (!inside[i]) continue
-    if (chosen < MOST_ROWS) first.push(i)
-    chosen += 1
-  }
+  for (let i = 0; i < rows; i++) chosen += inside[i]
   Object.assign(state, {inside, all: chosen === rows, chosen})
   args.columns.forEach((_, slot) => { if (data[`c${slot}`] !== state.values[slot]) turn(args, slot) })
   paint(args)
   count(args)
-  list(args, first)
+  list(args)
   mark(args)
-  tell(args.count, `${chosen.toLocaleString("en")} of ${rows.toLocaleString("en")} ${args.word}${rows === 1 ? "" : "s"}`)
   state.ms = performance.now() - began
   state.refreshed += 1
 }
@@ -197,11 +192,64 @@ function count({source, bars}) {
   })
 }
 
-function list({source, table, columns, listing, mark}, some) {
-  const data = {row: some.map((i) => source.data.row[i]), mark: some.map((i) => source.data.marked[i] ? mark : "")}
+// The table lists a part of the rows inside: those that come first by the columns that its heads sort by.
+function list(args) {
+  const {source, table, columns, listing, mark: word} = args
+  const [view] = Bokeh.index.query((view) => view.model === listing.children[0])
+  watch_heads(args, view)
+  const sorted = (view?.grid?.getSortColumns() ?? []).map(({columnId, sortAsc}) => {
+    const {field, name} = view.grid.getColumns()[view.grid.getColumnIndex(columnId)]
+    return {field, name, up: sortAsc}
+  })
+  const some = first_rows(source.data, sorted)
+  const data = {row: some.map((i) => source.data.row[i]), mark: some.map((i) => source.data.marked[i] ? word : "")}
   columns.forEach((_, slot) => { data[`c${slot}`] = some.map((i) => source.data[`c${slot}`][i]) })
   table.setv({data}, HERE)
   listing.children[0].view.change.emit() // a table does not see other rows if they are as many
+  say_how_many(args, sorted)
+}
+
+// A click on a head lists anew. The table's own order, of the rows that it lists, is put out of action: it puts NaN first.
+function watch_heads(args, view) {
+  const again = () => {
+    list(args)
+    mark(args)
+  }
+  clearTimeout(state.later)
+  if (!view?.grid) { // the table is not there yet
+    state.later = setTimeout(again, LATER_MS)
+  } else if (!view.watched) {
+    view.watched = true
+    view.data.sort = () => {}
+    view.grid.onSort.subscribe(again)
+  }
+}
+
+function say_how_many({source, count, word}, sorted) {
+  const [chosen, rows] = [state.chosen, source.data.row.length]
+  const words = [`${chosen.toLocaleString("en")} of ${rows.toLocaleString("en")} ${word}${rows === 1 ? "" : "s"}`]
+  if (chosen > MOST_ROWS) {
+    const by = sorted.map(({name, up}) => `${name.replace(/<[^>]*>/g, "")}, ${up ? "least" : "largest"} first`)
+    words.push(`the table has the first ${MOST_ROWS}${by.length ? ` by ${by.join(", ")}` : ""}`)
+  }
+  tell(count, words.join("; "))
+}
+
+// The rows inside that come first: NaN comes last, whichever way it is sorted.
+function first_rows(data, sorted) {
+  const all = []
+  for (let i = 0; i < state.inside.length; i++) if (state.inside[i]) all.push(i)
+  const keys = sorted.map(({field, up}) => [data[field === "mark" ? "marked" : field], up ? 1 : -1])
+  const order = (one, other) => {
+    for (const [values, sign] of keys) {
+      const [a, b] = [values[one], values[other]]
+      const differ = isNaN(a) || isNaN(b) ? isNaN(a) - isNaN(b) : sign * (a - b)
+      if (differ) return differ
+    }
+    return one - other
+  }
+  if (keys.length) all.sort(order)
+  return all.slice(0, MOST_ROWS)
 }
 
 // The place of the row nearest to the pointer, or -1.

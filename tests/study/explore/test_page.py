@@ -2,18 +2,23 @@
 
 import json
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
+from study.experiment.gains import gains_of_source
 from study.explore.store_view import read_selection
-from study.explore.walk import RATE_HZ
+from study.explore.walk import RATE_HZ, Walk, chosen_setting, walk
+from study.pictures import stick_figure
+from taichi_nmm.result import MUSCLES
 from tests.browser import opened_page
-from tests.cases import ASSETS, cases
+from tests.cases import ASSETS, asset, cases
 from tests.storage.fake import content
 from tests.study import fake_walker
 from tests.study.explore.serving import MODEL, change, opened, walks
@@ -157,6 +162,36 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     page.wait_for_function(f"{MODEL}('selection-message').text === ''")
 
 
+def test_a_head_of_the_table_sorts_all_rows(page: Any, folders: Path, tmp_path: Path) -> None:
+    """Not only those that the table lists: a store may have any number."""
+    path = tmp_path / "many"
+    fake_walker.write_store(path, samples=450)
+    speeds = open_store(path).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
+    first = f"[...{MODEL}('listed').data.c0].slice(0, 200)"
+    head = page.locator(".slick-header-column", has_text="mean speed")
+    with opened(page, path):
+        assert page.evaluate(first) == speeds[:200].tolist()
+        for order, way in ((np.sort(speeds), "least"), (np.sort(speeds)[::-1], "largest")):
+            head.click()
+            told = f"450 of 450 rows; the table has the first 200 by mean speed (m/s), {way}"
+            page.get_by_text(told).wait_for()
+            assert page.evaluate(first) == order[:200].tolist()
+            shown = page.locator(".slick-row").first.inner_text().split()
+            assert float(shown[1]) == pytest.approx(order[0], abs=1e-4)
+        walks(page, page.locator(".slick-row").first.click)
+        fastest = speeds[page.evaluate(f"{MODEL}('row').value")]
+        assert fastest == speeds.max()
+        change(page, "selection", "value", "mean_speed_mps 0..0.5")  # and of those selected
+        page.wait_for_function("!window.store_view.all")
+        below = np.sort(speeds[speeds <= 0.5])[::-1][:200]
+        assert page.evaluate(first) == below.tolist()
+        change(page, "column-0", "value", "distance_m")  # other heads, which do not sort yet
+        page.locator(".slick-header-column", has_text="distance").click()
+        distances = open_store(path).table(["distance_m"])["distance_m"].to_numpy()
+        least = np.sort(distances[speeds <= 0.5])[:200].tolist()
+        page.wait_for_function(f"{MODEL}('listed').data.c0[0] === {least[0]!r}")
+
+
 def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
     walks(page, lambda: change(page, "row", "value", 17))
     page.get_by_text("store-row-17").first.wait_for()
@@ -262,15 +297,73 @@ def test_out_of_bounds_is_said(page: Any, store: Path, field: str, text: str, sa
     change(page, field, "value", held)
 
 
+PLACES = asset("muscles-on-the-body.toml")
+LEFT_AHEAD_S, RIGHT_AHEAD_S = 3.10, 3.64  # of the gait `reference`
+
+
+def frames_until_now(page: Any) -> int:
+    """How many frames of the walk have been shown, with that which is shown now."""
+    times = page.evaluate(f"[...{MODEL}('stage-frames').data.time_s[0]]")
+    now = page.evaluate("window.walk_player.time")
+    return sum(time <= now + 1e-6 for time in times)
+
+
+def on_the_body(page: Any, side: str, muscle: str) -> tuple[float, float]:
+    """Where a muscle is in the stage's metres, now, by the bones that are drawn there."""
+    place = PLACES[muscle]
+    name = "near" if side == "left" else "far"
+    frame = frames_until_now(page)
+    points = page.evaluate(
+        f"[...{MODEL}('stage-frames').data.{name}[0].slice({10 * frame - 10}, {10 * frame})]"
+    )
+    hip, knee, ankle = np.reshape(points, (5, 2))[:3]
+    upper, lower = {"thigh": (hip, knee), "shank": (knee, ankle)}[place["bone"]]
+    axis = (lower - upper) / np.hypot(*(lower - upper))
+    front = np.array([-axis[1], axis[0]])
+    x, z = upper + place["along_m"] * axis + place["ahead_m"] * front
+    return float(x), float(z)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("muscle", PLACES)
+def test_a_muscle_is_named_where_it_is(page: Any, store: Path, muscle: str, side: str) -> None:
+    """With its own activation and thickness; found by its place, not by its number."""
+    if page.evaluate(f"!{MODEL}('stage').title.text || {MODEL}('start').value !== ''"):
+        walks(page, lambda: change(page, "start", "value", "reference"))
+    change(page, "play", "active", False)
+    behind = muscle == "HFL"  # seen best on the leg that is behind
+    moment_s = LEFT_AHEAD_S if (side == "left") != behind else RIGHT_AHEAD_S
+    change(page, "time", "value", moment_s)
+    page.wait_for_function(f"window.walk_player.time === {moment_s}")
+    page.mouse.move(*at(page, "stage", *on_the_body(page, side, muscle)))
+    name = f"{side} {muscle}, {PLACES[muscle]['words']}: "
+    page.wait_for_function(f"{MODEL}('stage').title.text.includes({json.dumps(name)})")
+    told = float(model(page, "stage", "title.text").rpartition(": ")[2])
+    walk, frame = the_walk(), frames_until_now(page)
+    number = MUSCLES.index(muscle) + len(MUSCLES) * (side == "right")
+    activation = walk.trajectory.activation[:, number]
+    seconds = walk.frames["time_s"][frame - 1]
+    expected = np.interp(seconds, walk.trajectory.time_s, activation)
+    assert told == pytest.approx(expected, abs=0.02)
+    lines = f"{MODEL}('stage').renderers.at(-1).data_source.data"
+    metres = page.evaluate(f"{lines}.metres[{lines}.muscle.indexOf({number})]")
+    assert metres == stick_figure.DRAWN[muscle]["belly_m"]
+
+
+@cache
+def the_walk() -> Walk:
+    """What the page shows first, simulated here."""
+    level = chosen_setting("flat", "nominal", 1, "nominal", "taichi", 10.0)
+    return walk(gains_of_source("reference"), level)
+
+
 def press(page: Any, step: str) -> int:
     """Click on words or a row, choose of a menu, or point at a muscle; these are so many clicks."""
     what, _, which = step.rpartition(": ")
     if what == "point":
         walks(page, lambda: page.mouse.click(*point(page, int(which))))
     elif what == "over":
-        lines = f"{MODEL}('stage').renderers.at(-1).data_source.data"
-        middle = f"map((lines) => lines[{lines}.muscle.indexOf({which})][7])"
-        page.mouse.move(*at(page, "stage", *page.evaluate(f"[{lines}.xs, {lines}.ys].{middle}")))
+        page.mouse.move(*at(page, "stage", *on_the_body(page, *which.split())))
     elif what:
         walks(page, lambda: page.get_by_label(what).select_option(which))
     else:
