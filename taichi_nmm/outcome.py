@@ -27,7 +27,15 @@ from taichi_nmm.kernel.layout import (
 )
 from taichi_nmm.kernel.muscle_table import FMAX_N, OPTIMAL_LENGTH_M, TORQUES_NM, VMAX_PER_S
 from taichi_nmm.packs import Packs
-from taichi_nmm.result import COLUMNS, EVENT_DTYPE, MUSCLES, RESULT_DTYPE, Trajectory
+from taichi_nmm.result import (
+    COLUMNS,
+    ENERGY,
+    EVENT_DTYPE,
+    MUSCLES,
+    OF_MUSCLES,
+    RESULT_DTYPE,
+    Trajectory,
+)
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 from taichi_nmm.world import Worlds
 
@@ -55,8 +63,8 @@ def result_rows(
     mass = bodies.mass_kg.sum(axis=1)
     work = mass * np.maximum(rows["distance_m"], 0.0)
     energy, motors = sums[:, Sums.metabolic_energy], sums[:, Sums.motor_energy]
-    rows["cost_of_transport_jpkgpm"] = _quotient(energy, work)
-    rows["cost_of_transport_powered_jpkgpm"] = _quotient(energy + motors, work)
+    rows[OF_MUSCLES] = _quotient(energy, work)
+    rows[ENERGY] = _quotient(energy + motors, work)
     rows["survived_fraction"] = rows["duration_s"] / duration_s
     steps = sums[:, Sums.steps]
     rows["step_count"] = np.round(steps).astype(np.int32)

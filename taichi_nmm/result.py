@@ -42,7 +42,43 @@ SCORE_FIELDS: Fields = tuple(COLUMNS["score"].items())  # the determinants of ga
 SUMMARY_FIELDS: Fields = tuple(COLUMNS["summary"].items())
 FURTHER_FIELDS: Fields = tuple(COLUMNS["further"].items())  # in a store by its `kept` alone
 
+ENERGY, OF_MUSCLES = "cost_of_transport_powered_jpkgpm", "cost_of_transport_jpkgpm"
+"""What a gait of the least energy has the least of, unless a goal names another column: the energy
+of muscles and motors, J for each kg of the whole body and each metre; and that of muscles alone."""
+
 RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS, *FURTHER_FIELDS])
+
+NEEDED_BY = {column: needed for needed, columns in COLUMNS["needs"].items() for column in columns}
+"""Of columns that may be unknown, the column that tells."""
+
+
+def unknown(column: str, given: Any) -> NDArray[np.bool_]:
+    """Where a column is unknown, though rows of results have a number there, [n].
+
+    No step was scored, none was begun, or the walker got nowhere; steps of one leg alone are not
+    compared with those of the other; a walker that diverged left no number.
+
+    Args:
+        column: its name.
+        given: the columns by name, each [n]: this one, and that of `NEEDED_BY`.
+    """
+    values = np.asarray(given[column], dtype=np.float64)
+    missing: NDArray[np.bool_] = ~np.isfinite(values)
+    if column.endswith("_asymmetry"):
+        missing |= np.abs(values) >= 1.0
+    if column not in NEEDED_BY:
+        return missing
+    measured = np.asarray(given[NEEDED_BY[column]], dtype=np.float64)
+    if NEEDED_BY[column] == "distance_m":
+        return np.asarray(missing | ~(measured > 0.0))
+    return np.asarray(missing | (measured == 0.0))
+
+
+def known_numbers(row: np.void) -> dict[str, float | int | None]:
+    """The numbers of a row by column, as plain values; None: unknown."""
+    names = row.dtype.names or ()
+    return {name: None if unknown(name, row) else row[name].item() for name in names}
+
 
 EVENT_KINDS = ("strike", "takeoff")
 # Side 0 is left, 1 right; kind is an index into EVENT_KINDS.

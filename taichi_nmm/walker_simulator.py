@@ -35,7 +35,9 @@ from taichi_nmm.parameters import (
 from taichi_nmm.result import (
     DIVERGED,
     END_REASONS,
+    ENERGY,
     FURTHER_FIELDS,
+    OF_MUSCLES,
     RESULT_DTYPE,
     SCORE_FIELDS,
     Result,
@@ -57,7 +59,8 @@ MEASURES = {
     "knee_peak_swing_rad": (0.5, 1.8),
 }
 # With the horizon these give both costs (`result.smooth_cost`, `result.walking_cost`).
-OUTCOMES = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
+# The energy of muscles and motors is what speeds and fronts take the least of.
+OUTCOMES = ("survived_fraction", "mean_speed_mps", OF_MUSCLES, ENERGY)
 KEPT = tuple(each for each in RESULT_DTYPE.names or () if each not in ("end_reason", *OUTCOMES))
 SLOWEST_MPS = 0.4  # a slower gait may be about to stand, which survives any ground
 
@@ -127,7 +130,7 @@ class Walker:
     kept: tuple[str, ...] = ()  # columns of each world beside `OUTCOMES`
 
     name: ClassVar[str] = "walker"
-    code_version: ClassVar[str] = "0.2.0"  # the release that first gave these numbers
+    code_version: ClassVar[str] = "0.4.0"  # the release that first gave these columns
     packages: ClassVar[tuple[str, ...]] = (COMPILER, "numpy")
     survived: ClassVar[str] = "survived_fraction"
     words: ClassVar[Mapping[str, Sequence[str]]] = {"end_reason": END_REASONS}
@@ -140,7 +143,8 @@ class Walker:
     def read(cls, table: Table, arch: str | None) -> Self:
         """From [simulation], `searched` and `fixed_gains`; `arch` overrides the file's."""
         settings, fixed = read_settings(table.table("simulation"), arch), read_fixed(table)
-        kept = table.texts("kept", KEPT)
+        named = table.texts("kept", (*KEPT, ENERGY))
+        kept = tuple(name for name in named if name != ENERGY)  # once it had to be named
         return cls(settings, searched_parameters(table.texts("searched")), fixed, kept)
 
     @property

@@ -1,32 +1,37 @@
 """Simulate one controller, and draw how it walks."""
 
+import hashlib
 import json
+import math
+import sys
 import tempfile
 import tomllib
 from argparse import Namespace
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit_text, require_folder, writable
 from storage.store import open_store
-from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.features import WORLDS, feature_table, front_of
 from study.experiment.gains import (
     NamedGains,
     gains_of_row,
     gains_of_source,
     gains_of_trial,
+    has_worlds_of,
     recorded_walk,
     row_at_speed,
 )
 from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES, require_used
 from study.pictures import find_ffmpeg, strip, style, write_gait_cycle, write_movie, write_strip
+from study.pictures.fall import fall_text
 from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
     kept,
@@ -38,14 +43,25 @@ from taichi_nmm import checks
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
-from taichi_nmm.result import FURTHER_FIELDS
+from taichi_nmm.result import ENERGY, FURTHER_FIELDS, OF_MUSCLES, known_numbers
 from taichi_nmm.settings import ENGINES
+from taichi_nmm.terrain import Terrain
 from taichi_nmm.walker_simulator import require_engine
 
+# Pictures by their names, in their folder.
+FILES = {"strip": "strip.png", "gait_cycle": "gait_cycle.png", "movie": "movie.mp4",
+         "strips": "strips.png"}  # fmt: skip
+DIGEST_LENGTH = 8  # of a folder's name: two walks of a million have the same
+MUSCLES_ALONE = (
+    "{} lacks {}, the energy with that of the motors: the row spends least with its muscles alone; "
+    "compute the store anew, or ask for that by name: --least {}"
+)
 ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad")
 LONGEST_MOVIE_S = 120.0
 CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name the controller
-REPORTED = (*OUTCOMES, "step_count", "phi_printed", "phi_corrected", *dict(FURTHER_FIELDS))
+REPORTED = (
+    *OUTCOMES, ENERGY, "step_count", "phi_printed", "phi_corrected", *dict(FURTHER_FIELDS),
+)  # fmt: skip
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 COLUMN = 10  # characters
 OF_THE_FRONT = ("--front", "--store", "--config", "--arch", "--json")  # options that it uses
@@ -63,13 +79,48 @@ def find_gains(args: Namespace) -> NamedGains:
             raise InputError(missing, None, f"a value: --{kind} and --{where} belong together")
     if args.speed is not None:
         speeds = checks.each(checks.number(0.0))("speed", args.speed)
-        first, *later = (gains_of_row(args.store, row_at_speed(args.store, v)) for v in speeds)
+        least = args.least or priced(args.store)
+        rows = [row_at_speed(args.store, speed, least) for speed in speeds]
+        first, *later = (gains_of_row(args.store, row) for row in rows)
         return replace(first, later=tuple(later))
     if args.row is not None:
         return gains_of_row(args.store, args.row)
     if args.trial is not None:
         return gains_of_trial(args.trial, args.storage)
     return gains_of_source(args.gains or "reference")
+
+
+def priced(store: Path) -> str:
+    """What a row of a store is to have the least of; a line is printed where that lacks motors."""
+    if has_worlds_of(open_store(store), ENERGY):
+        return ENERGY
+    print(f"warning: {MUSCLES_ALONE.format(store, ENERGY, OF_MUSCLES)}", file=sys.stderr)
+    return OF_MUSCLES
+
+
+def folder_of(gains: NamedGains, experiment: Experiment, args: Namespace) -> Path:
+    """Where a walk's pictures are put if nobody says: the name depends on all that makes it."""
+    walk = {
+        "gains": [each.as_document() for each in (gains, *gains.later)],
+        "experiment": as_written(experiment),
+        "run": args.run,
+        "engine": args.engine,
+        "version": taichi_nmm.__version__,
+    }
+    digest = hashlib.sha256(json.dumps(walk, sort_keys=True).encode()).hexdigest()
+    return Path("out") / "walk" / f"{gains.name}-{digest[:DIGEST_LENGTH]}"
+
+
+def require_no_other(folder: Path, made: Collection[str]) -> None:
+    """Refuse a folder with a picture that this walk does not make: it may be of another one.
+
+    Raises:
+        InputError: naming the picture.
+    """
+    for shows, name in FILES.items():
+        if shows not in made and (folder / name).exists():
+            allowed = "a folder without it: this walk makes none, and that one may be of another"
+            raise InputError("out", str(folder / name), allowed)
 
 
 def read(args: Namespace) -> Experiment:
@@ -113,40 +164,61 @@ def write_pictures(
     """Draw, and return the paths of the pictures by their names."""
     trajectory, terrain = result.trajectories[0], experiment.terrain(run)
     weight_n = experiment.weight_n(run)
+    files = {shows: folder / name for shows, name in FILES.items()}
+    for file in files.values():  # of an earlier walk: if we are stopped, none stays beside ours
+        file.unlink(missing_ok=True)
     paths = {
-        "strip": write_strip(folder / "strip.png", trajectory, terrain, title),
-        "gait_cycle": write_gait_cycle(folder / "gait_cycle.png", trajectory, weight_n, title),
+        "strip": write_strip(files["strip"], trajectory, terrain, title),
+        "gait_cycle": write_gait_cycle(files["gait_cycle"], trajectory, weight_n, title),
     }
     if movie_s > 0:
-        paths["movie"] = write_movie(folder / "movie.mp4", trajectory, terrain, movie_s, title)
+        paths["movie"] = write_movie(files["movie"], trajectory, terrain, movie_s, title)
     return {name: str(path) for name, path in paths.items()}
 
 
-def summary(name: str, walks: dict[str, taichi_nmm.Result]) -> str:
+def ended(walk: taichi_nmm.Result, terrain: Terrain) -> str:
+    """How a walk ended; of a fall, which way and what came before it."""
+    row = walk.rows[0]
+    return f"{row_text(row)}{fall_text(row, walk.trajectories[0], terrain)}"
+
+
+def summary(
+    name: str, walks: dict[str, taichi_nmm.Result], terrain: Terrain, mass_kg: float
+) -> str:
     """For people: how the walk of each engine ended, then a line each number and a column each."""
-    ends = [f"{name}, {engine}: {row_text(walk.rows[0])}" for engine, walk in walks.items()]
+    ends = [f"{name}, {engine}: {ended(walk, terrain)}" for engine, walk in walks.items()]
     columns = [["", *FIGURES]]
     for engine, walk in walks.items():
-        row = walk.rows[0]
-        values = {field: row[field].item() for field in row.dtype.names or ()}
-        values |= {field: float(np.rad2deg(row[field])) for field in ANGLES}
-        values["double_support_percent"] = 100 * values["double_support_fraction"]
-        columns.append([engine, *(text.format(**values) for text in FIGURES.values())])
+        values = known_numbers(walk.rows[0]) | {"mass_kg": mass_kg}
+        for field in ANGLES:
+            angle = values[field]
+            values[field] = None if angle is None else math.degrees(angle)
+        values["double_support_percent"] = 100 * (values["double_support_fraction"] or 0.0)
+        columns.append([engine, *(figure_text(figure, values) for figure in FIGURES.values())])
     wide = max(map(len, FIGURES))
     lines = [label.ljust(wide) + "".join(each.rjust(COLUMN) for each in numbers)
              for label, *numbers in zip(*columns, strict=True)]  # fmt: skip
     return "\n".join([*ends, *lines])
 
 
+def figure_text(figure: str, values: Mapping[str, float | int | None]) -> str:
+    """A number as `FIGURES` has it, "column:format"; "-" where it is unknown."""
+    column, _, form = figure.partition(":")
+    value = values[column]
+    return "-" if value is None else f"{value:{form}}"
+
+
 def report(
-    gains: NamedGains, row: np.void, end_reason: str, paths: dict[str, str]
-) -> dict[str, Any]:
-    """The same for programs: one object of plain values."""
-    numbers = {field: row[field].item() for field in REPORTED}
+    gains: NamedGains, walk: taichi_nmm.Result, terrain: Terrain, mass_kg: float,
+    paths: dict[str, str],
+) -> dict[str, Any]:  # fmt: skip
+    """The same for programs: one object of plain values; null: unknown."""
+    numbers = known_numbers(walk.rows[0])
     return {
-        # JSON has no NaN: numbers that a diverged walker lacks are null.
-        **{field: value if np.isfinite(value) else None for field, value in numbers.items()},
-        "end_reason": end_reason,
+        **{field: numbers[field] for field in REPORTED},
+        "mass_kg": mass_kg,
+        "end_reason": str(walk.end_reason[0]),
+        "ended": ended(walk, terrain),
         "gains": gains.as_document(),
         "pictures": paths,
     }
@@ -189,7 +261,14 @@ def main(args: Namespace) -> None:
     require_engine(experiment.conditions.settings)
     if args.engine == BOTH_ENGINES or args.mjcf is not None:
         require_mujoco()
-    folder = args.out or Path("out") / "walk" / gains.name
+    if args.out is None:
+        folder = folder_of(gains, experiment, args)
+    else:
+        folder = args.out
+        made = {"strip", "gait_cycle"}
+        made |= {"movie"} if args.movie_seconds > 0 else set()
+        made |= {"strips"} if args.engine == BOTH_ENGINES else set()
+        require_no_other(folder, made)
     for file in args.trajectory:
         require_trajectory_file(file)
     if args.opensim is not None:
@@ -200,9 +279,9 @@ def main(args: Namespace) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     result = simulate(gains, experiment, args.run)
-    row, terrain = result.rows[0], experiment.terrain(args.run)
+    terrain, mass_kg = experiment.terrain(args.run), float(experiment.body(args.run).mass_kg.sum())
     name = f"{gains.name} on {terrain.name}"
-    title = f"{name}: {row_text(row)}"
+    title = f"{name}: {row_text(result.rows[0])}"
     paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
     walks = {experiment.conditions.settings.engine: result}
     if args.engine == BOTH_ENGINES:
@@ -212,7 +291,7 @@ def main(args: Namespace) -> None:
             for engine, walk in walks.items()
         ]
         figure = strip.strips_figure(shown, terrain, f"{name}, run {args.run}: two engines")
-        paths["strips"] = str(style.save_png(figure, folder / "strips.png"))
+        paths["strips"] = str(style.save_png(figure, folder / FILES["strips"]))
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
     for file in args.trajectory:
@@ -225,8 +304,8 @@ def main(args: Namespace) -> None:
         )  # fmt: skip
         paths["opensim"] = str(args.opensim)
     if args.json:
-        print(json.dumps(report(gains, row, str(result.end_reason[0]), paths)))
+        print(json.dumps(report(gains, result, terrain, mass_kg, paths)))
         return
-    print(summary(name, walks))
+    print(summary(name, walks, terrain, mass_kg))
     for shows, path in paths.items():
         print(f"{shows.replace('_', ' '):<19} {path}")

@@ -14,6 +14,7 @@ from optuna.trial import TrialState
 import storage
 import taichi_nmm
 from storage.simulator import SURVIVED, known_simulator
+from storage.store import outcome_name
 from study.experiment.experiment import Experiment
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
@@ -25,6 +26,7 @@ from taichi_nmm.parameters import (
     load_all_gains,
 )
 from taichi_nmm.reading import is_folder, reading
+from taichi_nmm.result import ENERGY, OF_MUSCLES
 
 NUMBER = re.compile(r"\d{1,100}")  # Python refuses to read thousands of digits
 TRIAL = re.compile(rf"([^/]*)/([^/]*)/(?:run-)?({NUMBER.pattern})/({NUMBER.pattern})")
@@ -73,31 +75,51 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
     return gains_at(opened, row, row)
 
 
-def row_at_speed(store: Path, speed_mps: float) -> int:
+def row_at_speed(store: Path, speed_mps: float, least: str = ENERGY) -> int:
     """The row of a store that walks at a speed with the least energy per metre.
 
     It lasts in all worlds of the family that runs longest (without families, on level ground), and
     its mean speed there is within `SPEED_TOLERANCE_MPS`.
 
+    Args:
+        store: its folder or file.
+        speed_mps: that is asked for.
+        least: the column of which the row has the least, in the mean over these worlds. A store
+            that was made before version 0.4 may lack the energy of the motors: see `has_worlds_of`.
+
     Raises:
-        InputError: no such store, or no such row.
+        InputError: no such store, no such row, or no such column of its worlds.
     """
     opened = storage.open_store(store)
     known_simulator(opened.specification)
-    names = (SURVIVED, "mean_speed_mps", "cost_of_transport_jpkgpm")
+    if not has_worlds_of(opened, least):
+        allowed = f"a column of each world of {store}, as {OF_MUSCLES}; or compute the store anew"
+        raise InputError("least", least, allowed)
+    names = (SURVIVED, "mean_speed_mps", least)
     if opened.families:
-        longest = max(opened.families, key=lambda name: opened.settings_of(name)["horizon_s"])
-        lasted, speeds, energies = (opened.outcomes(longest, name) for name in names)
+        lasted, speeds, spent = (opened.outcomes(longest_family(opened), name) for name in names)
     else:
         rows = opened.numpy(names)
-        lasted, speeds, energies = (rows[name][:, None] for name in names)
-    lasts, speed, energy = (lasted >= 1.0).all(axis=1), speeds.mean(axis=1), energies.mean(axis=1)
+        lasted, speeds, spent = (rows[name][:, None] for name in names)
+    lasts, speed, energy = (lasted >= 1.0).all(axis=1), speeds.mean(axis=1), spent.mean(axis=1)
     near = lasts & (np.abs(speed - speed_mps) <= SPEED_TOLERANCE_MPS)
     if not near.any():
         ends = (speed[lasts].min(), speed[lasts].max()) if lasts.any() else (0.0, 0.0)
         allowed = f"near that of a row of {store} that lasts: {ends[0]:.2f} to {ends[1]:.2f}"
         raise InputError("speed", speed_mps, allowed)
     return int(np.where(near, energy, np.inf).argmin())
+
+
+def longest_family(store: storage.Store) -> str:
+    """The family of a store whose worlds last longest."""
+    return max(store.families, key=lambda name: float(store.settings_of(name)["horizon_s"]))
+
+
+def has_worlds_of(store: storage.Store, column: str) -> bool:
+    """Whether a store has a column for each world that `row_at_speed` looks at."""
+    if not store.families:
+        return column in store.columns
+    return outcome_name(longest_family(store), column) in store.columns
 
 
 def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:

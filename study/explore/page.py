@@ -113,6 +113,7 @@ def numbers_text(store: Store, place: int) -> str:
         if not pa.types.is_fixed_size_list(kind):
             value = table[name][0].as_py()
             text = f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
+            text = "-" if value is None or value != value else text  # NaN: unknown
             shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
     return f"<div style='columns: 240px; font-size: 11px'><table>{''.join(shown)}</table></div>"
 

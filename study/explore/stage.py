@@ -36,7 +36,8 @@ MUSCLE_LOOKS = [
 
 LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
     "bones": list(stick.WIDTHS_M), "trunk": stick.TRUNK_WIDTH_M, "rim": RIM_M,
-    "muscles": MUSCLE_LOOKS, "points": stick.PATH_POINTS, "force": FORCE_WIDTH_M, "ghost": GHOST, "ink": style.INK,
+    "muscles": MUSCLE_LOOKS, "points": stick.PATH_POINTS, "force": FORCE_WIDTH_M,
+    "ghost": GHOST, "ink": style.INK,
     "model": style.MODEL, "far": style.FAR_LIMB, "near": style.NEAR_LIMB, "levels": COLOURS,
 }  # fmt: skip
 

@@ -22,12 +22,14 @@ from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
+from storage.simulator import WALKER
 from storage.store import ORIGIN, SOBOL_ROW, Store
 from study.explore.server import SCRIPTS, Message, flow
 from study.explore.trials import STATE, TRIAL
 from study.explore.words import described, menu
 from study.pictures import style
 from taichi_nmm.errors import InputError, listed
+from taichi_nmm.result import ENERGY, NEEDED_BY, OF_MUSCLES, unknown
 
 RANGE = re.compile(r"\s*(\w+)\s+(\S+?)\.\.(\S+)\s*")
 
@@ -65,10 +67,19 @@ def selected(ranges: Ranges, column: Callable[[str], Floats], rows: int) -> NDAr
     return inside
 
 
+def numbers_of(store: Store, name: str) -> Floats:
+    """The numbers of a column, [n]; NaN: unknown, as a gait's that made no step."""
+    needed = NEEDED_BY.get(name) if store.simulator == WALKER else None
+    if needed is None or needed not in store.columns:
+        return np.asarray(store.table([name])[name].to_numpy(), dtype=np.float64)
+    both = store.numpy(dict.fromkeys([name, needed]))
+    return np.where(unknown(name, both), np.nan, both[name])
+
+
 def file_of_selection(store: Store, ranges: Ranges) -> tuple[str, bytes]:
     """Name and content of a Parquet file: all columns of the selected rows of a store."""
     table = store.table()
-    chosen = selected(ranges, lambda name: table[name].to_numpy(), len(table))
+    chosen = selected(ranges, partial(numbers_of, store), len(table))
     content = io.BytesIO()
     pyarrow.parquet.write_table(table.filter(pa.array(chosen)), content, compression="zstd")
     return "selection.parquet", content.getvalue()
@@ -130,7 +141,7 @@ def histograms() -> Iterator[tuple[Any, list[models.ColumnDataSource], models.Sp
 
 def table(source: models.ColumnDataSource, row: str, words: list[str]) -> models.DataTable:
     """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
-    numbers = models.NumberFormatter(format="0.[0000]")
+    numbers = models.NumberFormatter(format="0.[0000]", nan_format="-")
     columns = [models.TableColumn(field="row", title=row, width=60),
                models.TableColumn(field="mark", title="", width=55)]  # fmt: skip
     columns += [
@@ -142,7 +153,7 @@ def table(source: models.ColumnDataSource, row: str, words: list[str]) -> models
                      index_position=None)  # fmt: skip
 
 
-FIRST = ("mean_speed_mps", "phi_printed", "survived_fraction", "cost_of_transport_jpkgpm",
+FIRST = ("mean_speed_mps", "phi_printed", "survived_fraction", ENERGY,
          "step_length_mean_m")  # fmt: skip
 PALETTE = "viridis"
 MARKED = {  # by what numbers the rows: the column that decides, its usual word, a word for others
@@ -164,8 +175,9 @@ def first_columns(store: Store) -> list[str]:
     trial's number, its value, and its attributes.
     """
     survived = [name for name in store.columns if name.endswith("_survived_fraction_mean")]
-    first = [*FIRST[:2], *(survived[:1] or FIRST[2:3]), *FIRST[3:]]
     known = numeric_columns(store)
+    energy = ENERGY if ENERGY in known else OF_MUSCLES  # of a store before 0.4: as its words say
+    first = [*FIRST[:2], *(survived[:1] or FIRST[2:3]), energy, FIRST[4]]
     if set(first) <= set(known):
         return first
     gains = [name for name in store.gain_names if name in known]  # a parameter may be a word
@@ -280,7 +292,7 @@ class StoreView:
         self._refusal.safely(self._check)()
 
     def _read(self, name: str) -> Floats:
-        return np.asarray(self._store.table([name])[name].to_numpy(), dtype=np.float64)
+        return numbers_of(self._store, name)
 
     def _load(self, slot: int) -> None:
         """Put a column into a slot; the script finds its bounds."""

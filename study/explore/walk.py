@@ -1,7 +1,6 @@
 """One walk for the page, in a process beside it: its body, ground and world, and its frames."""
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -17,12 +16,13 @@ from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.trials import row_text
 from study.explore.words import CHOICES
 from study.pictures import style
+from study.pictures.fall import fall_text
 from study.pictures.gait_cycle import STRIKE, event_times
 from study.pictures.movie import encoded
 from study.pictures.scene import LARGE, force_arrows, frames, motion_of
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
 from taichi_nmm.config import Table
-from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD, FELL, Trajectory
+from taichi_nmm.result import Trajectory
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 
@@ -133,20 +133,8 @@ def walk(gains: NamedGains, experiment: Experiment) -> Walk:
     alone, run = experiment.on_one_thread(), experiment.runs - 1  # beside walks of other tabs
     result = recorded_walk(gains, alone.with_settings(arch="cpu"), run, SEEN_RATE_HZ)
     row, trajectory, terrain = result.rows[0], result.trajectories[0], experiment.terrain(run)
-    ended = f"{row_text(row)}{_why(row, trajectory, terrain)}"
+    ended = f"{row_text(row)}{fall_text(row, trajectory, terrain)}"
     return Walk(gains, experiment, run, row, trajectory, frames_of(trajectory, terrain), ended)
-
-
-def _why(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
-    """Why a walker fell: the bound of a fall that its last pose exceeds."""
-    if row["end_reason"] != FELL:
-        return ""
-    last: NDArray[np.float64] = finite(trajectory).q[-1]
-    lean, height_m = float(last[2]), float(last[1] - terrain.height(last[0]))
-    if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / max(height_m, 1e-6):
-        way = "forward" if lean > 0 else "backward"
-        return f": the trunk leaned {way} beyond {math.degrees(FALL_LEAN_RAD):.0f} deg"
-    return f": the hip sank to {FALL_HEIGHT_M:g} m over the ground"
 
 
 def warm_up() -> None:

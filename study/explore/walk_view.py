@@ -19,7 +19,7 @@ from study.explore.strides import Cycle
 from study.explore.words import in_words
 from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS
-from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS
+from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS, known_numbers
 from taichi_nmm.settings import ENGINES
 
 WRAPS = ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }"
@@ -261,9 +261,15 @@ def score_text(walk: walking.Walk, start: walking.Walk) -> str:
     """The numbers of a walk beside those of another one on the same ground, in HTML."""
     heads = ["start" if start is walk else start.gains.name, walk.gains.name, "change"]
     text = "".join(f"<th scope=col>{html.escape(head)}</th>" for head in ["number", *heads])
-    for name in FIELDS:
-        before, now = float(start.row[name]), float(walk.row[name])
-        change = "" if before == now else f"{now - before:+.3g}"
-        cells = "<td align=right>".join(("", f"{before:.4g}", f"{now:.4g}", f"<b>{change}</b>"))
-        text += f"<tr><th scope=row align=left>{in_words(name)[0]}</th>{cells}</tr>"
+    numbers = known_numbers(start.row), known_numbers(walk.row)
+    masses = [each.experiment.body(each.run).mass_kg.sum() for each in (start, walk)]
+    shown = {in_words(name)[0]: [each[name] for each in numbers] for name in FIELDS}
+    shown["mass of the whole body, which divides the energy (kg)"] = [*map(float, masses)]
+    for words, (before, now) in shown.items():
+        change = ""
+        if before is not None and now is not None and before != now:
+            change = f"{now - before:+.3g}"
+        figures = ["-" if value is None else f"{value:.4g}" for value in (before, now)]
+        cells = "<td align=right>".join(("", *figures, f"<b>{change}</b>"))
+        text += f"<tr><th scope=row align=left>{html.escape(words)}</th>{cells}</tr>"
     return f"<table cellspacing=4>{text}</table>"

@@ -58,6 +58,8 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
 def in_words(name: str) -> tuple[str, str]:
     """The words of a name with its unit, and its last word before the unit."""
     *parts, last = name.split("_")
+    if name in CHOICES["names"]:
+        return CHOICES["names"][name], last
     unit = CHOICES["units"].get(last) if parts else None
     parts = parts if unit else [*parts, last]
     text = " ".join(WORDS.get(part, part) for part in parts)

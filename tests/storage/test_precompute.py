@@ -50,7 +50,7 @@ def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> No
     specification = fake.specification()
     assert footer == fake.ENGINE | {
         "format": 1, "specification_hash": specification.hash, "shard": 3, "rows": 8, "seed": 7,
-        "code_version": "0.2.0", "specification": specification.document,
+        "code_version": "0.4.0", "specification": specification.document,
     }  # fmt: skip
     before = content(store)
     (store / SHARD).unlink()

@@ -84,6 +84,10 @@ def simulate(
         rows[f"m{number}_mean"] = np.sin(number + 7.0 * good)
     rows["m5_mean_mps"] = good
     rows["activation_cubed_mean"] = 1.0 - good
+    # Who spends least with the muscles alone does not with the motors.
+    rows["cost_of_transport_jpkgpm"] = 3.0 + np.sin(9.0 * tried[:, 0])
+    motors = 1.0 - np.sin(9.0 * tried[:, 0]) + np.cos(7.0 * tried[:, 1])
+    rows["cost_of_transport_powered_jpkgpm"] = rows["cost_of_transport_jpkgpm"] + motors
     if progress is not None:
         progress(duration_s, 0)
     return Result(rows, (EMPTY,) * len(record), {"engine": "fake"})

@@ -14,7 +14,7 @@ from taichi_nmm.parameters import (
     searched_parameters,
     split_points,
 )
-from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
+from taichi_nmm.result import COMPLETED, DIVERGED, ENERGY, FELL, RESULT_DTYPE
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 
 DIGESTS = {101: "5e8565d00aa2dc6f", 103: "7dcc02119a2f7fec"}  # by the purpose of the draws
@@ -52,6 +52,8 @@ def test_a_store_has_further_columns_where_it_names_them() -> None:
     assert (*plain.outcomes, *names) == walker.outcomes and walker.document()["kept"] == names
     assert [*plain.columns.descr, (names[0], "<f8")] == walker.columns.descr
     assert "kept" not in plain.document()
+    assert ENERGY in plain.outcomes and ENERGY in (plain.columns.names or ())
+    assert Walker.read(Table({"kept": [ENERGY]}), "cpu") == plain  # as it had to be named once
     for wrong in ("end_reason", "mean_speed_mps", "activation"):
         with pytest.raises(InputError, match=f"^kept: '{wrong}' .* a list of duration_s, .*_cubed"):
             Walker.read(Table({"kept": [wrong]}), "cpu")

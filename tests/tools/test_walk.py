@@ -10,10 +10,13 @@ from xml.etree import ElementTree
 import mujoco
 import pytest
 
+from storage.store import columns_of, open_store
+from storage.tables import document_hash, write_table
 from study import pictures
 from study.experiment.experiment import read_experiment
 from study.experiment.gains import gains_of_row, row_at_speed
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
+from taichi_nmm.result import ENERGY, OF_MUSCLES
 from tests.study import fake_walker
 from tests.study.experiment.test_front import front
 from tests.tools.conftest import Simulator, Tool
@@ -44,6 +47,7 @@ def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path: Path, tool: 
     assert set(report["gains"]) == set(GAIN_NAMES)
     muscles, powered = (report[f"cost_of_transport_{kind}jpkgpm"] for kind in ("", "powered_"))
     assert 1.1 * muscles < powered < 1.4 * muscles
+    assert report["mass_kg"] == pytest.approx(80.0) and report["ended"].startswith("walked 100.0 s")
     drawn = {name: Path(path) for name, path in report["pictures"].items()}
     assert set(drawn) == {"strip", "gait_cycle", "movie"}
     assert all(path.stat().st_size > 10_000 for path in drawn.values())
@@ -55,9 +59,16 @@ def test_a_faller_is_shown_too(tmp_path: Path, tool: Tool, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     words = ("--gains", gains_file(tmp_path, FALLS), "--config", FLAT, "--duration", 3)
     assert tool("walk", *words, "--movie-seconds", 0.3) == 0
-    assert "fell after" in tool.out and "cost of transport" in tool.out
-    folder = tmp_path / "out" / "walk" / "gains"
+    assert "fell after" in tool.out and "foot touched last" in tool.out
+    (folder,) = (tmp_path / "out" / "walk").iterdir()
     assert {path.name for path in folder.iterdir()} == PICTURES
+    lines = dict(line.rsplit(maxsplit=1) for line in tool.out.splitlines() if line[-1] == "-")
+    assert "knee peak in swing (deg, flexion +)" in lines  # no step was scored
+    assert "distance from people (standard deviations)" in lines
+    report = tool.json("walk", *words, "--movie-seconds", 0)
+    assert report["step_count"] == 0 and report["human_deviation"] is None
+    assert report["hip_torque_peak_nm"] is None
+    assert len([*folder.parent.iterdir()]) == 1  # the same walk
 
 
 @pytest.mark.slow
@@ -85,7 +96,7 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     end, other_end, *lines = tool.out.splitlines()[:5]
     assert "taichi: walked 3.0 s" in end and "mujoco: walked 3.0 s" in other_end
     costs = [[f"{walk[f'cost_of_transport_{kind}jpkgpm']:.2f}" for walk in (own, report)]
-             for kind in ("", "powered_")]  # fmt: skip
+             for kind in ("powered_", "")]  # fmt: skip
     assert [line.split()[-2:] for line in lines] == [["taichi", "mujoco"], *costs]
 
 
@@ -107,6 +118,51 @@ def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk: Walk, tmp_pa
     assert set(bent["gains"]) == {*GAIN_NAMES, "theta_ref"}
     assert bent["distance_m"] < plain["distance_m"]
     assert fake_walker.calls[-1]["low_level_gains"][fake_walker.THETA_REF] == 0.5
+
+
+def test_two_walks_are_never_in_one_folder(
+    walk: Walk, tool: Tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By default another name for each; a picture that this walk does not make is in the way."""
+    monkeypatch.chdir(tmp_path)
+    weak, strong = tmp_path / "weak.toml", tmp_path / "strong.toml"
+    strong.write_text(FLAT.read_text())
+    weak.write_text(FLAT.read_text() + "\n[world]\nstrength = [0.8, 0.8]\n")
+    walks = (("--config", strong), ("--config", weak), ("--config", weak, "--run", 1),
+             ("--config", weak, "--seed", 9), ("--config", weak, "--duration", 3),
+             ("--config", weak, "--engine", "mujoco"), ("--gains", "published"))  # fmt: skip
+    shown = [tool.json("walk", *words)["pictures"]["strip"] for words in (*walks, *walks)]
+    assert shown[: len(walks)] == shown[len(walks) :]  # the same walk, the same folder
+    assert len(set(shown)) == len(walks)
+    assert {Path(path).parent.name[:10] for path in shown} == {"reference-", "published-"}
+    film = tmp_path / "out" / "movie.mp4"
+    film.write_text("a healthy walk")
+    tool.refuses("out: '.*movie.mp4' .* a folder without it", "walk", "--config", weak,
+                 "--movie-seconds", 0, "--out", tmp_path / "out")  # fmt: skip
+    assert film.read_text() == "a healthy walk"
+
+
+def test_a_store_without_the_motors_energy_says_so(walk: Walk, tool: Tool, tmp_path: Path) -> None:
+    """As version 0.3 made stores: the muscles' energy counts then, and a line says it."""
+    store, old = tmp_path / "store", tmp_path / "old.parquet"
+    fake_walker.write_plain_store(store)
+    opened = open_store(store)
+    table = opened.table().drop_columns([ENERGY])
+    specification = opened.specification | {
+        "columns": columns_of(table.schema), "code_version": "0.2.0",
+    }  # fmt: skip
+    footer = opened.footers[0] | {"rows": len(table), "specification": specification}
+    footer["specification_hash"] = document_hash(specification)
+    write_table(old, table, footer)
+    muscles, both = (gains_of_row(store, row_at_speed(store, 1.1, least)).as_document()
+                     for least in (OF_MUSCLES, ENERGY))  # fmt: skip
+    assert muscles != both
+    words = ("--speed", 1.1, "--out", tmp_path / "pictures")
+    assert tool.json("walk", "--store", store, *words)["gains"] == both
+    assert tool.json("walk", "--store", store, "--least", OF_MUSCLES, *words)["gains"] == muscles
+    assert "warning" not in tool.err
+    assert tool.json("walk", "--store", old, *words)["gains"] == muscles
+    assert tool.err.startswith(f"warning: {old} lacks {ENERGY}, ") and tool.err.count("\n") == 1
 
 
 def test_the_front_of_a_store_is_listed(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:

@@ -268,10 +268,14 @@ function nearest({source, plot}, {x, y}) {
 function point_at({source, plot, rings, histograms, word}, place) {
   if (place === state.pointed) return
   state.pointed = place
-  const number = (slot) => `${histograms[slot].title.text.text} ${Number(source.data[`c${slot}`][place].toPrecision(4))}`
+  const number = (slot) => `${histograms[slot].title.text.text} ${shown(source.data[`c${slot}`][place])}`
   const text = place < 0 ? " " : [`${word} ${source.data.row[place]}`, number(0), number(1), number(2)].join(", ")
   plot.title.setv({text}, HERE)
   ring(rings, 1, source.data, place)
+}
+
+function shown(value) {
+  return isNaN(value) ? "-" : Number(value.toPrecision(4))
 }
 
 // The row that walks: a ring in the cloud, a line in each histogram, a colour in the table.

@@ -26,6 +26,7 @@ from study.experiment.gains import (
 )
 from study.experiment.live_study import run_study
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
+from taichi_nmm.result import ENERGY, OF_MUSCLES
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
@@ -139,12 +140,16 @@ def test_a_table_without_a_column_or_without_any(here: Path, tmp_path: Path, lac
 
 def test_the_row_of_a_speed_is_the_one_of_least_energy(store: Path, toy: Experiment) -> None:
     """On level ground; in a store with families, in all worlds of the one that runs longest."""
-    names = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
-    lasted, speed, energy = (open_store(store).numpy([name])[name] for name in names)
+    names = ("survived_fraction", "mean_speed_mps", ENERGY, OF_MUSCLES)
+    lasted, speed, energy, muscles = (open_store(store).numpy([name])[name] for name in names)
     wanted = float(np.median(speed[lasted >= 1.0]))
     row = row_at_speed(store, wanted)
     near = (lasted >= 1.0) & (np.abs(speed - wanted) <= SPEED_TOLERANCE_MPS)
     assert near[row] and energy[row] == energy[near].min() and near.sum() > 1
+    other = row_at_speed(store, wanted, OF_MUSCLES)  # by name
+    assert near[other] and muscles[other] == muscles[near].min() and other != row
+    with refused(r"^least: 'hip_torque_peak_nm' .* a column of each world of .*plain-store"):
+        row_at_speed(store, wanted, "hip_torque_peak_nm")
     with refused(r"^speed: 9\.0 .* a row of .* that lasts: \d\.\d\d to "):
         row_at_speed(store, 9.0)
     robust = open_store(toy.stores["worlds"])
