@@ -72,7 +72,7 @@ def numbers_of(store: Store, name: str) -> Floats:
     needed = NEEDED_BY.get(name) if store.simulator == WALKER else None
     if needed is None or needed not in store.columns:
         return np.asarray(store.table([name])[name].to_numpy(), dtype=np.float64)
-    both = store.numpy(dict.fromkeys([name, needed]))
+    both = store.numpy([*{name, needed}])
     return np.where(unknown(name, both), np.nan, both[name])
 
 

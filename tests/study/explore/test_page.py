@@ -162,36 +162,6 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     page.wait_for_function(f"{MODEL}('selection-message').text === ''")
 
 
-def test_a_head_of_the_table_sorts_all_rows(page: Any, folders: Path, tmp_path: Path) -> None:
-    """Not only those that the table lists: a store may have any number."""
-    path = tmp_path / "many"
-    fake_walker.write_store(path, samples=450)
-    speeds = open_store(path).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
-    first = f"[...{MODEL}('listed').data.c0].slice(0, 200)"
-    head = page.locator(".slick-header-column", has_text="mean speed")
-    with opened(page, path):
-        assert page.evaluate(first) == speeds[:200].tolist()
-        for order, way in ((np.sort(speeds), "least"), (np.sort(speeds)[::-1], "largest")):
-            head.click()
-            told = f"450 of 450 rows; the table has the first 200 by mean speed (m/s), {way}"
-            page.get_by_text(told).wait_for()
-            assert page.evaluate(first) == order[:200].tolist()
-            shown = page.locator(".slick-row").first.inner_text().split()
-            assert float(shown[1]) == pytest.approx(order[0], abs=1e-4)
-        walks(page, page.locator(".slick-row").first.click)
-        fastest = speeds[page.evaluate(f"{MODEL}('row').value")]
-        assert fastest == speeds.max()
-        change(page, "selection", "value", "mean_speed_mps 0..0.5")  # and of those selected
-        page.wait_for_function("!window.store_view.all")
-        below = np.sort(speeds[speeds <= 0.5])[::-1][:200]
-        assert page.evaluate(first) == below.tolist()
-        change(page, "column-0", "value", "distance_m")  # other heads, which do not sort yet
-        page.locator(".slick-header-column", has_text="distance").click()
-        distances = open_store(path).table(["distance_m"])["distance_m"].to_numpy()
-        least = np.sort(distances[speeds <= 0.5])[:200].tolist()
-        page.wait_for_function(f"{MODEL}('listed').data.c0[0] === {least[0]!r}")
-
-
 def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
     walks(page, lambda: change(page, "row", "value", 17))
     page.get_by_text("store-row-17").first.wait_for()
@@ -324,13 +294,19 @@ def on_the_body(page: Any, side: str, muscle: str) -> tuple[float, float]:
     return float(x), float(z)
 
 
+@pytest.fixture(scope="module")
+def standing(page: Any, store: Path) -> None:
+    """The gait `reference`, at a moment that stands still."""
+    change(page, "part", "active", 0)
+    page.wait_for_function(f"{MODEL}('start') !== null")
+    walks(page, lambda: change(page, "start", "value", "reference"))
+    change(page, "play", "active", False)
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("muscle", PLACES)
-def test_a_muscle_is_named_where_it_is(page: Any, store: Path, muscle: str, side: str) -> None:
+def test_a_muscle_is_named_where_it_is(page: Any, standing: None, muscle: str, side: str) -> None:
     """With its own activation and thickness; found by its place, not by its number."""
-    if page.evaluate(f"!{MODEL}('stage').title.text || {MODEL}('start').value !== ''"):
-        walks(page, lambda: change(page, "start", "value", "reference"))
-    change(page, "play", "active", False)
     behind = muscle == "HFL"  # seen best on the leg that is behind
     moment_s = LEFT_AHEAD_S if (side == "left") != behind else RIGHT_AHEAD_S
     change(page, "time", "value", moment_s)
@@ -419,3 +395,33 @@ def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) 
         (growing / shards[1].name).write_bytes(b"damaged")
         page.goto(address)
         page.get_by_text("store: ").first.wait_for()
+
+
+def test_a_head_of_the_table_sorts_all_rows(page: Any, folders: Path, tmp_path: Path) -> None:
+    """Not only those that the table lists: a store may have any number."""
+    path = tmp_path / "many"
+    fake_walker.write_store(path, samples=450)
+    speeds = open_store(path).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
+    first = f"[...{MODEL}('listed').data.c0].slice(0, 200)"
+    head = page.locator(".slick-header-column", has_text="mean speed")
+    with opened(page, path):
+        assert page.evaluate(first) == speeds[:200].tolist()
+        for order, way in ((np.sort(speeds), "least"), (np.sort(speeds)[::-1], "largest")):
+            head.click()
+            told = f"450 of 450 rows; the table has the first 200 by mean speed (m/s), {way}"
+            page.get_by_text(told).wait_for()
+            assert page.evaluate(first) == order[:200].tolist()
+            shown = page.locator(".slick-row").first.inner_text().split()
+            assert float(shown[1]) == pytest.approx(order[0], abs=1e-4)
+        walks(page, page.locator(".slick-row").first.click)
+        fastest = speeds[page.evaluate(f"{MODEL}('row').value")]
+        assert fastest == speeds.max()
+        change(page, "selection", "value", "mean_speed_mps 0..0.5")  # and of those selected
+        page.wait_for_function("!window.store_view.all")
+        below = np.sort(speeds[speeds <= 0.5])[::-1][:200]
+        assert page.evaluate(first) == below.tolist()
+        change(page, "column-0", "value", "distance_m")  # other heads, which do not sort yet
+        page.locator(".slick-header-column", has_text="distance").click()
+        distances = open_store(path).table(["distance_m"])["distance_m"].to_numpy()
+        least = np.sort(distances[speeds <= 0.5])[:200].tolist()
+        page.wait_for_function(f"{MODEL}('listed').data.c0[0] === {least[0]!r}")
