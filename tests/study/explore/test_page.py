@@ -296,17 +296,17 @@ def on_the_body(page: Any, side: str, muscle: str) -> tuple[float, float]:
 
 @pytest.fixture(scope="module")
 def standing(page: Any, store: Path) -> None:
-    """The gait `reference`, at a moment that stands still."""
+    """The gait `reference`."""
     change(page, "part", "active", 0)
     page.wait_for_function(f"{MODEL}('start') !== null")
     walks(page, lambda: change(page, "start", "value", "reference"))
-    change(page, "play", "active", False)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("muscle", PLACES)
 def test_a_muscle_is_named_where_it_is(page: Any, standing: None, muscle: str, side: str) -> None:
     """With its own activation and thickness; found by its place, not by its number."""
+    change(page, "play", "active", False)
     behind = muscle == "HFL"  # seen best on the leg that is behind
     moment_s = LEFT_AHEAD_S if (side == "left") != behind else RIGHT_AHEAD_S
     change(page, "time", "value", moment_s)
@@ -324,6 +324,7 @@ def test_a_muscle_is_named_where_it_is(page: Any, standing: None, muscle: str, s
     lines = f"{MODEL}('stage').renderers.at(-1).data_source.data"
     metres = page.evaluate(f"{lines}.metres[{lines}.muscle.indexOf({number})]")
     assert metres == stick_figure.DRAWN[muscle]["belly_m"]
+    change(page, "play", "active", True)
 
 
 @cache
