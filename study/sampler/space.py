@@ -260,6 +260,12 @@ def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
         low -= max(printed_tolerance(low), STEP_TOLERANCE * (high - low))
         high += max(printed_tolerance(high), STEP_TOLERANCE * (high - low))
     inside = (low <= values) & (values <= high)
+    if isinstance(distribution, FloatDistribution):
+        # An end of 17 digits, as a sheet has it with eight, may lie beyond the end itself.
+        beyond = np.maximum(distribution.low - values, values - distribution.high)
+        widest = 10.0 ** (1 - PRINTED_DIGITS) * np.abs(values)
+        for place in np.flatnonzero(~inside & (beyond <= widest)).tolist():
+            inside[place] = beyond[place] <= printed_tolerance(float(values[place]))
     if distribution.step is None:
         return np.asarray(inside)
     steps = (values - distribution.low) / distribution.step

@@ -1,5 +1,6 @@
 """A bench: entries, what follows from them, and that nothing is lost, whoever writes and dies."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -344,3 +345,73 @@ def test_a_clock_that_goes_back_decides_nothing(
     monkeypatch.setattr(journal, "datetime", Mock(now=lambda _: datetime(1999, 1, 1)))
     bench.correct(trial.number, 2.0)
     assert bench.entries[-1].time.startswith("1999") and bench.state.trials[0].value == 2.0
+
+
+def test_undo_takes_back_the_operators_own_last_entry(path: Path) -> None:
+    mine, yours = Bench.new(path, "me"), Bench(path, "you")
+    mine.next()
+    yours.next()
+    yours.record(1, 0.9)
+    assert mine.undo().operator == "me" and sorted(mine.state.trials) == [1]
+    third = Bench(path, "somebody")
+    with pytest.raises(InputError, match=r"undo: 'the last' .* number .* you: record 1: 0.9"):
+        third.undo()
+    assert third.undo(3).operator == "you" and third.state.trials[1].value is None
+
+
+def test_a_correction_that_is_undone_leaves_the_columns_as_they_were(bench: Bench) -> None:
+    good = {"stiffness": 149.0, "damping": 0.91}
+    bench.add([(good, 0.4, {"torque": 60.0}, "")])
+    bench.correct(0, columns={"torque": 95.0})
+    assert bench.state.trials[0].columns == {"torque": 95.0}
+    bench.undo()
+    assert bench.state.trials[0].columns == {"torque": 60.0} == bench.look().trials[0].columns
+
+
+def test_a_relative_database_lies_beside_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "old").mkdir()
+    path = robot.write(tmp_path, more='\n[storage]\nurl = "sqlite:///trials.db"')
+    Bench.new(path).next()
+    assert (tmp_path / "trials.db").exists()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert len(Bench(path).state.trials) == 1 and not list(Path().iterdir())
+    # What version 0.3.0 began in the working folder is found there, and nothing else is.
+    monkeypatch.chdir(tmp_path / "old")
+    (tmp_path / "trials.db").rename("trials.db")
+    assert len(Bench(path).state.trials) == 1
+    path.write_text(path.read_text().replace('name = "walk"', 'name = "run"'))
+    assert Bench.new(path).plan.url.endswith(str(tmp_path / "trials.db"))
+
+
+def test_numbers_of_a_sheet_can_be_typed_in_again(bench: Bench) -> None:
+    """With eight digits, also at the ends of the ranges."""
+    (trial,) = bench.next()
+    bench.record(0, 0.9)
+    printed = {name: float(f"{value:.8g}") for name, value in trial.params.items()}
+    bench.add([(printed, 1.1, {}, "")])
+    assert bench.state.trials[1].params == trial.params and bench.best().trials == 2
+    lows = {name: float(f"{of.low:.8g}") for name, of in cast(Any, bench.space).items()}
+    highs = {name: float(f"{of.high:.8g}") for name, of in cast(Any, bench.space).items()}
+    assert bench.add([(lows, 2.0, {}, ""), (highs, 3.0, {}, "")]) == [2, 3]
+    for name, of in cast(Any, bench.space).items():
+        assert of.low <= bench.state.trials[2].params[name] == pytest.approx(of.low)
+        assert of.high >= bench.state.trials[3].params[name] == pytest.approx(of.high)
+    with pytest.raises(InputError, match="damping"):
+        bench.add([(highs | {"damping": highs["damping"] * (1.0 + 1e-6)}, 1.0, {}, "")])
+
+
+def test_messages_name_what_exists_and_what_helps(tmp_path: Path) -> None:
+    path = robot.write(tmp_path)
+    text = path.read_text()
+    path.write_text(re.sub(r"duration_s.*\n|failed_at.*\n", "", text))
+    bench = Bench.new(path)
+    bench.next()
+    with pytest.raises(InputError, match=r"failed_at_once, failed_at_end and duration_s .* value"):
+        bench.record(0, failed_s=2.0)
+    rows = (tmp_path / "candidates.csv").read_text()
+    (tmp_path / "candidates.csv").write_text(rows.rsplit("\n", 2)[0] + "\n")
+    with pytest.raises(InputError, match=r"`export` the trials, begin a new bench .* `import`"):
+        Bench(path).next()
