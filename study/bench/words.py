@@ -5,6 +5,7 @@ an export. So its name must not be one that these have already.
 """
 
 import getpass
+import json
 import os
 import shlex
 import socket
@@ -138,3 +139,13 @@ def horizon(runs_s: Collection[float], duration_s: float) -> str:
     said = " and ".join(f"{length:g}" for length in others)
     trial = f", a trial {duration_s:g} s" if duration_s < float("inf") else ""
     return f"Simulated runs last {said} s{trial}: what is simulated is the cost of such a run."
+
+
+def json_line(document: Any, encoding: str | None) -> str:
+    """A document as JSON in one line, with the letters that a terminal's encoding has."""
+    text = json.dumps(document, ensure_ascii=False)
+    try:
+        text.encode(encoding or "ascii")
+    except UnicodeEncodeError:
+        return json.dumps(document)
+    return text

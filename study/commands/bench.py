@@ -150,7 +150,7 @@ def recommend(bench: Bench, args: Namespace) -> None:
         return
     best = bench.best()
     print(best)
-    print(json.dumps(dict(best.params), ensure_ascii=False))
+    print(words.json_line(dict(best.params), sys.stdout.encoding))
     print("The interval is that of the mean, without the noise of a single trial.")
     number = bench.repeat()
     if number is not None:
