@@ -17,11 +17,12 @@ import pyarrow as pa
 from bokeh.document import Document
 from bokeh.layouts import column
 from bokeh.models import Button, Div, Select
+from bokeh.themes import Theme
 
 from storage.simulator import WALKER
 from storage.store import Store
 from study.experiment.gains import gains_at, gains_of_source
-from study.explore.server import Latest, Message, Saver, flow
+from study.explore.server import NIGHT, Latest, Message, Saver, flow
 from study.explore.store_view import StoreView, file_of_selection
 from study.explore.trials import Trials, open_rows
 from study.explore.walk_view import WalkView
@@ -33,8 +34,8 @@ Page = Callable[[Executor, Executor, Document], None]
 FIRST_GAIT = "reference"
 BASE = "base setting"
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
-VIDEO_CSS = """video { width: 100% }
-@media (prefers-color-scheme: dark) { video { filter: invert(1) hue-rotate(180deg) } }"""
+VIDEO_CSS = "video { width: 100% }"
+THEME = Theme(json={"attrs": {"Widget": {"stylesheets": [NIGHT]}}})  # of those without their own
 
 
 class RobotView:
@@ -132,6 +133,7 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
         document.template, message = TEMPLATE, Message("message")
+        document.theme = THEME
         try:
             store = open_rows(path, study)
             of, own = store.simulator, dict[str, Any]()

@@ -118,6 +118,10 @@ class Latest:
 
 SCRIPTS = Path(__file__).parent / "scripts"
 WARNING = "#B3261E"
+# Widgets are drawn for a light page: at night they are inverted, and their hues turned back.
+# Figures are no widgets: the colours of data are never changed.
+NIGHT = """@media (prefers-color-scheme: dark) {
+:host { filter: invert(0.92) hue-rotate(180deg); color: #22262B } }"""
 OURS = "this did not work; the error is printed where the command was started"
 
 

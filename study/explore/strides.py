@@ -82,8 +82,11 @@ class Cycle:
             if far := distances.get(name):
                 unit = "deg" if name.endswith("deg") else "bw"
                 title += f": {far.rmse:.3g} {unit}, {far.deviations:.2g} sd"
-            plot.title.text = title
             seen = np.concatenate([source.data[curve] for curve in CURVES])
+            highest = float(np.nanmax([*seen, panel.low]))
+            if highest > panel.ceiling:
+                title += f"; cut at {panel.ceiling:g}: to {highest:.1f}"
+            plot.title.text = title
             plot.y_range.start = float(max(np.nanmin([*seen, panel.low]), panel.floor))
             plot.y_range.end = float(min(np.nanmax([*seen, panel.high]), panel.ceiling))
 

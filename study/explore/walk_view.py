@@ -13,7 +13,7 @@ from bokeh.layouts import column, row
 
 from study.experiment.gains import NamedGains, gains_of_source
 from study.explore import walk as walking
-from study.explore.server import Latest, Message, Saver, flow
+from study.explore.server import NIGHT, Latest, Message, Saver, flow
 from study.explore.stage import Player
 from study.explore.strides import Cycle
 from study.explore.words import in_words
@@ -22,7 +22,7 @@ from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS, known_numbers
 from taichi_nmm.settings import ENGINES
 
-WRAPS = ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }"
+WRAPS = ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
 STRIDE = "stride beside people"
 
 

@@ -205,11 +205,15 @@ def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
     panel's ceiling is given in words.
     """
     low, high = axes.get_ylim()
-    peak = curves.mean(axis=0).max() if len(curves) else 0.0
+    lines = axes.get_lines() if len(curves) else []
+    drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for line in lines]
+    peaks = [float(np.max(each)) for each in drawn if len(each) == len(PERCENT)]
+    spread = (curves.mean(axis=0) + curves.std(axis=0)).max() if len(curves) else 0.0
+    peak = max([*peaks, spread])
     axes.set_ylim(max(min(low, panel.low), panel.floor), min(max(high, panel.high), panel.ceiling))
     if peak > panel.ceiling:
         axes.text(
-            16.0, panel.ceiling, f"impact: to {peak:.1f}", fontsize=style.SMALL_PT,
+            16.0, panel.ceiling, f"cut here: to {peak:.1f}", fontsize=style.SMALL_PT,
             color=style.MODEL, va="top",
         )  # fmt: skip
 

@@ -356,6 +356,17 @@ def test_a_newcomer_finds_it_in_four_clicks(
     page.wait_for_function(sees.replace("NAMED", MODEL))
 
 
+def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:
+    left, top, width, height = frame(page, "cloud")
+    inside = {"x": left + 3, "y": top + 3, "width": width - 6, "height": height - 6}
+    by_day = page.screenshot(clip=inside)
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_timeout(300)
+    by_night = page.screenshot(clip=inside)
+    page.emulate_media(color_scheme="light")
+    assert by_night == by_day
+
+
 def test_the_selection_reads_back(page: Any, store: Path) -> None:
     change(page, "selection", "value", "mean_speed_mps 0..0.5")
     page.wait_for_timeout(300)
