@@ -1,6 +1,7 @@
 """A gait that walks for the page: its setting, its frames, why it fell, and files to take away."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,12 +9,15 @@ import numpy as np
 import pytest
 
 from study.experiment.experiment import Experiment, as_written, read_experiment
-from study.experiment.gains import gains_of_source
+from study.experiment.gains import gains_of_source, named_gains
 from study.explore import walk as walking
+from study.explore.strides import Cycle
 from study.explore.walk import Walk, chosen_setting, walk
+from study.explore.walk_view import score_text
 from study.options import config_path
 from taichi_nmm import GAIN_NAMES, InputError
 from taichi_nmm.config import read_toml
+from taichi_nmm.result import FELL
 from tests.study import synthetic_gait
 from tests.tools.running import run_tool
 
@@ -113,3 +117,28 @@ def test_what_is_taken_walks_the_same_to_the_bit(
         assert found[field] == fell.row[field], field
     assert found["gains"] == dict(zip(GAIN_NAMES, fell.gains.gains.tolist(), strict=True))
     assert Path("walk.sto").read_bytes().startswith(b"gains\n")
+
+
+def test_an_axis_that_is_cut_says_so() -> None:
+    """The impact of the heel goes beyond the axis of the ground's force."""
+    level = chosen_setting("flat", "nominal", 1, "nominal", "taichi", 10.0)
+    walked, cycle = walk(gains_of_source("published"), level), Cycle()
+    cycle.show(walked, None)
+    plot, source, _ = cycle._panels["vertical_bw"]
+    highest = max(source.data["high"].max(), source.data["right"].max())
+    assert highest > plot.y_range.end == 1.6
+    assert plot.title.text.endswith(f"; cut at 1.6: to {highest:.1f}")
+    knee, _, _ = cycle._panels["knee_flexion_deg"]
+    assert "cut" not in knee.title.text
+
+
+def test_numbers_of_a_walk_that_made_no_step_are_unknown() -> None:
+    level = chosen_setting("flat", "nominal", 1, "nominal", "taichi", 2.0)
+    weak = gains_of_source("reference").as_document() | {"K_VAS": 0.0}
+    fallen = walk(named_gains("weak", weak), level)
+    assert fallen.row["step_count"] == 0 and fallen.row["end_reason"] == FELL
+    text = score_text(fallen, walk(gains_of_source("reference"), level))
+    number = r"align=left>([^<]*)</th><td align=right>[^<]*<td align=right>([^<]*)"
+    cells = dict(re.findall(number, text))
+    assert cells["M1 (knee flexion) mean"] == "-" and cells["score phi (as printed)"] == "0"
+    assert float(cells["mass of the whole body, which divides the energy (kg)"]) == 80.0
