@@ -38,6 +38,11 @@ def in_text(rng: Generator, path: Path) -> None:
     path.write_bytes(pack(damage.damaged_text(rng, text)))
 
 
+def in_cells(rng: Generator, path: Path) -> None:
+    """In a column of a CSV."""
+    path.write_bytes(damage.damaged_cells(rng, path.read_text()))
+
+
 def in_document(read: Callable[[str], Any], write: Callable[[Any], bytes]) -> Damage:
     """In a document, or in its text."""
 
@@ -65,7 +70,7 @@ KINDS: dict[str, Damage] = {
     "bytes": in_bytes, "text": in_text, "json": in_document(json.loads, damage.as_json),
     "toml": in_document(tomllib.loads, damage.as_toml), "columns": damage.damaged_columns,
     "footer": damage.damaged_footer, "database": damage.damaged_database,
-    "file of a folder": in_folder_file,
+    "file of a folder": in_folder_file, "cells": in_cells,
 }  # fmt: skip
 
 

@@ -89,6 +89,30 @@ def damaged_text(rng: Generator, text: str) -> bytes:
     return "".join(pieces).encode(encoding, errors="replace")
 
 
+KINDS_OF_CELLS = (  # of a column as a stranger's program writes it
+    ("inf", "-inf", "1e400", "1.5"),
+    ("0.1", "0.30000000000000004", "0,5", "1.10"),
+    ("14:30:00.010", "14:30:00.020", "14:29:59"),
+    ("2026-05-04 14:30:00.010", "2026-05-04 14:30:01", "2026-05-04T14:30:02Z"),
+    ("9007199254740993", "9007199254740992", "1700000000000000001"),
+    ("1", "2", "20"),
+    ("true", "false"),
+    ("", "nan", "n/a", "-"),
+)
+
+
+def damaged_cells(rng: Generator, text: str) -> bytes:
+    """A CSV with the cells of a column replaced by others of one kind; some, or all of them."""
+    rows = [line.split(",") for line in text.splitlines()]
+    place, kind = int(rng.integers(len(rows[0]))), pick(rng, KINDS_OF_CELLS)
+    share = pick(rng, (0.05, 0.5, 1.0))
+    for row in rows[1:]:
+        if place < len(row) and chance(rng, share):
+            row[place] = pick(rng, kind)
+    comma, end = pick(rng, ((",", "\n"),) * 4 + ((";", "\r\n"), ("\t", "\n")))
+    return end.join([*map(comma.join, rows), ""]).encode(pick(rng, ("utf-8", "utf-8-sig")))
+
+
 def damaged_document(rng: Generator, document: Any) -> Any:
     """A value somewhere in it replaced, dropped, named otherwise, added, moved or nested deep."""
     document = json.loads(json.dumps(document))
@@ -174,6 +198,8 @@ TYPES = (
     pa.int8(), pa.int32(), pa.int64(), pa.uint64(), pa.float16(), pa.float32(), pa.float64(),
     pa.string(), pa.large_string(), pa.binary(), pa.bool_(), pa.null(), pa.timestamp("s"),
     pa.list_(pa.float64()), pa.dictionary(pa.int32(), pa.string()), pa.decimal128(20, 2),
+    pa.decimal128(20, 0), pa.timestamp("ns", "UTC"), pa.time64("us"), pa.date32(),
+    pa.duration("ms"),
 )  # fmt: skip
 
 

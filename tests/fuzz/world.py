@@ -60,8 +60,10 @@ def make_world(folder: Path) -> None:
         clock.now().isoformat.return_value = DAY
         bench = Bench.new(robot.write(folder), "me")
         robot.run(bench, 3)
+        bench.next()  # trial 3, whose log is read
         bench._journal.storage.engine.dispose()
     (folder / "trials.csv").write_text("stiffness,damping,value,torque\n50,1,0.9,80\n60,1,1.2,\n")
+    write_fresh_bench(folder)
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
     shown = StringIO()
     with chdir(folder), simulator, redirect_stdout(shown), redirect_stderr(shown):
@@ -71,6 +73,21 @@ def make_world(folder: Path) -> None:
             with mock.patch.object(sys, "argv", []):
                 main(words)
     settle(folder)
+
+
+def write_fresh_bench(folder: Path) -> None:
+    """Candidates, as CSV and as Parquet, of benches that have not begun; and a log of a walk."""
+    known = (folder / "candidates.csv").read_text().splitlines()[:40]
+    (folder / "fresh.csv").write_text("\n".join([*known, ""]))
+    cells = [line.split(",") for line in known]
+    columns = {name: [float(cell) for cell in column] for name, *column in zip(*cells, strict=True)}
+    pq.write_table(pa.table(columns), folder / "fresh.parquet")
+    for name, file in (("fresh", "fresh.csv"), ("fresh-parquet", "fresh.parquet")):
+        text = robot.TOML.format(known=robot.WORLDS + "\nbounds = {damping = [0.0, 3.0]}")
+        text = text.replace("candidates.csv", file).replace('"walk"', f'"{name}"')
+        (folder / f"{name}.toml").write_text(text)
+    log = [f"{0.1 * step:.1f},{0.12 * step:.2f}\n" for step in range(301)]
+    (folder / "log.csv").write_text("".join(["time,position\n", *log]))
 
 
 def settle(folder: Path) -> None:
