@@ -132,9 +132,9 @@ def doors() -> Iterator[None]:
     from matplotlib.figure import Figure
 
     import taichi_nmm.simulator
-    from storage import pool
+    from storage import pool, processes
     from study import loopback
-    from study.commands import explore
+    from study.explore import server
 
     def reached(*_: object, **__: object) -> None:
         raise Reached
@@ -151,8 +151,8 @@ def doors() -> Iterator[None]:
             (taichi_nmm.simulator, "_start", reached),
             (pool, "Processes", reached),
             (loopback.Server, "serve_forever", reached),
-            (explore, "Processes", mock.MagicMock()),
-            (explore, "serve", fill),
+            (processes, "Processes", mock.MagicMock()),
+            (server, "serve", fill),
             (Figure, "savefig", savefig),
             (Figure, "tight_layout", lambda _: None),
             (FigureCanvasAgg, "draw", lambda _: None),
