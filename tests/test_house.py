@@ -19,8 +19,8 @@ HUB = ROOT / "study" / "hub"  # a package of another registry, of which no modul
 MOST_LINES = 600
 # The budget of CONTRIBUTING.md, in nodes of the syntax tree: neither width nor docstrings nor
 # comments change it. The hub's package counts; the tests do not count as product.
-MOST_NODES_OF_PRODUCT = 245_000
-MOST_NODES_OF_TESTS = 245_000
+MOST_NODES_OF_PRODUCT = 275_000
+MOST_NODES_OF_TESTS = 265_000
 DOOR = "taichi_nmm.__main__"  # of the commands: the one module that looks up
 COMMANDS = ("tools", "study.commands")
 

@@ -25,7 +25,7 @@ from study.bench.advice import EXPECTED, Advice, Recommended, simulated_range
 from study.bench.doubts import Range, doubts, odd_failures, odd_value
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
 from study.bench.plan import Goal, Plan, read_plan
-from study.bench.shown import show
+from study.bench.shown import require_shown, show
 from study.bench.words import operator_here, require_names
 from study.sampler.space import as_suggested, printed_tolerance
 from study.sampler.table import FeatureTable
@@ -432,6 +432,7 @@ class Bench:
         """Alone, after the entries of others; in the end what is shown follows from all entries."""
         with self._journal.turn():
             self._entries = self._read()
+            require_shown(self._journal.storage, self.plan)
             yield self.state
             show(self._journal.storage, self.plan, self.space, self.state)
 

@@ -270,11 +270,13 @@ def _plan_of(table: Table, path: Path) -> Plan:
     if not name.strip() or "/" in name:
         raise InputError("name", name, "a name without /")
     goal = table.table("goal")
-    columns = {key: _column(table.table("columns").table(key)) for key in data.get("columns", {})}
+    own_columns = table.table("columns")
+    columns = {key: _column(own_columns.table(key)) for key in own_columns.unread}
     safety = table.table("safety")
+    is_named = "url" in table.table("storage").unread
     storage = table.table("storage").text("url", file_url(path.with_suffix(".db")))
     shown_url(storage)  # refuses what is no study database
-    if "url" in data.get("storage", {}):
+    if is_named:
         storage = _beside(path, storage, name)
     off_grid = table.integer("off_grid", 0, 0, MOST_OFF_GRID) if "off_grid" in data else None
     plan = Plan(

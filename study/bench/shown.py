@@ -12,6 +12,7 @@ from optuna.distributions import BaseDistribution
 from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
+from storage.databases.studies import load_whole, read_errors
 from study.bench.journal import State, Trial
 from study.bench.plan import Plan
 
@@ -44,6 +45,17 @@ def study_of(trials: Iterable[Trial], space: Space, plan: Plan) -> optuna.Study:
     for trial in trials:
         study.add_trial(frozen(trial, space, plan))
     return study
+
+
+def require_shown(storage: RDBStorage, plan: Plan) -> None:
+    """Read the study that is shown, if there is one, before an entry is made that it has to show.
+
+    Raises:
+        InputError: somebody has edited it.
+    """
+    with read_errors(plan.url):
+        if plan.name in optuna.get_all_study_names(storage):
+            load_whole(storage, plan.name)
 
 
 def show(storage: RDBStorage, plan: Plan, space: Space, state: State) -> None:

@@ -1,7 +1,9 @@
 """A bench: entries, what follows from them, and that nothing is lost, whoever writes and dies."""
 
 import re
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -246,6 +248,9 @@ def test_another_file_or_other_candidates_are_refused(bench: Bench, tmp_path: Pa
     ("failed_at_end = 3", "", r"goal: 'a part' .* failed_at_end"),
     ("most = 90", "mots = 90", r"columns.torque.mots"),
     ('name = "walk"', 'name = "a/b"', r"name: 'a/b'"),
+
+    ("[columns.torque]", "[columns]\ntorque = 1\n[x]", r"columns.torque: 1 .* a table"),
+    ('name = "walk"', 'name = "walk"\nstorage = "walk.db"', r"storage: 'walk.db' .* a table"),
     ("[goal]", "[goal", r"bench: .*walk.toml"),
     ("[columns.torque]", "[safety]\nleast_kept = 2\n[columns.torque]", r"safety.least_kept: 2"),
 ])  # fmt: skip
@@ -257,6 +262,17 @@ def test_a_file_that_cannot_be_used_is_one_line(
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(InputError, match=said):
         Bench.new(path)
+
+
+def test_no_entry_is_made_where_the_study_that_shows_it_was_edited(bench: Bench) -> None:
+    robot.run(bench, 2)
+    with closing(sqlite3.connect(bench.plan.path.with_suffix(".db"))) as database:
+        database.execute("UPDATE trial_values SET objective = 0.5")
+        database.commit()
+    later, entries = Bench(bench.plan.path), len(bench.entries)
+    with pytest.raises(InputError, match=r"^storage: .*walk\.db"):
+        later.next()
+    assert len(Bench(bench.plan.path).entries) == entries
 
 
 def test_all_rows_may_have_been_tried(tmp_path: Path) -> None:
