@@ -4,7 +4,6 @@ Importing the package is cheap: names are loaded when they are first used, and T
 first simulation.
 """
 
-import warnings
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from taichi_nmm.walkers import Switch
     from taichi_nmm.world import Exoskeleton, Prosthesis, WorldRanges, Worlds
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 __all__ = [
     "END_REASONS", "GAINS", "GAIN_NAMES", "LOW_LEVEL_GAINS", "MUSCLES", "PUBLISHED_GAINS", "Bodies",
@@ -60,7 +59,6 @@ _PLACES = {
     "world": ("Exoskeleton", "Prosthesis", "WorldRanges", "Worlds"),
 }  # fmt: skip
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
-_RENAMED = {"K_T": "PUBLISHED_GAINS", "Sensed": "Observation"}  # since 0.3.0; gone in 0.4.0
 
 
 def __getattr__(name: str) -> Any:
@@ -69,10 +67,6 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"taichi_nmm.{_MODULES[name]}"), name)
     if name in _PLACES:
         return import_module(f"taichi_nmm.{name}")
-    if name in _RENAMED:
-        new = _RENAMED[name]
-        warnings.warn(f"taichi_nmm.{name} is now taichi_nmm.{new}", FutureWarning, stacklevel=2)
-        return __getattr__(new)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -214,7 +214,7 @@ def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64
 
 def _gains_by_name(source: str) -> dict[str, Any]:
     """The values of a source by name, unchecked."""
-    if source in ("published", "K_T"):  # K_T: its name before 0.3.0, accepted until 0.4.0
+    if source == "published":
         return dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
     shipped = {file.stem: file for file in sorted(NAMED_GAINS_DIRECTORY.glob("*.json"))}
     names = listed(["published", *shipped], source)

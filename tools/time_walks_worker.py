@@ -22,7 +22,7 @@ ROOT = str(Path(__file__).resolve().parents[1])
 SEED = 2016
 TICK_S = 1e-3  # a step, by default
 STEADY_SPREAD = 0.02
-PUBLISHED = "K_T"  # the gait `published` by its name of 0.2.0, which --against may run
+PUBLISHED = "published"
 
 
 def main(

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import taichi_nmm
 from taichi_nmm import PUBLISHED_GAINS, InputError, load_all_gains, load_gains, parameters
 from taichi_nmm.parameters import (
     DEVICE,
@@ -72,12 +71,11 @@ def test_rows_that_cannot_be_used_are_named(values: Any, message: str) -> None:
         parameters.gain_rows(np.ones((2, 16)), LOW_LEVEL_GAINS, "low_level_gains")
 
 
-@pytest.mark.parametrize("name", ["published", "K_T"])  # the latter until 0.4.0
-def test_the_published_gains_are_loaded_by_name_as_a_copy(name: str) -> None:
-    loaded = load_gains(name)
+def test_the_published_gains_are_loaded_by_name_as_a_copy() -> None:
+    loaded = load_gains("published")
     np.testing.assert_array_equal(loaded, PUBLISHED_GAINS)
     loaded[:] = 0.0
-    assert np.all(load_gains(name) == PUBLISHED_GAINS)
+    assert np.all(load_gains("published") == PUBLISHED_GAINS)
 
 
 def test_shipped_gains_lie_inside_the_bounds() -> None:
@@ -144,9 +142,3 @@ def test_low_level_gains_are_checked_under_the_field_of_a_caller() -> None:
     np.testing.assert_array_equal(check_gains(values, LOW_LEVEL_GAINS), DEFAULTS)
     with pytest.raises(InputError, match=r"^best\.k_ext: -1"):
         check_gains(values | {"k_ext": -1}, LOW_LEVEL_GAINS, "best")
-
-
-@pytest.mark.parametrize(("old", "new"), [("K_T", "PUBLISHED_GAINS"), ("Sensed", "Observation")])
-def test_a_name_of_version_0_2_is_what_it_was_and_warns(old: str, new: str) -> None:
-    with pytest.warns(FutureWarning, match=rf"^taichi_nmm\.{old} is now taichi_nmm\.{new}$"):
-        assert getattr(taichi_nmm, old) is getattr(taichi_nmm, new)
