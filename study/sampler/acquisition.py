@@ -40,19 +40,36 @@ Learned = dict[tuple[Covariance, bytes], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The posterior after some trials, and the improvement that it lets expect."""
+    """The posterior after some trials, and the improvement that it lets expect.
 
-    kernel: Kernel  # of this trial
-    parameters: int  # d
-    trials: Points  # the finished ones, n, at least one
-    costs: Floats  # what they showed, lower is better, finite, [n]
-    limits: Floats  # c constraints of each, feasible where <= 0, NaN where unknown, [n, c]
-    running: Points  # trials of other workers whose parameters are known
-    known: Learned  # constants that were learned so far; new ones are added
-    ensemble: Relation | None = None  # of simulated worlds, whose costs are expected
-    success: float | None = None  # cost up to which a trial has succeeded
-    elsewhere: Points | None = None  # e trials of other studies, whose limits alone count
-    limits_elsewhere: Floats | None = None  # of each, [e, c]
+    Attributes:
+        kernel: of this trial: the sampler's or, where features are doubted, one of the
+            parameters alone.
+        parameters: d, their number.
+        trials: the n finished ones, at least one.
+        costs: what these showed, lower is better, finite, [n].
+        limits: c constraints of each, kept where <= 0, NaN where unknown, [n, c].
+        running: trials of other workers whose parameters are known; they count with
+            their expected costs.
+        known: constants that were learned so far; new ones are added.
+        ensemble: simulated worlds, whose mean cost is expected, or the likeness of a
+            pool; None: neither.
+        success: cost up to which a trial has succeeded; None: there is no such cost.
+        elsewhere: e trials of other studies, whose limits alone count; None: none.
+        limits_elsewhere: the constraints of these, [e, c]; None without them.
+    """
+
+    kernel: Kernel
+    parameters: int
+    trials: Points
+    costs: Floats
+    limits: Floats
+    running: Points
+    known: Learned
+    ensemble: Relation | None = None
+    success: float | None = None
+    elsewhere: Points | None = None
+    limits_elsewhere: Floats | None = None
 
     @cached_property
     def feasible(self) -> Mask:

@@ -47,12 +47,18 @@ class RankCorrelation:
     (Bonett, Wright 2000, "Sample size requirements for estimating Pearson, Kendall and Spearman
     correlations"). Of trials in perfect order z is infinite: they get the interval of trials of
     which two neighbours are out of order, up to the end of the scale.
+
+    Attributes:
+        value: r.
+        low: end of the interval that holds it with 95 %.
+        high: its other end.
+        errors: r in standard errors, on the scale of z.
     """
 
-    value: float  # r
-    low: float  # end of the interval that holds it with 95 %
-    high: float  # its other end
-    errors: float  # r in standard errors, on the scale of z
+    value: float
+    low: float
+    high: float
+    errors: float
 
     def __str__(self) -> str:
         return f"{self.value:+.2f} ({self.low:+.2f} to {self.high:+.2f})"
@@ -81,12 +87,17 @@ class RankCorrelation:
 
 @dataclass(frozen=True)
 class Errors:
-    """Leave-one-out errors, as shares of that of a constant."""
+    """Leave-one-out errors, as shares of that of a constant.
 
-    model: float  # of the sampler's model
-    without: float | None  # of one over the parameters alone; None: the sampler has none
-    # By how much the model is nearer to the costs than the better of the others, on average over
-    # the trials, in standard errors of this average.
+    Attributes:
+        model: of the sampler's model.
+        without: of one over the parameters alone; None: the sampler has none.
+        gain: by how much the model is nearer to the costs than the better of the others,
+            on average over the trials, in standard errors of this average.
+    """
+
+    model: float
+    without: float | None
     gain: float
 
 
@@ -180,14 +191,23 @@ class Worth:
 
 @dataclass(frozen=True, eq=False)
 class Present:
-    """The finished trials of a study, and what the sampler makes of them."""
+    """The finished trials of a study, and what the sampler makes of them.
 
-    trials: tuple[FrozenTrial, ...]  # n of them
-    rows: tuple[int | None, ...]  # of the table, that each is
-    names: tuple[str, ...]  # of the k features
-    features: Floats  # of the n trials, in units of their own, NaN where unknown, [n, k]
-    model: Model  # the sampler's, for trials that follow the features
-    is_doubted: bool  # whether every other trial is left to the parameters at present
+    Attributes:
+        trials: n of them.
+        rows: the row of the table that each is; None off it, or without a table.
+        names: of the k features.
+        features: of the n trials, in units of their own, [n, k]; NaN where unknown.
+        model: the sampler's, for trials that follow the features.
+        is_doubted: whether every other trial is left to the parameters at present.
+    """
+
+    trials: tuple[FrozenTrial, ...]
+    rows: tuple[int | None, ...]
+    names: tuple[str, ...]
+    features: Floats
+    model: Model
+    is_doubted: bool
 
 
 def worth_of(present: Present | None, *, maximised: bool) -> Worth:

@@ -25,11 +25,19 @@ SUM_SHARE = 0.05  # of the weighted sum; Knowles 2006
 
 @dataclass(frozen=True, eq=False)
 class Goals:
-    """One cost in place of k."""
+    """One cost in place of k.
 
-    weights: Floats  # [k], of sum 1
-    least: Floats  # [k]
-    typical: Floats  # [k]
+    Attributes:
+        weights: l, drawn for one trial, [k], of sum 1.
+        least: the least known cost of each goal, in its unit, [k]; 0 where none is
+            known.
+        typical: the median excess over it, in the same unit, positive, [k]; 1 where none
+            is known.
+    """
+
+    weights: Floats
+    least: Floats
+    typical: Floats
 
     @classmethod
     def drawn(cls, known: Floats, rng: np.random.Generator) -> "Goals":

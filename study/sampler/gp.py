@@ -82,13 +82,23 @@ LARGEST_RATIO = 5e2  # of prior variance to noise, for which 32 bits keep within
 
 @dataclass(frozen=True)
 class Kernel:
-    """The meaning of a kernel's name."""
+    """The meaning of a kernel's name.
 
-    slopes: bool  # whether the cost has a part that is linear in the features
-    feature_scales: str | None  # length scales of features: "each", "shared", or None: no likeness
-    parameter_scales: str | None  # the same for the parameters
-    by_order: bool  # features count by their order, costs by their logarithm; else both as they are
-    worlds: bool = False  # whether costs in simulated worlds are expected
+    Attributes:
+        slopes: whether the cost has a part that is linear in the features.
+        feature_scales: length scales of the features: "each", "shared", or None: no
+            likeness.
+        parameter_scales: the same for the parameters; None: they do not count.
+        by_order: whether features count by their order, and costs by their logarithm;
+            else both count as they are.
+        worlds: whether costs in simulated worlds are expected.
+    """
+
+    slopes: bool
+    feature_scales: str | None
+    parameter_scales: str | None
+    by_order: bool
+    worlds: bool = False
 
     @cached_property
     def of_features(self) -> bool:
@@ -114,7 +124,13 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class Constant:
-    """A positive constant to be learned: bounds, and a normal prior of its logarithm."""
+    """A positive constant to be learned: bounds, and a normal prior of its logarithm.
+
+    Attributes:
+        mode: of the prior, on the scale of the logarithm.
+        sd: of the prior, on the same scale.
+        bounds: the least and the greatest value, positive, not logarithms.
+    """
 
     mode: float
     sd: float
@@ -135,22 +151,36 @@ WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 
 @dataclass(frozen=True)
 class Term:
-    """A variance times a shape over the columns from `first` up to `end`."""
+    """A variance times a shape over the columns from `first` up to `end`.
 
-    first: int  # column
-    end: int  # the column after the last
-    variance: Constant  # v, s^2 or t^2
-    # Length scales of a squared exponential, one a column or one for all; () where it is linear.
+    Attributes:
+        first: the first column of X that counts.
+        end: the column after the last one.
+        variance: v, s^2, t^2, a^2 or c^2 of the module's table.
+        scales: length scales of a squared exponential, one a column or one for all; ()
+            where the term is linear.
+    """
+
+    first: int
+    end: int
+    variance: Constant
     scales: tuple[Constant, ...]
 
 
 @dataclass(frozen=True)
 class Covariance:
-    """A kernel for rows of some layout: the sum of its terms, and independent noise."""
+    """A kernel for rows of some layout: the sum of its terms, and independent noise.
+
+    Attributes:
+        terms: one or more.
+        noise: variance of the noise.
+        standardised: whether costs have a mean of 0 and a variance of 1; if not, they
+            are in units of a table.
+    """
 
     terms: tuple[Term, ...]
     noise: Constant
-    standardised: bool = True  # costs have a mean of 0 and a variance of 1; else units of a table
+    standardised: bool = True
 
     @cached_property
     def constants(self) -> tuple[Constant, ...]:
@@ -414,15 +444,25 @@ class Posterior:
 
     Where 32 bits are enough, the mean is (L^-1 k)^T (L^-1 y), whose factors are of the size of the
     costs; those of k^T K^-1 y would cancel.
+
+    Attributes:
+        covariance: of the trials.
+        theta: the constants that were learned, [t].
+        x: X, the trials, [n, p].
+        y: their costs in standard units, [n].
+        cost_mean: what `y` was centred by, in the unit of the cost.
+        cost_sd: what `y` was divided by, in the same unit, positive.
+        noisy: whether the variance is that of the next trial, noise included; if not, of
+            its expectation.
     """
 
-    covariance: Covariance  # of the trials
-    theta: Floats  # the constants that were learned, [t]
-    x: Floats  # X, the trials
-    y: Floats  # their costs in standard units, [n]
-    cost_mean: float  # what `y` was centred by
-    cost_sd: float  # what `y` was divided by
-    noisy: bool  # whether the variance is of the next trial, noise included, or of its expectation
+    covariance: Covariance
+    theta: Floats
+    x: Floats
+    y: Floats
+    cost_mean: float
+    cost_sd: float
+    noisy: bool
 
     @property
     def noise(self) -> float:

@@ -45,7 +45,22 @@ REMEMBERED = 1024  # trials; some never end
 
 @dataclass(frozen=True)
 class Options:
-    """The options of `FeatureKernelSampler`, where they are explained; `kernel` is looked up."""
+    """The options of `FeatureKernelSampler`, where they are explained; `kernel` is looked up.
+
+    Attributes:
+        kernel: that was named, or chosen where none was.
+        off_grid: number of points off the table that are added to the candidates of each
+            trial.
+        space: distributions by name; None: those that all finished trials share, or the
+            table's.
+        extra_parameters: names that the study suggests and the table does not have.
+        strict: whether what does not fit is an error; if not, the independent sampler
+            takes over.
+        success: value of the study from which on a trial has succeeded; None:
+            improvement alone counts.
+        allowed: rows of the table that may be proposed, [n]; None: all.
+        limits_of: trials of other studies, whose constraints alone are learned.
+    """
 
     kernel: Kernel
     off_grid: int
@@ -59,10 +74,15 @@ class Options:
 
 @dataclass(frozen=True)
 class Proposal:
-    """The proposal for a trial that runs in this process, with its notes."""
+    """The proposal for a trial that runs in this process, with its notes.
 
-    values: Mapping[str, Any]  # by parameter; none where the independent sampler gives them
-    notes: Mapping[str, Any]  # user attributes that say what these values are
+    Attributes:
+        values: by parameter; none where the independent sampler gives them.
+        notes: user attributes that say what these values are: the row, and its features.
+    """
+
+    values: Mapping[str, Any]
+    notes: Mapping[str, Any]
 
 
 NOTHING = Proposal({}, {})

@@ -24,10 +24,15 @@ PATIENCE = 3  # trials without a better cost
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """m candidates or trials."""
+    """m candidates or trials.
 
-    features: Floats  # in standard units, [m, k]; k may be 0
-    coordinates: Floats  # in the unit cube, [m, e]; e may be 0
+    Attributes:
+        features: in standard units, [m, k]; k may be 0.
+        coordinates: of the parameters in the unit cube, [m, e]; e may be 0.
+    """
+
+    features: Floats
+    coordinates: Floats
 
     def __len__(self) -> int:
         """Number of points, m."""
@@ -179,11 +184,16 @@ class Standard:
     """Subtract the mean, divide by the spread, [k] each; infinity is beyond all finite values.
 
     A feature without information has the spread infinity: it becomes zero everywhere.
+
+    Attributes:
+        mean: of the known values, in the unit of the feature, [k].
+        sd: their standard deviation, [k]; infinite where a feature has one value only.
+        ends: what stands for minus infinity and for infinity, [k, 2].
     """
 
     mean: Floats
     sd: Floats
-    ends: Floats  # what stands for minus infinity and for infinity, [k, 2]
+    ends: Floats
 
     @classmethod
     def of(cls, features: Floats) -> "Standard":
@@ -217,12 +227,18 @@ class NormalScores:
     Only the order of values counts: heavy tails, infinities and units do not matter. A feature
     that some rows lack has a column more: whether a row has it. Those follow the k columns of
     scores, in the order of the features, each pattern of gaps once.
+
+    Attributes:
+        known: values of each of the k features in ascending order, without gaps.
+        sd: of each column of scores, [k]; infinite where it has one value only.
+        gaps: features whose gaps are a column, by number, each with its share of gaps.
+        own: the columns of the rows themselves, in standard units, [n, k + gaps].
     """
 
-    known: tuple[Floats, ...]  # values of each feature in ascending order, k of them, without gaps
-    sd: Floats  # of each column of scores, [k]; infinite where it has one value only
-    gaps: tuple[tuple[int, float], ...]  # features whose gaps are a column, and the share of gaps
-    own: Floats  # the columns of the rows themselves, [n, k + gaps]
+    known: tuple[Floats, ...]
+    sd: Floats
+    gaps: tuple[tuple[int, float], ...]
+    own: Floats
 
     @classmethod
     def of(cls, features: Floats) -> "NormalScores":

@@ -47,13 +47,24 @@ LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for
 
 @dataclass(frozen=True, eq=False)
 class Worlds:
-    """Outcomes of n rows in w worlds."""
+    """Outcomes of n rows in w worlds.
 
-    names: tuple[str, ...]  # of the worlds
-    costs: Floats  # [n, w], or [n, w, k] of k goals; NaN where unknown
-    weights: Floats  # of the worlds, sum 1, [w]
-    better: Better | None = None  # of outcomes in units of their own; None: the study's
-    # The costs as version 0.3.0 had them, where some are infinite: digests are of these.
+    Attributes:
+        names: of the w worlds: family and number.
+        costs: [n, w], or [n, w, k] of k goals; NaN where unknown. Infinities are
+            replaced already.
+        weights: of the worlds, of sum 1, [w]: families count alike, and so do the worlds
+            of a family.
+        better: "lower" or "higher", of outcomes in units of their own; None: these are
+            the study's.
+        as_before: the costs as version 0.3.0 had them, where some are infinite: digests
+            are of these. None: none is.
+    """
+
+    names: tuple[str, ...]
+    costs: Floats
+    weights: Floats
+    better: Better | None = None
     as_before: Floats | None = None
 
     @classmethod
