@@ -277,10 +277,16 @@ class Session(Executor):
 
 @dataclass(frozen=True)
 class ClusterPool(Pool):
-    """A pool whose places come and go."""
+    """A pool whose places come and go.
+
+    Attributes:
+        executor: the session with the cluster.
+        places: stores as workers find them, by their paths on this machine; others lie
+            at the same path.
+    """
 
     executor: Session
-    places: dict[Path, Path] = field(default_factory=dict)  # there, of stores by their paths here
+    places: dict[Path, Path] = field(default_factory=dict)
 
     def room(self) -> int:
         """One unit a place, and one that waits there."""

@@ -25,16 +25,25 @@ class Folder:
     """A folder being filled; made by `claim`, which gives one process the right to write.
 
     A child sets the names of its files.
+
+    Attributes:
+        path: of the folder.
+        document: what describes the work, as JSON values.
+        KIND: of folder, for messages: "a store".
+        FIRST: name of the document's file.
+        GROWING: dictionaries of the document to which calls add.
+        REMEDY: what a user may do where the document is another one.
+        FILES: patterns of all other files, in the order of their removal.
     """
 
     path: Path
-    document: dict[str, Any]  # of the folder, as JSON values
+    document: dict[str, Any]
 
-    KIND: ClassVar[str]  # of folder, for messages: "a store"
-    FIRST: ClassVar[str]  # name of the document's file
-    GROWING: ClassVar[tuple[str, ...]] = ()  # dictionaries of the document to which calls add
-    REMEDY: ClassVar[str] = "another --out"  # where the document is another one
-    FILES: ClassVar[tuple[str, ...]] = ()  # patterns of all others, in the order of their removal
+    KIND: ClassVar[str]
+    FIRST: ClassVar[str]
+    GROWING: ClassVar[tuple[str, ...]] = ()
+    REMEDY: ClassVar[str] = "another --out"
+    FILES: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     @contextmanager

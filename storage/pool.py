@@ -54,11 +54,18 @@ class InProcess(Executor):
 
 @dataclass(frozen=True)
 class Pool:
-    """An executor, and how many units it is given at a time."""
+    """An executor, and how many units it is given at a time.
+
+    Attributes:
+        executor: that runs the units.
+        slots: units under way at once, to begin with; no more are lost when work is
+            stopped.
+        mixed: whether machines may differ in the bits that they compute.
+    """
 
     executor: Executor
-    slots: int  # units under way at once, to begin with; no more are lost when work is stopped
-    mixed: bool = False  # whether machines may differ in the bits that they compute
+    slots: int
+    mixed: bool = False
 
     def room(self) -> int:
         """Units that may be under way at this moment."""
@@ -141,12 +148,16 @@ def local_pool(workers: int) -> Iterator[Pool]:
 class Cluster:
     """A cluster that a user names.
 
+    Attributes:
+        address: of a scheduler, or "local:N", N processes of this machine.
+        mixed: whether workers may differ in the bits that they compute.
+
     Raises:
         InputError: neither form of an address, or the package distributed is not there.
     """
 
-    address: str  # of a scheduler; or "local:N", N processes of this machine
-    mixed: bool = False  # whether workers may differ in the bits that they compute
+    address: str
+    mixed: bool = False
 
     def __post_init__(self) -> None:
         scheduler = _SCHEDULER.fullmatch(self.address)

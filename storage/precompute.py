@@ -47,31 +47,55 @@ ScoredRows = tuple[pa.Table, dict[str, Any]]
 
 
 class Unit(NamedTuple):
-    """A unit of work: a shard, or a part of one."""
+    """A unit of work: a shard, or a part of one.
 
-    specification: Specification  # of the store
-    shard: int  # its number
-    rows: range  # of the store
-    evolved: NDArray[np.float64] | None  # their points, [n, p], if they are no Sobol points
-    name_kind: bool  # whether to name the kind of machine that computes it
+    Attributes:
+        specification: of the store.
+        shard: its number, from 0.
+        rows: of the store, all in this shard.
+        evolved: the points of these rows, [n, p]; None: they are Sobol points.
+        name_kind: whether to name the kind of machine that computes it.
+    """
+
+    specification: Specification
+    shard: int
+    rows: range
+    evolved: NDArray[np.float64] | None
+    name_kind: bool
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The end of a run, in numbers."""
+    """The end of a run, in numbers.
 
-    path: str  # the store's folder
-    points: int  # in the store
-    points_computed: int  # by this run
-    walks_searched: int  # by this run, for candidates beyond the grid
-    shards: int  # in the store
-    alive_at_horizon: int  # points that completed the base setting
-    alive_fraction: float  # the same, over all points
-    evaluated: dict[str, int]  # points run in the worlds of each family, by its name
-    wall_s: float  # of computing and writing, compilation included
-    walkers_per_s: float  # points computed and walks searched, over `wall_s`
-    specification_hash: str  # SHA-256 of the specification
-    cautions: list[str]  # what makes the store a poor guide, a line each
+    Attributes:
+        path: the store's folder.
+        points: in the store.
+        points_computed: by this run.
+        walks_searched: by this run, for candidates beyond the grid.
+        shards: in the store.
+        alive_at_horizon: points that completed the base setting.
+        alive_fraction: the same as a share of all points, 0 to 1.
+        evaluated: points that were run in the worlds of each family, by its name.
+        wall_s: of computing and writing, compilation included.
+        walkers_per_s: points computed and walks searched, over `wall_s`; 0: there were
+            none.
+        specification_hash: SHA-256 of the specification.
+        cautions: what makes the store a poor guide, a line each.
+    """
+
+    path: str
+    points: int
+    points_computed: int
+    walks_searched: int
+    shards: int
+    alive_at_horizon: int
+    alive_fraction: float
+    evaluated: dict[str, int]
+    wall_s: float
+    walkers_per_s: float
+    specification_hash: str
+    cautions: list[str]
 
 
 def precompute(
@@ -111,11 +135,17 @@ def precompute(
 
 @dataclass
 class Tally:
-    """Counts finished points and walks of a search, and reports the sum to `progress`."""
+    """Counts finished points and walks of a search, and reports the sum to `progress`.
 
-    progress: Progress  # called with the sum
-    done: int  # points, and walks of a search
-    walks: int = 0  # of a search that this run did
+    Attributes:
+        progress: called with the sum.
+        done: points, and walks of a search, those of earlier runs included.
+        walks: of a search that this run did.
+    """
+
+    progress: Progress
+    done: int
+    walks: int = 0
 
     def add(self, points: int) -> None:
         """Count points that are done."""

@@ -36,11 +36,17 @@ Search = Generator[NDArray[np.float64], Any, None]
 
 
 class Generation(NamedTuple):
-    """Points that were tried for a family at a time, and their results."""
+    """Points that were tried for a family at a time, and their results.
 
-    points: NDArray[np.float64]  # [n, p], within the bounds
-    objective: NDArray[np.float64]  # [n]
-    measures: NDArray[np.float64]  # [n, m]
+    Attributes:
+        points: [n, p], within the bounds, in units of the parameters.
+        objective: of each, over the worlds of the search, the larger the better, [n].
+        measures: of each, over the same worlds, in the order of the simulator's, [n, m].
+    """
+
+    points: NDArray[np.float64]
+    objective: NDArray[np.float64]
+    measures: NDArray[np.float64]
 
     @staticmethod
     def names(simulator: Simulator) -> list[str]:
@@ -63,7 +69,15 @@ class Generation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """A unit of work: a part of a generation, points [n, p] to be run in a family's worlds."""
+    """A unit of work: a part of a generation, points [n, p] to be run in a family's worlds.
+
+    Attributes:
+        simulator: that runs the points.
+        family: whose worlds they are run in.
+        part: its number in the generation, from 0.
+        parts: how many make up the generation.
+        points: [n, p], in units of the parameters.
+    """
 
     simulator: Simulator
     family: Family

@@ -55,14 +55,23 @@ class Parameter(Protocol):
 
 
 class Uniform(NamedTuple):
-    """A `Parameter` of one's own."""
+    """A `Parameter` of one's own.
 
-    name: str  # of its column, with the unit
-    low: float  # lower bound
-    high: float  # upper bound
-    log: bool = False  # the logarithm is drawn uniformly
-    step: float = 0.0  # values are `low` and so many steps; 0: any
-    distribution: str = ""  # Optuna's, as its JSON text; "": a float from `low` to `high`
+    Attributes:
+        name: of its column, with the unit.
+        low: lower bound, in this unit.
+        high: upper bound, above the lower one.
+        log: whether the logarithm is drawn uniformly; `low` is positive then.
+        step: values are `low` and so many steps; 0: any value from `low` to `high`.
+        distribution: Optuna's, as its JSON text; "": a float from `low` to `high`.
+    """
+
+    name: str
+    low: float
+    high: float
+    log: bool = False
+    step: float = 0.0
+    distribution: str = ""
 
     def of_unit(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
         """Values at these places from 0 to 1, [n]."""

@@ -69,16 +69,27 @@ class Family:
 
     A family that comes after another one is for the few that survive that: more worlds, longer.
     All points share the worlds.
+
+    Attributes:
+        name: at the beginning of its columns.
+        settings: number of worlds, w.
+        min_survival_s: how long a point must last in the base setting.
+        after: another family that a point must have survived; "": none.
+        min_survived_fraction: how much of that family's horizon, 0 to 1, on average over
+            its worlds.
+        horizon_s: of every run.
+        seed: of the worlds.
+        rule: by which worlds are drawn.
     """
 
-    name: str  # at the beginning of its columns
-    settings: int  # number of worlds
-    min_survival_s: float  # how long a point must last in the base setting
-    after: str  # another family that a point must have survived; "": none
-    min_survived_fraction: float  # how much of that family's horizon, on average over its worlds
-    horizon_s: float  # of every run
-    seed: int  # of the worlds
-    rule: WorldRule  # by which worlds are drawn
+    name: str
+    settings: int
+    min_survival_s: float
+    after: str
+    min_survived_fraction: float
+    horizon_s: float
+    seed: int
+    rule: WorldRule
 
     @cached_property
     def worlds(self) -> Worlds:
@@ -102,13 +113,23 @@ class Family:
 
 @dataclass(frozen=True, eq=False)
 class Repertoire:
-    """A search that begins at survivors of the grid, and candidates that a store keeps of it."""
+    """A search that begins at survivors of the grid, and candidates that a store keeps of it.
 
-    evaluations: int  # runs of the whole search: so many candidates times `settings`
-    candidates: int  # rows that the store gets
-    seed: int  # of the search, and of the worlds that candidates are tried in
-    settings: int  # worlds that a candidate is tried in, of the one family that it is bred for
-    families: tuple[Family, ...]  # that candidates are bred for; none of them comes after another
+    Attributes:
+        evaluations: runs that the whole search may take: those of all points in
+            `settings` worlds each.
+        candidates: rows that the store gets.
+        seed: of the search, and of the worlds that candidates are tried in.
+        settings: worlds that a candidate is tried in, of the one family that it is bred
+            for.
+        families: that candidates are bred for; none of them comes after another.
+    """
+
+    evaluations: int
+    candidates: int
+    seed: int
+    settings: int
+    families: tuple[Family, ...]
 
     @cached_property
     def trials(self) -> tuple[Family, ...]:
@@ -151,7 +172,13 @@ class Repertoire:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which rows are in which shard: `samples` of the grid, then `candidates`."""
+    """Which rows are in which shard: `samples` of the grid, then `candidates`.
+
+    Attributes:
+        samples: rows of the grid.
+        shard_rows: rows of one of its shards; the last may have fewer.
+        candidates: rows of the repertoire, at most 64 in a shard; 0: there is none.
+    """
 
     samples: int
     shard_rows: int
@@ -194,17 +221,29 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Specification:
-    """A store to be computed. It pickles: any process computes a shard from it."""
+    """A store to be computed. It pickles: any process computes a shard from it.
 
-    simulator: Simulator  # that runs the points, with its settings
-    samples: int  # points of the grid
-    shard_rows: int  # points of a shard; the last may have fewer
-    seed: int  # of the Sobol sequence, and of the world of the base setting
-    horizon_s: float  # of the base setting
-    rule: WorldRule  # by which the world of the base setting is drawn
-    outcomes: tuple[str, ...]  # columns that each world of a family keeps
-    families: tuple[Family, ...] = ()  # of worlds, for the points that last in the base setting
-    repertoire: Repertoire | None = None  # of candidates beyond the grid; None: there are none
+    Attributes:
+        simulator: that runs the points, with its settings.
+        samples: points of the grid.
+        shard_rows: points of a shard; the last may have fewer.
+        seed: of the Sobol sequence, and of the world of the base setting.
+        horizon_s: of the base setting.
+        rule: by which the world of the base setting is drawn.
+        outcomes: columns that each world of a family keeps.
+        families: of worlds, for the points that last in the base setting.
+        repertoire: of candidates beyond the grid; None: there are none.
+    """
+
+    simulator: Simulator
+    samples: int
+    shard_rows: int
+    seed: int
+    horizon_s: float
+    rule: WorldRule
+    outcomes: tuple[str, ...]
+    families: tuple[Family, ...] = ()
+    repertoire: Repertoire | None = None
 
     @cached_property
     def worlds(self) -> Worlds:

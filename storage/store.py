@@ -127,11 +127,17 @@ def _array(values: NDArray[np.generic], kind: pa.DataType) -> pa.Array:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Content of manifest.json."""
+    """Content of manifest.json.
 
-    specification: dict[str, Any]  # of the store
-    rows: int  # of the whole store
-    hashes: dict[str, str]  # SHA-256 by file name, in the order of the rows
+    Attributes:
+        specification: of the store, as JSON values.
+        rows: of the whole store.
+        hashes: SHA-256 by file name, in the order of the rows.
+    """
+
+    specification: dict[str, Any]
+    rows: int
+    hashes: dict[str, str]
 
     def write(self, folder: Path) -> None:
         """Commit it to a folder."""

@@ -34,13 +34,20 @@ class FinishedStudy:
     """A study of objectives to be minimised, and finished trials for it.
 
     Attributes and metrics are written when the study is made.
+
+    Attributes:
+        name: in the database; once in a call.
+        trials: without intermediate values, in the order of their numbers.
+        first: number of the first of them; those before it are in the database already.
+        user_attrs: of the study, as JSON values.
+        metrics: names of its objectives; empty: it has one, without a name.
     """
 
-    name: str  # in the database; once in a call
-    trials: Sequence[FrozenTrial]  # without intermediate values, in the order of their numbers
-    first: int = 0  # number of the first of them; those before it are in the database already
-    user_attrs: dict[str, Any] = field(default_factory=dict)  # of the study, plain values
-    metrics: Sequence[str] = ()  # names of its objectives; empty: one, without a name
+    name: str
+    trials: Sequence[FrozenTrial]
+    first: int = 0
+    user_attrs: dict[str, Any] = field(default_factory=dict)
+    metrics: Sequence[str] = ()
 
 
 def trial_counts(storage: RDBStorage) -> dict[str, int]:
