@@ -24,7 +24,16 @@ BALL_OFFSET_M = 0.16  # ball ahead of the ankle, along the foot
 
 @dataclass(frozen=True)
 class Segment:
-    """One link. `com_m` runs from its proximal joint along the link (HAT: upward from the hip)."""
+    """One link of the body.
+
+    Attributes:
+        name: without a side.
+        mass_kg: its mass.
+        inertia_kgm2: about its centre of mass.
+        length_m: of the whole link; of the foot from the heel to the ball.
+        com_m: where its centre of mass is, from the proximal joint along the link (of
+            the trunk upward from the hip).
+    """
 
     name: str
     mass_kg: float
@@ -139,10 +148,17 @@ class Bodies(Rows):
 
 @dataclass(frozen=True)
 class Build:
-    """What bodies are drawn around: factors of the nominal segments, and a largest disturbance."""
+    """What bodies are drawn around: factors of the nominal segments, and a largest disturbance.
 
-    disturbance: float = 0.0  # as in `Bodies.disturbed`
-    mass: tuple[float, ...] = AS_NOMINAL  # in the order of `SEGMENT_NAMES`
+    Attributes:
+        disturbance: largest share by which a mass or an inertia differs, and of half a
+            length by which a centre of mass moves, 0 to 0.9 (`Bodies.disturbed`).
+        mass: factors of the nominal masses, in the order of `SEGMENT_NAMES`, [7].
+        inertia: factors of the nominal inertias, likewise.
+    """
+
+    disturbance: float = 0.0
+    mass: tuple[float, ...] = AS_NOMINAL
     inertia: tuple[float, ...] = AS_NOMINAL
 
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Bodies:

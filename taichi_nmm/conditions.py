@@ -15,13 +15,21 @@ TRIAL_S = 100.0  # where a configuration names none
 
 @dataclass(frozen=True)
 class Conditions:
-    """The tables [simulation], [body], [terrain] and [world] of a configuration; hashable."""
+    """The tables [simulation], [body], [terrain] and [world] of a configuration; hashable.
 
-    duration_s: float  # how long a walker may walk
-    settings: Settings  # how the simulation is integrated, and on which machine
-    build: Build  # what bodies are drawn around
-    ground: Ground  # kind of terrain, with its options
-    world_ranges: WorldRanges = NOMINAL  # the ranges that a walker's world is drawn from
+    Attributes:
+        duration_s: how long a walker may walk.
+        settings: how the simulation is integrated, and on which machine.
+        build: what bodies are drawn around.
+        ground: kind of terrain, with its options.
+        world_ranges: the ranges that a walker's world is drawn from.
+    """
+
+    duration_s: float
+    settings: Settings
+    build: Build
+    ground: Ground
+    world_ranges: WorldRanges = NOMINAL
 
     def as_written(self) -> dict[str, Any]:
         """The tables as a configuration has them, less the machine's settings.

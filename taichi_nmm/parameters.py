@@ -22,7 +22,19 @@ from taichi_nmm.reading import json_document
 
 @dataclass(frozen=True)
 class Parameter:
-    """One gain of the controller: its name, bounds, default, meaning and source."""
+    """One gain of the controller.
+
+    Attributes:
+        name: as in `gains` by name, and the column of a store.
+        unit: of its values; "1" where they are shares or factors of F/Fmax.
+        low: lower bound of the search, in this unit.
+        high: upper bound, in this unit.
+        default: the published value, or for a device and an asymmetry the one of a
+            walker without it.
+        meaning: in a few words.
+        source: P or T above, P with the number of the gain there; or another
+            publication.
+    """
 
     name: str
     unit: str

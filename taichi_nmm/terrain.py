@@ -57,6 +57,11 @@ class Option:
     """An option of a kind of terrain: the range in a configuration, and the check of callers.
 
     Callers from Python may go beyond the range, as far as the ground can still be made.
+
+    Attributes:
+        low: the least that a configuration may have, in the unit of the option's name.
+        high: the most that it may have.
+        check: of a caller's value; it raises an `InputError`.
     """
 
     low: float
@@ -248,13 +253,16 @@ KINDS: dict[str, Callable[..., Terrain]] = {
 class Ground:
     """A kind of terrain and its options: all of a ground but the seed. It pickles and hashes.
 
+    Attributes:
+        kind: a key of `KINDS`.
+        options: arguments of that kind's function. An option that is missing has its
+            default; of a pair, lowest and highest, each seed draws its own.
+
     Raises:
         InputError: an unknown kind.
     """
 
-    kind: str = "flat"  # a key of `KINDS`
-    # Arguments of that kind's function; an option that is missing has its default, and of a pair,
-    # lowest and highest, each seed draws its own.
+    kind: str = "flat"
     options: Mapping[str, float | str | list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -71,7 +71,13 @@ CANARY_SEED = 1
 
 @dataclass(frozen=True, eq=False)
 class DrawnWorlds:
-    """World k is body k on terrain k, with contact, muscles and nerves k."""
+    """World k is body k on terrain k, with contact, muscles and nerves k.
+
+    Attributes:
+        bodies: one a world, w of them.
+        terrains: likewise.
+        surroundings: contact, muscles and nerves, likewise.
+    """
 
     bodies: Bodies
     terrains: tuple[Terrain, ...]
@@ -80,11 +86,17 @@ class DrawnWorlds:
 
 @dataclass(frozen=True)
 class WalkerWorlds:
-    """The tables [body], [terrain] and [world], from which worlds are drawn."""
+    """The tables [body], [terrain] and [world], from which worlds are drawn.
 
-    build: Build  # what bodies are drawn around
-    ground: Ground  # kind of terrain with its options
-    ranges: WorldRanges  # of contact, muscles and nerves
+    Attributes:
+        build: what bodies are drawn around.
+        ground: kind of terrain, with its options.
+        ranges: of contact, muscles and nerves.
+    """
+
+    build: Build
+    ground: Ground
+    ranges: WorldRanges
 
     def draw(self, seeds: Sequence[np.random.SeedSequence]) -> DrawnWorlds:
         """One world a seed, whose spawn key is (purpose, index) with a purpose of `STREAMS`."""
@@ -122,12 +134,19 @@ class WalkerWorlds:
 
 @dataclass(frozen=True)
 class Walker:
-    """The neuromuscular walker, on its own engine or on MuJoCo."""
+    """The neuromuscular walker, on its own engine or on MuJoCo.
 
-    settings: Settings  # how the simulation is integrated, and on which machine
-    searched: tuple[Parameter, ...] = ()  # low-level gains that points have after the 16 gains
-    fixed: tuple[float, ...] = ()  # the 16 gains where points do not have them
-    kept: tuple[str, ...] = ()  # columns of each world beside `OUTCOMES`
+    Attributes:
+        settings: how the simulation is integrated, and on which machine.
+        searched: low-level gains that points have after the 16 gains.
+        fixed: the 16 gains where points do not have them; () where they do.
+        kept: columns of each world beside `OUTCOMES`.
+    """
+
+    settings: Settings
+    searched: tuple[Parameter, ...] = ()
+    fixed: tuple[float, ...] = ()
+    kept: tuple[str, ...] = ()
 
     name: ClassVar[str] = "walker"
     code_version: ClassVar[str] = "0.4.0"  # the release that first gave these columns

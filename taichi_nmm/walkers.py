@@ -30,14 +30,23 @@ BLEND_TICKS = 10  # of a switch, for which gains stay the same
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Checked input: n walkers, each with its gains, body and terrain."""
+    """Checked input: n walkers, each with its gains, body and terrain.
 
-    gains: NDArray[np.float64]  # in the order of `parameters.GAINS`, [n, gain]
-    low_level: NDArray[np.float64]  # in the order of `parameters.LOW_LEVEL_GAINS`, [n, gain]
-    bodies: Bodies  # n of them
-    worlds: Worlds  # n of them
-    terrains: tuple[Terrain, ...]  # the different grounds
-    terrain_index: NDArray[np.int32]  # each walker's, [n]
+    Attributes:
+        gains: in the order of `parameters.GAINS`, [n, 16].
+        low_level: in the order of `parameters.LOW_LEVEL_GAINS`, [n, 28].
+        bodies: one a walker, n of them.
+        worlds: likewise.
+        terrains: the different grounds.
+        terrain_index: the ground of each walker, [n].
+    """
+
+    gains: NDArray[np.float64]
+    low_level: NDArray[np.float64]
+    bodies: Bodies
+    worlds: Worlds
+    terrains: tuple[Terrain, ...]
+    terrain_index: NDArray[np.int32]
 
     def __len__(self) -> int:
         return len(self.gains)

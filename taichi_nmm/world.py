@@ -180,12 +180,30 @@ class Worlds(Rows):
 class WorldRanges:
     """The ranges that worlds are drawn from: lowest and highest value of each number.
 
-    Contact stiffness and relaxation speed are drawn log-uniformly, the others uniformly, each from
-    a stream of its own, and so is the seed of noise and catches. A muscle is `overall_strength`,
-    which all of a walker's muscles share, times its own `strength`, times what `muscles` has for it
-    in all worlds, the left leg's first, [14]: a weak soleus, a muscle that is missing (0). All
-    worlds have the `prosthesis`, if there is one, the same `exoskeleton`, and the same factors of
-    the muscles' optimal lengths, slack lengths and activation times, [14]. They pickle and hash.
+    Each number is drawn from a stream of its own, and so is the seed of noise and
+    catches: contact stiffness and relaxation speed log-uniformly, the others uniformly.
+    Units are those of `Worlds`. A muscle's strength is `overall_strength` times its own
+    `strength` times what `muscles` has for it. They pickle and hash.
+
+    Attributes:
+        contact_stiffness: over the nominal, 0.01 to 100.
+        relaxation_speed: over that of the `Settings`, 0.1 to 100.
+        friction: Coulomb's coefficient, 0.05 to 10.
+        strength: of each muscle on its own, over the nominal, 0.1 to 10.
+        nerve_lag_s: time constant of a low pass of the signals, 0 to 1.
+        sensing_noise: half the width of uniform noise on the signals, 0 to 10.
+        overall_strength: which all of a walker's muscles share, over the nominal, 0.1 to
+            10.
+        catch_ns: largest impulse that holds a foot back, N s, 0 to 50.
+        muscles: factors of the strength in all worlds, the left leg's first, [14]: a
+            weak soleus, a muscle that is missing (0).
+        prosthesis: that all worlds have; None: none.
+        optimal_length: factors of the fibres' optimal lengths in all worlds, as
+            `muscles`, 0.5 to 2.
+        slack_length: of the tendons' slack lengths, likewise.
+        activation_time: of the time constants of activation, likewise, 0.1 to 10.
+        exoskeleton: that all worlds have; without a peak torque among the gains it does
+            nothing.
     """
 
     contact_stiffness: Range = AS_NOMINAL

@@ -17,10 +17,15 @@ REFERENCE_STRAIN = 0.04  # of the tendon at Fmax
 
 @dataclass(frozen=True)
 class Attachment:
-    """How a muscle spans a joint: lever `arm_m`, largest at `angle_of_largest_arm_deg`.
+    """How a muscle spans a joint, whose convention its angles have.
 
-    None for `angle_of_largest_arm_deg` is a constant arm. `sign` is that of the joint torque;
-    `pennation` (rho) scales the length, not the torque. Angles in the joint's convention.
+    Attributes:
+        arm_m: the lever, where it is largest.
+        angle_of_largest_arm_deg: of the joint; None: the lever is the same at all
+            angles.
+        reference_angle_deg: of the joint, at which the attachment adds no length.
+        pennation: rho, which scales the length and not the torque, 0 to 1.
+        sign: of the joint's torque, 1 or -1.
     """
 
     arm_m: float
@@ -32,7 +37,17 @@ class Attachment:
 
 @dataclass(frozen=True)
 class MuscleData:
-    """One muscle: Fmax, optimal fibre length, largest speed, tendon slack length, attachments."""
+    """One muscle of a leg, the same on both sides.
+
+    Attributes:
+        fmax_n: its largest isometric force, Fmax.
+        optimal_length_m: of its fibre, at which the force is largest.
+        vmax_per_s: its largest speed, in optimal lengths a second.
+        slack_length_m: of its tendon, up to which it carries no force.
+        hip: attachment there; None: it does not span this joint.
+        knee: likewise.
+        ankle: likewise.
+    """
 
     fmax_n: float
     optimal_length_m: float

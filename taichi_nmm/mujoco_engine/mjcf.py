@@ -84,7 +84,13 @@ NO_LIMIT_RAD = math.pi
 
 @dataclass(frozen=True)
 class Stop:
-    """A joint's range, rad, and the relaxation rate w_max of the law beyond it."""
+    """A stop of a joint, as `kernel.joints` has it.
+
+    Attributes:
+        low_rad: the lower end of the range, -pi: none.
+        high_rad: the upper end, pi: none.
+        relaxation_radps: w_max of the law beyond the range.
+    """
 
     low_rad: float
     high_rad: float
