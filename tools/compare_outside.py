@@ -68,7 +68,7 @@ def parse() -> Namespace:
     known = f"{', '.join(outside.GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
     parser.add_argument("--problems", default="tuning", help=known)
     parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
-    parser.path("--out", "of the page; docs", default=ROOT / "docs")
+    parser.path("--out", "of the page; out/benchmarks", default=ROOT / "out" / "benchmarks")
     parser.path("--cache", "of the runs; out/outside", default=ROOT / "out" / "outside")
     found = parser.parse_args()
     require_folder(found.out)

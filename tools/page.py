@@ -23,7 +23,7 @@ def write_page(path: Path, title: str, figures: list[str]) -> None:
     Raises:
         InputError: the page cannot be written.
     """
-    how = f"`docs/{path.name}` says how to read the figures."
+    how = "`docs/sampler-benchmarks.md` says how to read the figures."
     fresh = f"# {title}\n\n{how}\n\nWritten by\n"
     said = path.read_text(encoding="utf-8") if path.exists() else fresh
     above = said.partition(f"\n{figures[0]}\n")[0].rstrip()

@@ -1,6 +1,6 @@
 """Time one proposal of the feature-kernel sampler, and measure the memory it holds.
 
-    python tools/time_sampler.py                   # a table into docs/; minutes
+    python tools/time_sampler.py                   # a table into out/benchmarks; minutes
     python tools/time_sampler.py --rows 5000 --out out/timing
 
 Each figure comes from a fresh process on one thread. Run it on an idle machine.
@@ -83,7 +83,7 @@ class Measured:
 def main() -> None:
     parser = Options(__file__)
     parser.whole("--rows", LEAST_ROWS, MOST_ROWS, default=100_000, help="of a table; %(default)s")
-    parser.path("--out", "of the page; docs", default=ROOT / "docs")
+    parser.path("--out", "of the page; out/benchmarks", default=ROOT / "out" / "benchmarks")
     options = parser.parse_args()
     require_folder(options.out)
     measured = [fresh(case) for case in tqdm(cases(options.rows), unit="case")]
