@@ -186,9 +186,10 @@ class Store:
         footers: of each file: shard, rows, code, engine, architecture, precision.
         columns: names of all columns.
         specification: of the store, as in specification.json.
+        ROW: name of the column of the rows' numbers.
     """
 
-    ROW: ClassVar[str] = "row"  # the column of the rows' numbers
+    ROW: ClassVar[str] = "row"
 
     path: Path
     files: tuple[Path, ...]

@@ -29,13 +29,21 @@ OF_MUJOCO = ("--engine", "--samples", "--seed", "--json")  # options that it use
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured number beside its bar."""
+    """A measured number beside its bar.
 
-    what: str  # name of the quantity
+    Attributes:
+        what: name of the quantity.
+        value: as measured.
+        low: the least that is allowed; None: no lower bound.
+        high: the most; with both None, the number is only reported.
+        unit: of the number and its bar; "" where it has none.
+    """
+
+    what: str
     value: float
-    low: float | None = None  # the least that is allowed; None: no lower bound
-    high: float | None = None  # the most; with both None, the number is only reported
-    unit: str = ""  # of the number and its bar
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
 
     @property
     def holds(self) -> bool:

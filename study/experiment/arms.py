@@ -31,19 +31,35 @@ NOTHING = "nothing but its own trials"  # what an arm without a store has seen
 
 @dataclass(frozen=True)
 class Arm:
-    """A way of choosing trials."""
+    """A way of choosing trials.
 
-    name: str  # in commands and files
-    label: str  # in figures and tables
+    Attributes:
+        name: in commands and files.
+        label: in figures and tables.
+        kind: "ours", "peer" (of others, or plain) or "control" (without a model).
+        summary: in a line.
+        new_sampler: makes the sampler of a study or, where it is `fresh`, of one trial.
+        store: key of the store that it reads, in the configuration's [stores]; "": none.
+        feature: a column of that store, or one of `IN_WORLDS`; "": none.
+        fresh: whether each trial has a new sampler, since the library keeps a state in
+            it.
+        replayed: whether the library keeps a state in trials, which a resumed study
+            repeats.
+        takes_goals: whether it takes two goals; if not, one cost alone.
+        options: that decide its proposals as well, as JSON values.
+    """
+
+    name: str
+    label: str
     kind: Kind
-    summary: str  # in a line
+    summary: str
     new_sampler: Callable[[Task], BaseSampler]
-    store: str = ""  # key of the store that it reads, in the configuration's [stores]; "" for none
-    feature: str = ""  # a column of that store, or of `IN_WORLDS`; "" for none
-    fresh: bool = False  # a new sampler for each trial, since the library keeps a state in it
-    replayed: bool = False  # the library keeps a state in trials, which a resumed study repeats
-    takes_goals: bool = False  # whether it takes two goals, or one cost alone
-    options: Mapping[str, Any] = field(default_factory=dict)  # that decide its proposals as well
+    store: str = ""
+    feature: str = ""
+    fresh: bool = False
+    replayed: bool = False
+    takes_goals: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def definition(self) -> dict[str, Any]:

@@ -68,14 +68,25 @@ class Walks:
 
 @dataclass(frozen=True)
 class Block:
-    """Some studies as they stand, and how many trials each is to have."""
+    """Some studies as they stand, and how many trials each is to have.
+
+    Attributes:
+        experiment: that the studies belong to.
+        studies: by arm and run.
+        known: their finished trials, `state_schema`; of studies that are handed on,
+            none.
+        trials: that each study is to have in total.
+        handed_on: the studies of an earlier `Advanced`; empty: they are made of the
+            known trials.
+        walks: of that `Advanced`; they are not simulated again.
+    """
 
     experiment: Experiment
     studies: tuple[Key, ...]
-    known: pa.Table  # their finished trials, `state_schema`; of studies that are handed on, none
+    known: pa.Table
     trials: int
-    handed_on: tuple[optuna.Study, ...] = ()  # of an earlier `Advanced`; empty: made of the known
-    walks: Walks = field(default_factory=Walks)  # of that `Advanced`
+    handed_on: tuple[optuna.Study, ...] = ()
+    walks: Walks = field(default_factory=Walks)
 
 
 @dataclass(frozen=True)
@@ -84,11 +95,16 @@ class Advanced:
 
     With the studies the next stretch need not repeat the trials of libraries that keep a state, and
     with the walks it need not simulate them again.
+
+    Attributes:
+        table: the trials that its studies lacked, `state_schema`.
+        studies: with all their trials, in the block's order.
+        walks: all of the block so far.
     """
 
-    table: pa.Table  # the trials that its studies lacked, `state_schema`
-    studies: tuple[optuna.Study, ...]  # with all their trials, in the block's order
-    walks: Walks  # all of the block so far
+    table: pa.Table
+    studies: tuple[optuna.Study, ...]
+    walks: Walks
 
 
 def advance(block: Block) -> Advanced:

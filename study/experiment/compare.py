@@ -45,12 +45,19 @@ STRETCH_TRIALS = 5
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a comparison is."""
+    """How far a comparison is.
 
-    trials: int  # finished, those of earlier sessions included
-    total: int  # that there are to be
-    studies: int  # that there are
-    walkers: int  # studies with a trial that walked
+    Attributes:
+        trials: finished ones, those of earlier sessions included.
+        total: of the trials that there are to be.
+        studies: that there are.
+        walkers: studies with a trial that walked.
+    """
+
+    trials: int
+    total: int
+    studies: int
+    walkers: int
 
 
 class FinishedTrials:
@@ -120,25 +127,42 @@ class FinishedTrials:
 
 @dataclass(frozen=True)
 class Request:
-    """A user's request; None: the configuration's value."""
+    """A user's request; where it is None, the configuration's value counts.
 
-    out: Path  # folder of the experiment
-    storage: str | None = None  # URL of the study database; None is a file in the folder
-    arms: tuple[str, ...] | None = None  # by name
-    runs: int | None = None  # at least 1
-    trials: int | None = None  # at least 1, of each arm in each run, in total
-    workers: int = 1  # processes of this machine that try trials
-    cluster: Cluster | None = None  # that tries trials in place of the workers
+    Attributes:
+        out: folder of the experiment.
+        storage: URL of the study database; None: a file in the folder.
+        arms: by name.
+        runs: at least 1.
+        trials: of each arm in each run, in total, at least 1.
+        workers: processes of this machine that try trials.
+        cluster: that tries trials in place of the workers; None: there is none.
+    """
+
+    out: Path
+    storage: str | None = None
+    arms: tuple[str, ...] | None = None
+    runs: int | None = None
+    trials: int | None = None
+    workers: int = 1
+    cluster: Cluster | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The results of a comparison."""
+    """The results of a comparison.
 
-    trials: pa.Table  # of results: all arms of the folder
-    storage: str  # URL of the study database
-    computed: int  # trials of this session
-    wall_s: float  # of this session
+    Attributes:
+        trials: the table of results, all arms of the folder.
+        storage: URL of the study database.
+        computed: trials of this session.
+        wall_s: of this session.
+    """
+
+    trials: pa.Table
+    storage: str
+    computed: int
+    wall_s: float
 
 
 def compare(

@@ -51,21 +51,35 @@ PAID = tuple(name for name in RESULT_DTYPE.names or () if name not in ("end_reas
 class Experiment:
     """All that the studies of an experiment share. It pickles; processes draw bodies and grounds.
 
-    Conditions are of every trial: its length, the simulation, and what bodies and grounds are drawn
-    from. Stores are folders of scores, by the name that arms know them by.
+    From `runs` on, fields decide no trial: they may grow, or their content is known by
+    digest (`as_written`).
+
+    Attributes:
+        name: a study is called name/arm/run-NNN.
+        seed: of bodies, grounds and samplers: run r draws from (seed, purpose, r).
+        searched: names of the low-level gains that are searched beside the 16 gains.
+        objective: what a trial costs.
+        conditions: of every trial: its length, the simulation, and what bodies, grounds
+            and worlds are drawn from.
+        fixed: the 16 gains, where none of them is searched; () where they are.
+        until_walker: whether a study ends with its first walker, where others have all
+            trials.
+        runs: their number, each a body and a ground.
+        trials: of each arm in each run, at most.
+        arms: that are compared, by name.
+        stores: folders of scores, by the name that arms know them by.
     """
 
-    name: str  # a study is called name/arm/run-NNN
-    seed: int  # of bodies, grounds and samplers: run r draws from (seed, purpose, r)
-    searched: tuple[str, ...]  # low-level gains that are searched beside the 16 gains
+    name: str
+    seed: int
+    searched: tuple[str, ...]
     objective: Objective
     conditions: Conditions
-    fixed: tuple[float, ...] = ()  # the 16 gains, where none of them is searched
-    until_walker: bool = False  # a study ends with its first walker, where others have all trials
-    # The rest decides nothing: it may grow, or its content is known by digest (`as_written`).
-    runs: int = 50  # each a body and a ground
-    trials: int = 100  # of each arm in each run, at most
-    arms: tuple[str, ...] = ()  # that are compared
+    fixed: tuple[float, ...] = ()
+    until_walker: bool = False
+    runs: int = 50
+    trials: int = 100
+    arms: tuple[str, ...] = ()
     stores: Mapping[str, Path] = field(default_factory=dict, hash=False)
 
     @cached_property

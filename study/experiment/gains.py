@@ -36,12 +36,20 @@ TRIAL_FORM = "EXPERIMENT/ARM/run-NNN/NUMBER, such as rough8-smooth/dog/run-007/1
 
 @dataclass(frozen=True, eq=False)
 class NamedGains:
-    """All gains of a controller, and their name."""
+    """All gains of a controller, and their name.
 
-    name: str  # for titles and file names
-    gains: NDArray[np.float64]  # [16]
-    low_level: NDArray[np.float64]  # [28]
-    later: tuple["NamedGains", ...] = ()  # that follow, each for an equal part of a walk
+    Attributes:
+        name: for titles and file names.
+        gains: in the order of `GAINS`, [16].
+        low_level: in the order of `LOW_LEVEL_GAINS`, [28].
+        later: gains that follow, each for an equal part of a walk; empty: these are
+            kept.
+    """
+
+    name: str
+    gains: NDArray[np.float64]
+    low_level: NDArray[np.float64]
+    later: tuple["NamedGains", ...] = ()
 
     def as_document(self) -> dict[str, float]:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""

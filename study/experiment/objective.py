@@ -52,13 +52,23 @@ TRIAL_DTYPE = np.dtype([(name, RESULT_DTYPE[name]) for name in NEEDED])  # by th
 
 @dataclass(frozen=True)
 class Term:
-    """What is paid for one column: weight times the number, or its distance from a target."""
+    """What is paid for one column: weight times the number, or its distance from a target.
 
-    column: str  # or a function's path
+    Attributes:
+        column: that is paid for, or a function's path.
+        weight: of a number, in units of the cost over the column's unit; below 0, more
+            is better.
+        target: in the unit of the column; None: the number itself is paid for.
+        tolerance: distance from the target that costs nothing, in this unit.
+        function: of all columns by name, in place of a column; None: the column is paid
+            for.
+    """
+
+    column: str
     weight: float
     target: float | None = None
-    tolerance: float = 0.0  # distance from the target that costs nothing
-    function: Callable[[Any], Any] | None = None  # of all columns, by name
+    tolerance: float = 0.0
+    function: Callable[[Any], Any] | None = None
 
     def values(self, given: Any, survived: str = SURVIVED) -> Floats:
         """The numbers of runs, [n] or [n, w], from their columns by name.
@@ -95,14 +105,24 @@ class Term:
 
 @dataclass(frozen=True)
 class Objective:
-    """What a trial costs. It pickles and hashes."""
+    """What a trial costs. It pickles and hashes.
 
-    cost: str = "smooth"  # of `PRINTED`; `WEIGHTED`; `FRONT`; or, of any simulator, a column
-    terms: tuple[Term, ...] = ()  # none: one of the paper's
+    Attributes:
+        cost: one of `PRINTED`, `WEIGHTED`, `FRONT` or, of any simulator, a column.
+        terms: of a weighted sum; empty: the cost is one of the paper's, or a front.
+        fell_cost: of a run that falls at its end; of one that falls at once it is twice
+            this. Infinite without terms.
+        survived: column with the share of the time that a run lasted, 0 to 1.
+        goals: of a `FRONT`, two; empty: there is one cost.
+        name: of a goal; "" of what is none.
+    """
+
+    cost: str = "smooth"
+    terms: tuple[Term, ...] = ()
     fell_cost: float = math.inf
-    survived: str = SURVIVED  # column with the share of the time that a run lasted
-    goals: tuple["Objective", ...] = ()  # of a `FRONT`, two
-    name: str = ""  # of a goal
+    survived: str = SURVIVED
+    goals: tuple["Objective", ...] = ()
+    name: str = ""
 
     @property
     def each(self) -> tuple["Objective", ...]:

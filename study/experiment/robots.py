@@ -53,11 +53,19 @@ PACKAGES = ("optuna", "cmaes", "numpy", "scipy")
 
 @dataclass(frozen=True)
 class RobotArm:
-    """A way of choosing trials; `first` rows of the ranking come before its own, all if None."""
+    """A way of choosing trials.
 
-    label: str  # in tables and figures
-    sees: str  # of the store, before the first trial
-    new_sampler: Callable[[FeatureTable, int, float], BaseSampler]  # of a seed and success
+    Attributes:
+        label: in tables and figures.
+        sees: what it knows of the store before the first trial, in words.
+        new_sampler: makes the sampler of a table, a seed, and the cost of a success.
+        first: rows of the ranking that come before its own trials; None: all trials are
+            such rows.
+    """
+
+    label: str
+    sees: str
+    new_sampler: Callable[[FeatureTable, int, float], BaseSampler]
     first: int | None = 0
 
 
@@ -88,18 +96,32 @@ NEED_TORCH = ("gp-ranking", "gp")
 
 @dataclass(frozen=True)
 class RobotExperiment:
-    """All that the studies of such a comparison share. It pickles."""
+    """All that the studies of such a comparison share. It pickles.
+
+    Attributes:
+        name: a study is called name/arm/run-NNN.
+        seed: of robots, noise and samplers.
+        simulator: that runs the trials, with its settings.
+        rule: by which the robots' worlds are drawn.
+        store: folder of the scores that arms see.
+        duration_s: of a trial.
+        objective: what a trial costs.
+        noise: of a measured cost, relative: standard deviation of its logarithm, 0 to 1.
+        runs: robots.
+        trials: of each arm on each robot.
+        arms: that are compared, by name.
+    """
 
     name: str
-    seed: int  # of robots, noise and samplers
+    seed: int
     simulator: Simulator
-    rule: WorldRule  # of the robots' worlds
+    rule: WorldRule
     store: Path
-    duration_s: float  # of a trial
+    duration_s: float
     objective: Objective
-    noise: float  # of a measured cost, relative, standard deviation of its logarithm
-    runs: int  # robots
-    trials: int  # of each arm on each robot
+    noise: float
+    runs: int
+    trials: int
     arms: tuple[str, ...]
 
     @cached_property

@@ -35,13 +35,21 @@ START_ROWS = 100  # best rows by score, of which a warm start takes one
 
 @dataclass(frozen=True)
 class Task:
-    """One study of an experiment, and, of samplers that are new every trial, one trial."""
+    """One study of an experiment, and, of samplers that are new every trial, one trial.
+
+    Attributes:
+        experiment: of the study.
+        seed: of the sampler.
+        turn: number of the trial, from 0.
+        store: key of the arm's store; "": it has none.
+        feature: of the arm, a column of this store; "": it has none.
+    """
 
     experiment: Experiment
-    seed: int  # of the sampler
-    turn: int  # number of the trial
-    store: str  # key of the arm's store; "" for none
-    feature: str  # of the arm
+    seed: int
+    turn: int
+    store: str
+    feature: str
 
     @property
     def table(self) -> FeatureTable:
