@@ -184,7 +184,7 @@ class FunctionSimulator(Simulator):
         values = [self._values(name, points[:, k]) for k, name in enumerate(self.space)]
         if self.batch:
             pairs = zip(self.space, values, strict=True)
-            named = {name: np.asarray(each)[:, None] for name, each in pairs}
+            named = {name: self._array(name, each)[:, None] for name, each in pairs}
             whole = {name: each[None, :] for name, each in worlds.items()}
             try:
                 found = self._compute(named, whole, horizon_s)
@@ -222,6 +222,18 @@ class FunctionSimulator(Simulator):
         whole = isinstance(distribution, IntDistribution)
         return list(column.astype(np.int64).tolist() if whole else column.tolist())
 
+    def _array(self, name: str, values: Sequence[Any]) -> NDArray[Any]:
+        """Values of a parameter as an array, [n], whose type no other run decides.
+
+        NumPy would turn choices such as 1 and "fast" into words.
+        """
+        distribution = self.space[name]
+        if not isinstance(distribution, CategoricalDistribution):
+            return np.asarray(values)
+        kind = np.asarray(distribution.choices).dtype
+        is_of_words = all(isinstance(choice, str) for choice in distribution.choices)
+        return np.array(values, dtype=object if kind.kind == "U" and not is_of_words else kind)
+
     def _keep(self, rows: NDArray[np.void], found: Mapping[str, Any]) -> None:
         """Write what the function returned into rows [n, w] of zeros."""
         names = [name for name in self.columns.names or () if name != ENDED]
@@ -230,8 +242,8 @@ class FunctionSimulator(Simulator):
             raise self._fault(f"a function that returns {listed(names)} by name, not {wrong}")
         for name in names:
             try:
-                rows[name] = np.broadcast_to(np.asarray(found[name], dtype=np.float64), rows.shape)
-            except (TypeError, ValueError):
+                rows[name] = np.broadcast_to(checks.numbers(name, found[name]), rows.shape)
+            except ValueError:  # of the shape; an `InputError` is one, too
                 shape = list(rows.shape)
                 raise self._fault(f"{name} as numbers that broadcast to {shape}") from None
         whole = np.all([np.isfinite(rows[name]) for name in names], axis=0)

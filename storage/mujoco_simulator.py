@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution
+from optuna.distributions import BaseDistribution, CategoricalDistribution, IntDistribution
 
 from storage.function_simulator import (
     ENDED,
@@ -213,11 +213,12 @@ class MujocoSimulator(FunctionSimulator):
         return ("numpy", "mujoco")
 
     def document(self) -> dict[str, Any]:
-        """The base setting's world, how long controls hold, and the root, if it was named."""
+        """The base setting's world, how long controls hold; root and rule, where they are given."""
         start = None if self._start_qpos is None else self._start_qpos.tolist()
         root = {} if self._root_name is None else {"root": self._root_name}
+        rule = {} if self._fallen is None else {"fallen": self._fallen.__qualname__}
         own = {"control_step_s": self.control_step_s, "start_qpos": start}
-        return super().document() | own | root
+        return super().document() | own | root | rule
 
     def read_worlds(self, table: Table) -> NumberRanges:
         """The table [world], of which each number has a meaning for the model."""
@@ -251,6 +252,11 @@ class MujocoSimulator(FunctionSimulator):
                     found[name][rows, places] = columns[name]
         return found
 
+    @checks.checked(
+        point=checks.by_name(lambda field, value: value),
+        world=checks.by_name(checks.number()),
+        seconds=checks.number(),
+    )
     def trial(
         self, point: Mapping[str, Any], world: Mapping[str, float], seconds: float
     ) -> dict[str, float]:
@@ -274,6 +280,11 @@ class MujocoSimulator(FunctionSimulator):
         found = self._compute(shaped, whole, seconds)
         return {name: float(each[0, 0]) for name, each in found.items()}
 
+    @checks.checked(
+        point=checks.by_name(lambda field, value: value),
+        world=checks.by_name(checks.number()),
+        seconds=checks.number(),
+    )
     def states(
         self, point: Mapping[str, Any], world: Mapping[str, float], seconds: float
     ) -> tuple[Any, list[Floats]]:
@@ -300,9 +311,24 @@ class MujocoSimulator(FunctionSimulator):
                 known = ", ".join((*self.worlds, SEED))
                 raise InputError(f"world.{name}", world[name], f"one of {known}")
         whole = {SEED: 0.0} | self.worlds | dict(world)
+        if not (whole[SEED] >= 0.0 and float(whole[SEED]).is_integer()):
+            raise InputError(f"world.{SEED}", whole[SEED], "a whole number, 0 or more")
         worlds = {name: np.array([float(value)]) for name, value in whole.items()}
         self._require_worlds(worlds)
-        return {name: np.array([point[name]]) for name in self.space}, worlds
+        values = {name: self._as_stored(name, point[name]) for name in self.space}
+        return {name: self._array(name, [value]) for name, value in values.items()}, worlds
+
+    def _as_stored(self, name: str, value: Any) -> Any:
+        """A parameter's value as a store's rows have it."""
+        distribution, field = self.space[name], f"point.{name}"
+        if isinstance(distribution, CategoricalDistribution):
+            return checks.that(distribution.choices.__contains__, f"{distribution.choices}")(
+                field, value
+            )
+        number = checks.number()(field, value)
+        if isinstance(distribution, IntDistribution):
+            return int(checks.that(lambda each: each % 1 == 0, "a whole number")(field, number))
+        return float(number)
 
     def _walk(
         self,
@@ -315,8 +341,11 @@ class MujocoSimulator(FunctionSimulator):
         """Columns of n points in w worlds with these models, [n, w]."""
         import mujoco
 
+        steps = round(seconds / self.control_step_s)
+        if steps < 1:
+            allowed = f"{self.control_step_s:g} s, one control step, or more"
+            raise InputError("seconds", seconds, allowed)
         herd = Herd(self, points, worlds, models)
-        steps = max(round(seconds / self.control_step_s), 1)
         warn = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda text: None)  # no lines, nor a file, on who diverges
         try:

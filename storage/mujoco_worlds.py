@@ -121,10 +121,19 @@ def quaternions(model: Any) -> list[int]:
 
 
 def weight_of(model: Any, root: int) -> float:
-    """In N, of all bodies that hang on the one that carries the root."""
-    own = model.body_rootid == model.body_rootid[root]
-    mass = np.where(own, model.body_mass, 0.0).sum()
+    """In N, of the bodies that move with the root: of those that joints connect with it."""
+    mass = np.where(moves_with(model, root), model.body_mass, 0.0).sum()
     return float(mass * np.linalg.norm(gravity_of(model)))
+
+
+def moves_with(model: Any, root: int) -> NDArray[np.bool_]:
+    """Which bodies are of the root's tree, [nbody]: not the rail or the table that carries it.
+
+    Nothing moves a fixed root: of such a model these are all bodies that hang on what carries it.
+    """
+    if model.body_treeid[root] >= 0:
+        return np.asarray(model.body_treeid == model.body_treeid[root])
+    return np.asarray(model.body_rootid == model.body_rootid[root])
 
 
 def change(model: Any, world: Mapping[str, float], draws: np.random.Generator) -> None:
@@ -241,7 +250,6 @@ def numerics_of(model: Any, root: int, start: Floats) -> bytes:
     later = [name for fields in FACTORS.values() for name in list(fields)[1:]]
     overrides = model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE
     limited = model.actuator_forcelimited, model.jnt_actfrclimited, model.tendon_actfrclimited
-    others = model.body_rootid != model.body_rootid[root]
     differs = (
         any(np.any(getattr(model, name)) for name in later)
         or any(np.any(each) for each in limited)
@@ -250,7 +258,7 @@ def numerics_of(model: Any, root: int, start: Floats) -> bytes:
         or bool(quaternions(model))
         or bool(gravity[0] or gravity[1] or gravity[2] >= 0.0)
         or (rates is not None and rates.tolist() != [1.0, *[0.0] * (model.nv - 1)])
-        or bool(np.any(model.body_mass[others]))
+        or bool(np.any(model.body_mass[~moves_with(model, root)]))
         or any(
             place[0] != start[0] or place[1] != start[1] or turn[2, 2] != 1.0
             for place, turn in _grounds(model)

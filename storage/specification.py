@@ -30,7 +30,7 @@ from storage.simulator import (
     check_simulator,
     find_simulator,
 )
-from storage.store import ORIGIN, arrow_schema, columns_of
+from storage.store import ORIGIN, Store, arrow_schema, columns_of
 from storage.tables import FORMAT, document_hash
 from taichi_nmm import checks
 from taichi_nmm.config import REQUIRED, Table
@@ -318,6 +318,31 @@ def _ends(parameter: Parameter) -> dict[str, Any]:
     own = getattr(parameter, "distribution", "")
     ends = {"low": float(parameter.low), "high": float(parameter.high)}
     return ends | ({"distribution": json.loads(own)} if own else {})
+
+
+def require_parameters(store: Store, simulator: Simulator) -> None:
+    """Refuse a store whose points mean something else to a simulator.
+
+    Raises:
+        InputError: parameters of other names or in another order, other choices, whole numbers in
+            one of the two alone, or bounds beyond the simulator's.
+    """
+    own = {each.name: _ends(each) for each in simulator.parameters}
+    stored = store.specification["gains"]
+    if tuple(stored) != tuple(own):
+        words = f"{simulator.name}, with the parameters {listed(own)}"
+        raise InputError("store", str(store.path), f"a store of {words}")
+    for name, ends in own.items():
+        is_within = ends["low"] <= stored[name]["low"] and stored[name]["high"] <= ends["high"]
+        if _kind(stored[name]) != _kind(ends) or not is_within:
+            allowed = f"{ends}, as {simulator.name} has it"
+            raise InputError(f"store.gains.{name}", stored[name], allowed)
+
+
+def _kind(ends: dict[str, Any]) -> tuple[str, Any]:
+    """What numbers of a parameter stand for: the name of its distribution, and its choices."""
+    distribution = ends.get("distribution", {"name": "FloatDistribution", "attributes": {}})
+    return distribution["name"], distribution["attributes"].get("choices")
 
 
 def read_specification(

@@ -28,7 +28,7 @@ from storage.cautions import cautions
 from storage.folder import Folder
 from storage.pool import Pool
 from storage.simulator import Simulator, WorldRule, run_points
-from storage.specification import read_simulator, run_lengths_s
+from storage.specification import read_simulator, require_parameters, run_lengths_s
 from storage.store import open_store
 from storage.tables import difference
 from study.experiment.block import quiet
@@ -206,9 +206,7 @@ def read_robots(
 
     experiment = read_whole(read_toml(path), read)
     store = open_store(experiment.store)
-    if tuple(store.specification["gains"]) != experiment.names:
-        words = f"{experiment.simulator.name}, with the parameters {listed(experiment.names)}"
-        raise InputError("store", str(experiment.store), f"a store of {words}")
+    require_parameters(store, experiment.simulator)
     candidates(experiment.store, experiment.objective)  # a cost that the store lacks is refused
     for line in cautions(store, experiment.simulator.survived):
         print(f"warning: {line}", file=sys.stderr)

@@ -20,6 +20,7 @@ from bokeh.models import Button, Div, Select
 from bokeh.themes import Theme
 
 from storage.simulator import WALKER
+from storage.specification import require_parameters
 from storage.store import Store
 from study.experiment.gains import gains_at, gains_of_source
 from study.explore.server import NIGHT, Latest, Message, Saver, flow
@@ -97,12 +98,14 @@ class RobotView:
 
 
 def worlds_of(store: Store) -> dict[str, dict[str, float]]:
-    """The numbers of the worlds in which a store's rows ran, by name; of the base setting, none."""
+    """The numbers of the worlds in which a store's rows ran, by name."""
     found: dict[str, dict[str, float]] = {BASE: {}}
-    for family in store.families:
-        drawn: dict[str, list[float]] = store.settings_of(family).get("drawn", {})
+    settings = {family: store.settings_of(family) for family in store.families}
+    for family, known in {BASE: store.specification, **settings}.items():
+        drawn: dict[str, list[float]] = known.get("drawn", {})
         for number in range(len(drawn.get("seed", ()))):
-            found[f"{family} {number}"] = {key: float(each[number]) for key, each in drawn.items()}
+            name = BASE if family == BASE else f"{family} {number}"
+            found[name] = {key: float(each[number]) for key, each in drawn.items()}
     return found
 
 
@@ -128,8 +131,10 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
     Raises:
         InputError: as `open_rows`, or no simulator to film.
     """
-    parameters = open_rows(path, study).gain_names
-    robot = None if simulator is None else filmable(simulator, parameters)
+    rows_of = open_rows(path, study)
+    robot = None if simulator is None else filmable(simulator, rows_of.gain_names)
+    if robot is not None and not isinstance(rows_of, Trials):  # whose numbers have no kinds
+        require_parameters(rows_of, robot)
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
         document.template, message = TEMPLATE, Message("message")

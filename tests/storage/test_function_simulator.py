@@ -306,6 +306,45 @@ def test_a_run_that_all_but_lasted_has_lasted() -> None:
         runs(changed(returns({"survived_fraction": 1.01, "speed_mps": 1.0})))
 
 
+def by_mode(point: Any, world: Any, seconds: float) -> dict[str, Any]:
+    return {"survived_fraction": 1.0, "speed_mps": np.where(point["mode"] == 1, 2.0, 3.0)}
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_choices_keep_their_types_in_any_company(batch: bool) -> None:
+    """NumPy makes words of a 1 beside "fast", so that no run of a batch would have a 1."""
+    simulator = FunctionSimulator(
+        by_mode,
+        parameters={"mode": CategoricalDistribution([1, "fast"])},
+        columns=robot.COLUMNS,
+        batch=batch,
+    )
+    for points in ([[0.0]], [[0.0], [1.0]]):
+        worlds = simulator.read_worlds(Table({})).draw([np.random.SeedSequence(0)])
+        rows = run_points(simulator, np.array(points), worlds, 1, 5.0)[0]
+        assert rows["speed_mps"].ravel().tolist() == [2.0, 3.0][: len(points)]
+
+
+def of_dates(point: Any, world: Any, seconds: float) -> dict[str, Any]:
+    return {"survived_fraction": 1.0, "speed_mps": np.timedelta64(5, "ms")}
+
+
+def of_phasors(point: Any, world: Any, seconds: float) -> dict[str, Any]:
+    return {"survived_fraction": 1.0, "speed_mps": np.array([[1.0 + 2.0j]])}
+
+
+def of_gaps(point: Any, world: Any, seconds: float) -> dict[str, Any]:
+    return {"survived_fraction": 1.0, "speed_mps": np.ma.masked_array([[5.0]], [[True]])}
+
+
+def test_columns_of_another_kind_are_no_numbers() -> None:
+    """NumPy would take 5 of 5 ms, the real part of a phasor, what a mask hides."""
+    for function in (of_dates, of_phasors):
+        with pytest.raises(InputError, match="speed_mps as numbers"):
+            runs(changed(function))
+    assert (runs(changed(of_gaps))["run_ended"] == 1).all()
+
+
 @pytest.mark.parametrize("batch", [False, True])
 def test_steps_may_be_longer_than_a_second(batch: bool) -> None:
     """The check before the work takes as long as the store's runs where a second is too short."""

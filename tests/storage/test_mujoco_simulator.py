@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from optuna.distributions import FloatDistribution
 
+from storage import make_store
 from storage.mujoco_simulator import COLUMNS, WORLDS, MujocoSimulator, SensedState
 from storage.points import sobol_points
 from storage.simulator import find_simulator, run_points
@@ -167,15 +168,18 @@ def test_a_number_means_the_same_on_any_model(
 
 
 def test_energy_and_weight_are_what_the_robot_has() -> None:
-    """A joint takes 4 N of an actuator's 100; a table and gravity along y do not add to a robot."""
+    """A joint takes 4 N of an actuator's 100; a table, a rail and gravity along y add nothing."""
     given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01, "fallen": never}
     strong = CART.replace('gear="4"', 'gear="100"')
     clipped = strong.replace('axis="1 0 0"', 'axis="1 0 0" actuatorfrcrange="-4 4"')
     table = '<body pos="9 9 9"><geom size="1" mass="70"/></body>'
     tabled = CART.replace("</worldbody>", f"{table}</worldbody>")
     sideways = CART.replace('gravity="0 0 -10"', 'gravity="0 -10 0"')
-    for text in (CART, clipped, tabled, sideways):
-        robot = MujocoSimulator(rail.Model(text), full, **given)
+    track = '<body><geom size="1" mass="70"/><body name="cart" pos="5 5 5">'
+    railed = CART.replace("<body>", track).replace("</worldbody>", "</body></worldbody>")
+    for text in (CART, clipped, tabled, sideways, railed):
+        root = "cart" if text == railed else None
+        robot = MujocoSimulator(rail.Model(text), full, root=root, **given)
         row = robot.trial({"share": 1.0}, {}, 1.0)
         assert row["distance_m"] == pytest.approx(1.0, rel=5e-3)
         # sampled at the ends of 100 control steps: 1 % more than 4 N times 1 m
@@ -194,6 +198,33 @@ def test_a_trial_is_a_row() -> None:
     own = world | {"seed": float(drawn["seed"][0])}
     found = Rail.trial({"beats": 2, "kp": 1.5}, own, SECONDS)
     assert found == {name: float(rows[name][0, 0]) for name in COLUMNS}
+
+
+def test_a_trial_has_the_types_of_a_row() -> None:
+    exact = Rail.trial({"beats": 2, "kp": 1.5}, {"seed": 7}, SECONDS)
+    assert Rail.trial({"beats": 2.0, "kp": np.float32(1.5)}, {"seed": 7.0}, SECONDS) == exact
+
+
+POINT = {"kp": 1.0, "beats": 1}
+
+
+@pytest.mark.parametrize(("point", "world", "seconds", "match"), [
+    (POINT, {}, 0.0, r"^seconds: 0\.0 .* 0\.01 s, one control step, or more"),
+    (POINT, {}, -3.0, "^seconds: -3"),
+    (POINT, {}, np.nan, "^seconds: nan .* a finite number"),
+    (POINT, {"mass": "heavy"}, 1.0, r"^world\.mass: 'heavy' .* a finite number"),
+    (POINT, {"seed": -1}, 1.0, r"^world\.seed: -1 .* a whole number, 0 or more"),
+    (POINT, {"seed": 7.9}, 1.0, r"^world\.seed: 7\.9 .* a whole number, 0 or more"),
+    (POINT | {"beats": 2.5}, {}, 1.0, r"^point\.beats: 2\.5 .* a whole number"),
+    (POINT | {"kp": np.nan}, {}, 1.0, r"^point\.kp: nan .* a finite number"),
+    (POINT | {"kp": "1"}, {}, 1.0, r"^point\.kp: '1' .* a finite number"),
+])  # fmt: skip
+@pytest.mark.parametrize("run", [Rail.trial, Rail.states])
+def test_a_trial_of_no_numbers_is_refused(
+    run: Any, point: Any, world: Any, seconds: float, match: str
+) -> None:
+    with pytest.raises(InputError, match=match):
+        run(point, world, seconds)
 
 
 CUBE = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
@@ -281,6 +312,20 @@ def test_a_model_without_files_has_the_version_of_before() -> None:
 def test_the_root_and_the_file_of_a_rule_are_in_a_store() -> None:
     assert "root" not in Rail.document() and made(root="leg").document()["root"] == "leg"
     assert made(fallen=never).code_version != Rail.code_version
+
+
+def soon(sensed: SensedState) -> Any:
+    return sensed.x_m > 0.01
+
+
+def test_half_a_store_of_another_rule_does_not_go_on(tmp_path: Path) -> None:
+    """Rule and controller may be of one file: which rule it is, the file does not say."""
+    given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01}
+    cart = [MujocoSimulator(rail.Model(CART), full, fallen=rule, **given) for rule in (never, soon)]
+    options: dict[str, Any] = {"workers": 1, "samples": 4, "simulation": {"duration_s": 0.2}}
+    make_store(cart[0], tmp_path / "cart", **options)
+    with pytest.raises(InputError, match="fallen"):
+        make_store(cart[1], tmp_path / "cart", **options)
 
 
 def watched(point: Any, sensed: SensedState, memory: Any) -> Any:

@@ -22,6 +22,7 @@ from study.options import parser_of
 from study.report.markdown import RobotResults
 from study.report.runs import read_results
 from study.sampler.draws import Purpose, stream
+from taichi_nmm.errors import InputError
 from tests.storage import robot
 from tests.storage.fake import stopping
 from tests.study.conftest import refused
@@ -73,6 +74,25 @@ def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trial
     factor = rows["measured"] / rows["cost"]
     assert 0.05 < np.log(factor).std() < 0.2
     assert rows.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max() == 1
+
+
+@pytest.mark.parametrize(("before", "after", "match"), [
+    ('["slow", "fast"]', '["fast", "slow"]', r"^store\.gains\.mode: .*slow.* allowed: .*fast"),
+    ("IntDistribution(1, 5)", "FloatDistribution(1, 5)", r"^store\.gains\.gear: .*Int.* allowed"),
+    ("FloatDistribution(-1.0, 1.0)", "FloatDistribution(-1.0, 0.5)", r"^store\.gains\.steer: "),
+])  # fmt: skip
+def test_a_store_that_means_something_else_to_the_simulator_is_refused(
+    before: str, after: str, match: str, config: Path, tmp_path: Path
+) -> None:
+    """Names and order are the same; choices go by their numbers, whole numbers cut a float."""
+    text = Path(robot.__file__).read_text()
+    assert before in text
+    name = tmp_path.name  # of a module that no other test has imported
+    (tmp_path / f"{name}.py").write_text(text.replace(before, after))
+    toml = config.read_text().replace("carts.py", f"{name}.py")
+    (tmp_path / "carts.toml").write_text(toml)
+    with pytest.raises(InputError, match=match):
+        read_robots(tmp_path / "carts.toml")
 
 
 def test_the_ranking_is_by_the_mean_over_worlds(experiment: RobotExperiment, trials: Any) -> None:

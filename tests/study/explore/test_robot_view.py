@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from optuna.distributions import IntDistribution
 
 from storage import Store, make_store
 from study.explore.page import BASE, numbers_text, page_of, worlds_of
@@ -26,12 +27,27 @@ def cart(tmp_path_factory: pytest.TempPathFactory) -> Store:
 def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
     drawn = cart.specification["families"]["gale"]["drawn"]
     worlds = worlds_of(cart)
-    assert list(worlds) == [BASE, "gale 0", "gale 1"] and worlds[BASE] == {}
+    base = {name: float(each[0]) for name, each in cart.specification["drawn"].items()}
+    assert list(worlds) == [BASE, "gale 0", "gale 1"] and worlds[BASE] == base
     assert worlds["gale 1"] == {name: float(each[1]) for name, each in drawn.items()}
     columns = first_columns(cart)
     assert len(set(columns)) == 5 and columns[2] == "gale_survived_fraction_mean"
     text = numbers_text(cart, 3)
     assert f"<td>thrust_n</td><td>{cart.gains()[3, 0]:.4g}</td>" in text and "_worlds" not in text
+
+
+def test_the_base_setting_is_the_stores_own(tmp_path: Path) -> None:
+    """A configuration may give it other numbers than the simulator has."""
+    store = make_store(robot.Cart, tmp_path / "cart", workers=1, samples=4, world={"wind": 2.0})
+    assert robot.Cart.worlds["wind"] != worlds_of(store)[BASE]["wind"] == 2.0
+
+
+def test_rows_that_mean_something_else_to_a_simulator_are_not_filmed(tmp_path: Path) -> None:
+    simulation: dict[str, Any] = {"duration_s": 0.1}
+    wide = rail.made(parameters=rail.PARAMETERS | {"beats": IntDistribution(1, 9)})
+    store = make_store(wide, tmp_path / "rail", workers=1, samples=4, simulation=simulation)
+    with pytest.raises(InputError, match=r"^store\.gains\.beats: .*'high': 4\.0"):
+        page_of(store.path, simulator="tests/storage/rail.py:Rail")
 
 
 def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
