@@ -103,15 +103,26 @@ def runnable(names: list[str]) -> list[str]:
 
 
 class Versus(NamedTuple):
-    """One of our arms against another, seeds in pairs."""
+    """One of our arms against another, seeds in pairs.
+
+    Attributes:
+        problem: its name.
+        other: the other arm.
+        wins: seeds on which ours had found a lower cost.
+        losses: seeds on which the other had.
+        p: Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests.
+        is_behind: whether the other leads by the test's sum of signed ranks, beyond
+            chance.
+        is_ahead: whether ours leads, well beyond chance.
+    """
 
     problem: str
     other: str
-    wins: int  # seeds on which ours had found a lower cost
-    losses: int  # seeds on which the other had
-    p: float  # Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests
-    is_behind: bool  # the other leads by the test's sum of signed ranks, beyond chance
-    is_ahead: bool  # ours leads, well beyond chance
+    wins: int
+    losses: int
+    p: float
+    is_behind: bool
+    is_ahead: bool
 
 
 class Comparison:

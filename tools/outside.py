@@ -70,25 +70,42 @@ ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 @dataclass(frozen=True)
 class Feature:
-    """A cheap number of each candidate: the preferred end, and a meaning that names the unit."""
+    """A cheap number of each candidate.
 
-    good: Literal["low", "high"] | None  # None: nobody knows
+    Attributes:
+        good: the end that is preferred, "low" or "high"; None: nobody knows.
+        meaning: in words, with the unit.
+    """
+
+    good: Literal["low", "high"] | None
     meaning: str
 
 
 @dataclass(frozen=True, eq=False)
 class OutsideProblem:
-    """A pool of n candidates, of which everything is known."""
+    """A pool of n candidates, of which everything is known.
 
-    name: str  # one of `PROBLEMS`
-    purpose: str  # "tuning", "reported" or "measured"
-    field: str  # of the problem, in words
-    cost_meaning: str  # the minimised quantity, with its unit
-    space: dict[str, BaseDistribution]  # of the d parameters, as Optuna has it
-    columns: Columns  # of the parameters, [n] each: floats, integers, or words
-    feature_meanings: dict[str, Feature]  # of k features by name
-    features: Floats  # as they came, [n, k]; infinite or NaN where the cheap run failed
-    cost: Floats  # [n], finite; less is better
+    Attributes:
+        name: one of `PROBLEMS`.
+        purpose: "tuning", "reported" or "measured".
+        field: of the problem, in words.
+        cost_meaning: the quantity that is minimised, with its unit.
+        space: of the d parameters, as Optuna has it.
+        columns: of the parameters, [n] each: floats, integers, or words.
+        feature_meanings: of the k features, by name.
+        features: as they came, [n, k]; infinite or NaN where the cheap run failed.
+        cost: less is better, finite, [n].
+    """
+
+    name: str
+    purpose: str
+    field: str
+    cost_meaning: str
+    space: dict[str, BaseDistribution]
+    columns: Columns
+    feature_meanings: dict[str, Feature]
+    features: Floats
+    cost: Floats
 
     def __len__(self) -> int:
         return len(self.cost)
@@ -207,7 +224,12 @@ def table(problem: OutsideProblem, ranking: bool = False) -> FeatureTable:
 
 @dataclass(frozen=True)
 class Batches:
-    """Trials of a run: so many at a time are proposed before any of them is told."""
+    """Trials of a run: so many at a time are proposed before any of them is told.
+
+    Attributes:
+        trials: of the whole run.
+        size: so many are proposed at a time; the last batch may be smaller.
+    """
 
     trials: int
     size: int = 1
@@ -332,13 +354,22 @@ RANKED = "features, and which end of each is good"
 
 
 class Arm(NamedTuple):
-    """A way of choosing trials that is compared with others."""
+    """A way of choosing trials that is compared with others.
 
-    label: str  # for tables and plots
-    sees: str  # its information beside the costs
+    Attributes:
+        label: for tables and plots.
+        sees: its information beside the costs: `NOTHING`, `FEATURES`, `FORMULAS` or
+            `RANKED`.
+        costs: of the trials, by a problem, a seed and the batches.
+        ours: whether its sampler is this project's.
+        needs: a package that this project does not install; "": none.
+    """
+
+    label: str
+    sees: str
     costs: Costs
     ours: bool = False
-    needs: str = ""  # a package that this project does not install
+    needs: str = ""
 
     @property
     def runs(self) -> bool:
@@ -372,7 +403,14 @@ ARMS = {
 
 
 class Run(NamedTuple):
-    """One study."""
+    """One study.
+
+    Attributes:
+        problem: its name, one of `PROBLEMS`.
+        arm: its name, one of `ARMS`.
+        seed: of the sampler, and of the half of the pool that it is given.
+        trials: in their batches.
+    """
 
     problem: str
     arm: str

@@ -57,27 +57,48 @@ LABELS = {
 
 @dataclass(frozen=True)
 class Case:
-    """A sampler, a table and a study; our defaults, unless the sampler's label says otherwise."""
+    """A sampler, a table and a study; our defaults, unless the sampler's label says otherwise.
 
-    sampler: str  # one of `LABELS`
-    rows: int  # of the table
-    features: int  # of a row
-    observations: int  # finished trials before the first proposal
-    bars: tuple[tuple[str, float], ...] = ()  # the most that is allowed, by names of `Measured`
+    Attributes:
+        sampler: one of `LABELS`.
+        rows: of the table.
+        features: of a row.
+        observations: finished trials before the first proposal.
+        bars: the most that is allowed, by names of `Measured`, in their units.
+    """
+
+    sampler: str
+    rows: int
+    features: int
+    observations: int
+    bars: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Times and memory of one case."""
+    """Times and memory of one case.
+
+    Attributes:
+        case: that was measured.
+        median_ms: of a proposal after the first, as the next two.
+        fastest_ms: likewise.
+        slowest_ms: likewise.
+        median_cpu_ms: on the processor: on a busy machine a proposal waits for it.
+        first_cpu_ms: of the first proposal, which puts the table on the scales of the
+            model.
+        kept_mib: by which the process grew from before the table was made; NaN but on
+            Linux.
+        peak_mib: the same at the peak.
+    """
 
     case: Case
-    median_ms: float  # of a proposal after the first, as the next two
+    median_ms: float
     fastest_ms: float
     slowest_ms: float
-    median_cpu_ms: float  # on the processor: on a busy machine a proposal waits for it
-    first_cpu_ms: float  # of the first proposal, which puts the table on the scales of the model
-    kept_mib: float  # by which the process grew from before the table was made; NaN but on Linux
-    peak_mib: float  # the same at the peak
+    median_cpu_ms: float
+    first_cpu_ms: float
+    kept_mib: float
+    peak_mib: float
 
 
 def main() -> None:

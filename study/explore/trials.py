@@ -33,13 +33,20 @@ MOST_LISTED = 8  # studies; of more, the runs are not told apart
 
 @dataclass(frozen=True)
 class Trials(Store):
-    """The trials of a study that have been begun; a number that one lacks is NaN."""
+    """The trials of a study that have been begun; a number that one lacks is NaN.
+
+    Attributes:
+        ROW: name of the column of the trials' numbers.
+        rows: the table, a row a trial.
+        best: number of the best trial, by its first value.
+        document: of the walker's experiment, and the study's "run"; empty: unknown.
+    """
 
     ROW: ClassVar[str] = TRIAL
 
     rows: pa.Table
-    best: int  # number of the best trial, by its first value
-    document: dict[str, Any]  # of the walker's experiment, and the study's "run"; empty: unknown
+    best: int
+    document: dict[str, Any]
 
     def tables(self, columns: Iterable[str] | None = None) -> Iterator[pa.Table]:
         """The one table, or columns of it."""

@@ -113,15 +113,25 @@ SEEN_RATE_HZ = 100.0  # a sample costs as much as ten steps; enough for a gait c
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk that was simulated."""
+    """A walk that was simulated.
+
+    Attributes:
+        gains: that walked.
+        experiment: whose simulation and settings they walked in.
+        run: of the experiment: the robot and its ground.
+        row: of the simulator's result.
+        trajectory: of the whole walk, 100 samples a second.
+        frames: for the page to draw.
+        ended: how the walk ended, and why, in words.
+    """
 
     gains: NamedGains
     experiment: Experiment
-    run: int  # of the experiment: the robot and its ground
-    row: np.void  # of the simulator's result
-    trajectory: Trajectory  # of the whole walk
-    frames: Frames  # for the page to draw
-    ended: str  # how the walk ended, and why, in words
+    run: int
+    row: np.void
+    trajectory: Trajectory
+    frames: Frames
+    ended: str
 
 
 def walk(gains: NamedGains, experiment: Experiment) -> Walk:

@@ -23,7 +23,13 @@ OUTCOME, GAIT, GAIN = "outcome and score", "gait", "gains"
 
 
 class Described(NamedTuple):
-    """A column: its group, its words with the unit, and a line that explains it."""
+    """A column in words.
+
+    Attributes:
+        group: of the menu, under which it is listed.
+        words: its name for people, with the unit.
+        meaning: a line that explains it.
+    """
 
     group: str
     words: str

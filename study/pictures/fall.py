@@ -38,12 +38,20 @@ LOADED_N, GAVE_WAY_RAD = 200.0, math.radians(60.0)  # people bend a loaded knee 
 
 @dataclass(frozen=True)
 class Seen:
-    """The end of a walk: samples [t], and where each foot is."""
+    """The end of a walk of t samples, and where each foot is.
+
+    Attributes:
+        walk: the whole walk, as far as its pose is finite, [t].
+        terrain: the ground it walked on.
+        since: the first sample that is looked at.
+        lost: the first one from which on the walker is lost, at `since` or later; t: it
+            never was.
+    """
 
     walk: Trajectory
     terrain: Terrain
-    since: int  # the first sample that is looked at
-    lost: int  # the first one from which on the walker is lost
+    since: int
+    lost: int
 
     def points(self, side: int) -> Floats:
         """Heel and ball of a foot, [t, 2, 2] in metres."""

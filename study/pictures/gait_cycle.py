@@ -40,16 +40,28 @@ STRIKE, TAKE_OFF = EVENT_KINDS.index("strike"), EVENT_KINDS.index("takeoff")
 
 @dataclass(frozen=True, eq=False)
 class Strides:
-    """n strides of a leg at `PERCENT` [p], in clinical signs."""
+    """n strides of a leg at `PERCENT` [p], in clinical signs.
 
-    hip_flexion_deg: Array  # [n, p], as the other angles
+    Attributes:
+        hip_flexion_deg: of the thigh against the trunk, [n, p]; 0 is standing straight.
+        knee_flexion_deg: likewise; 0 is straight.
+        dorsiflexion_deg: likewise; 0 is a foot square to the shank.
+        vertical_bw: ground force on its foot over body weight, [n, p].
+        forward_bw: likewise, positive where it drives the walker on.
+        activation: of its muscles, 0 to 1, in the order of `MUSCLES`, [7, n, p].
+        take_off_percent: when the foot first leaves the ground, [k] of the strides that
+            have it.
+        duration_s: [n].
+    """
+
+    hip_flexion_deg: Array
     knee_flexion_deg: Array
     dorsiflexion_deg: Array
-    vertical_bw: Array  # ground force on its foot over body weight, [n, p]
+    vertical_bw: Array
     forward_bw: Array
-    activation: Array  # [7, n, p] in the order of `MUSCLES`
-    take_off_percent: Array  # when the foot first leaves the ground, [k] of strides that have it
-    duration_s: Array  # [n]
+    activation: Array
+    take_off_percent: Array
+    duration_s: Array
 
     def __len__(self) -> int:
         """Number of strides."""
@@ -109,12 +121,19 @@ GRID = {
 class Panel:
     """A quantity over a stride, 0 % = heel strike: its name, the range of people, and its axis.
 
-    The axis is at least from `low` to `high`, and never beyond `floor` and `ceiling`.
+    Attributes:
+        title: over the panel.
+        unit: of its axis, with the sign in words.
+        rows: of people: percent (0 to 100), mean, standard deviation.
+        low: the axis begins here at the latest, in the quantity's unit.
+        high: the axis ends here at the earliest.
+        floor: the axis never begins below.
+        ceiling: the axis never ends above.
     """
 
     title: str
     unit: str
-    rows: list[list[float]]  # percent (0 to 100), mean, standard deviation
+    rows: list[list[float]]
     low: float
     high: float
     floor: float = -math.inf
@@ -251,10 +270,16 @@ ACCURACY = {"deg": 3.0, "bw": 0.05}  # of the published tables: `study.pictures.
 
 
 class Distance(NamedTuple):
-    """The distance of a walker's mean stride from the mean of people."""
+    """The distance of a walker's mean stride from the mean of people.
 
-    rmse: float  # root of the mean squared difference, in the curve's unit
-    deviations: float  # in standard deviations of people, or the tables' accuracy if that is larger
+    Attributes:
+        rmse: root of the mean squared difference, in the curve's unit.
+        deviations: the same in standard deviations of people, or in the tables' accuracy
+            where that is larger.
+    """
+
+    rmse: float
+    deviations: float
 
 
 def human_distances(strides: Strides) -> dict[str, Distance]:

@@ -112,13 +112,21 @@ SMALLEST_TEXT_PX = 9  # of a film a quarter of the full size
 
 @dataclass(frozen=True)
 class Film:
-    """How a film is made."""
+    """How a film is made.
 
-    size_px: tuple[int, int]  # of a frame; even numbers: yuv420p halves both
-    rate_hz: int  # frames a second
-    effort: str  # of the encoder: a preset of x264
-    quality: int  # of the encoder: its constant rate factor; lower is better
-    threads: int  # of the encoder; 0 leaves the number to it
+    Attributes:
+        size_px: width and height of a frame; even numbers: yuv420p halves both.
+        rate_hz: frames a second.
+        effort: of the encoder: a preset of x264.
+        quality: of the encoder: its constant rate factor; lower is better.
+        threads: of the encoder; 0 leaves the number to it.
+    """
+
+    size_px: tuple[int, int]
+    rate_hz: int
+    effort: str
+    quality: int
+    threads: int
 
 
 LARGE = Film((1280, 640), 30, "medium", 20, threads=0)
@@ -130,7 +138,16 @@ SMALL = Film((640, 320), 20, "veryfast", 26, threads=1)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A walk at the times of the frames, [frames, ...]; `level_m` is the camera's ground."""
+    """A walk at the times of its f frames.
+
+    Attributes:
+        time_s: [f].
+        q: generalised coordinates, as in `Trajectory`, [f, 9].
+        activation: of the muscles, left leg first, 0 to 1, [f, 14].
+        force_n: of the ground on the left foot, then the right, forward and up each,
+            smoothed, [f, 4].
+        level_m: the ground's height that the camera follows, [f].
+    """
 
     time_s: Array
     q: Array

@@ -91,7 +91,15 @@ PATH_POINTS = 15
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """Joint positions of one leg, each [..., 2] in metres."""
+    """Joint positions of one leg, each x and z in metres, [..., 2].
+
+    Attributes:
+        hip: where the trunk begins, too.
+        knee: between thigh and shank.
+        ankle: on the line of the foot.
+        heel: its hindmost point.
+        ball: its foremost point.
+    """
 
     hip: Array
     knee: Array

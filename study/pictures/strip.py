@@ -35,12 +35,19 @@ LEVEL_M = 0.01  # ground that varies by less is level
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """The last metres of a walk, as they are drawn."""
+    """The last metres of a walk, as they are drawn.
+
+    Attributes:
+        terrain: the ground below.
+        trajectory: the whole walk, as far as its pose is finite.
+        poses_s: times of the poses, [n].
+        frame: limits of the picture in m: x from, to; z from, to.
+    """
 
     terrain: Terrain
-    trajectory: Trajectory  # the whole walk, as far as its pose is finite
-    poses_s: Array  # times of the poses, [n]
-    frame: tuple[float, float, float, float]  # limits of the picture in m: x from, to; z from, to
+    trajectory: Trajectory
+    poses_s: Array
+    frame: tuple[float, float, float, float]
 
     def draw(self, axes: Axes, hip_colour: str) -> None:
         """Draw poses, ghosts and ground to the frame."""
@@ -67,11 +74,17 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A walk as it was simulated for a picture."""
+    """A walk as it was simulated for a picture.
 
-    label: str  # a word for it, such as "before"
-    title: str  # which walk it is, and how it ended
-    trajectory: Trajectory  # about 50 samples a second or more
+    Attributes:
+        label: a word for it, such as "before".
+        title: which walk it is, and how it ended.
+        trajectory: of about 50 samples a second or more.
+    """
+
+    label: str
+    title: str
+    trajectory: Trajectory
 
 
 def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None = None) -> Stretch:

@@ -84,13 +84,21 @@ MARKERS = "osD^vPX<>ph*dH8"
 
 @dataclass(frozen=True)
 class Look:
-    """How one arm is drawn."""
+    """How one arm is drawn.
+
+    Attributes:
+        label: of the arm, for readers.
+        colour: of the line.
+        dash: of the line, in Matplotlib's form.
+        marker: in Matplotlib's form.
+        front: whether it is one of the three in front, which have a band.
+    """
 
     label: str
-    colour: str  # of the line
-    dash: Any  # in Matplotlib's form, and so is the marker
+    colour: str
+    dash: Any
     marker: str
-    front: bool  # whether it is one of the three in front, with a band
+    front: bool
 
     def line(self) -> dict[str, Any]:
         """Keyword arguments of `Axes.plot`."""

@@ -341,10 +341,16 @@ OUR_ROBOT_ARMS = ("worlds", "ranking")
 
 @dataclass(frozen=True)
 class RobotResults:
-    """What the arms reached on the robots that all of them have tried."""
+    """What the arms reached on the robots that all of them have tried.
+
+    Attributes:
+        experiment: that was compared.
+        arms: by name: a run is a robot, a walk is a trial that lasted, costs are without
+            noise.
+    """
 
     experiment: robots.RobotExperiment
-    arms: dict[str, ArmRuns]  # by name: a run is a robot, a walk lasted, costs are without noise
+    arms: dict[str, ArmRuns]
 
     @classmethod
     def of(cls, experiment: robots.RobotExperiment, trials: pa.Table) -> "RobotResults":

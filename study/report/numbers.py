@@ -28,7 +28,13 @@ RESAMPLING_SEED = 2016
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate with the ends of its 95 % confidence interval."""
+    """An estimate with the ends of its 95 % confidence interval.
+
+    Attributes:
+        value: the estimate.
+        low: the lower end.
+        high: the upper end; infinite where too many runs have no value.
+    """
 
     value: float
     low: float
@@ -37,11 +43,17 @@ class Interval:
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Two arms on the same runs."""
+    """Two arms on the same runs.
 
-    pairs: int  # runs that both have, n
-    unequal: int  # pairs that differ; the test rests on these
-    p: float  # two-sided; 1 where no pair differs
+    Attributes:
+        pairs: runs that both have, n.
+        unequal: pairs that differ; the test rests on these.
+        p: two-sided; 1 where no pair differs.
+    """
+
+    pairs: int
+    unequal: int
+    p: float
 
 
 def wilson(successes: int, count: int) -> Interval:
@@ -144,46 +156,78 @@ COMPARED_AFTER = (10, 30)  # trials
 class ArmNumbers:
     """The results of an arm.
 
-    `within` and `cost_after` have limits up to `trials`; `within` has all limits if every run has a
-    walker.
+    Attributes:
+        arm: its name.
+        family: its kind: "ours", "peer" or "control".
+        runs: their number.
+        trials: of every run; all other numbers but `found` are of these.
+        found: trials of all runs together.
+        walkers: runs with a walker.
+        share: the same as a proportion, 0 to 1, with Wilson's interval.
+        first_walker: median trial of the first walker, from 1; infinite where most runs
+            have none.
+        within: runs with a walker within so many trials: up to `trials`, or all of
+            `WITHIN` if every run has a walker.
+        cost_after: median best cost after so many trials, up to `trials`.
+        best_cost: median best cost after the last of the trials.
+        proposal_ms: median time of a proposal; None where it is not known.
     """
 
     arm: str
     family: Kind
     runs: int
-    trials: int  # of every run; all other numbers but `found` are of these
-    found: int  # trials of all runs together
-    walkers: int  # runs with a walker
-    share: Interval  # the same as a proportion, Wilson's interval
-    first_walker: Interval  # median trial of the first walker; infinite where most runs have none
-    within: dict[int, int]  # runs with a walker within so many trials
-    cost_after: dict[int, Interval]  # median best cost after so many trials
-    best_cost: Interval  # median best cost after the last of the trials
-    proposal_ms: float | None  # median time of a proposal; None where it is not known
+    trials: int
+    found: int
+    walkers: int
+    share: Interval
+    first_walker: Interval
+    within: dict[int, int]
+    cost_after: dict[int, Interval]
+    best_cost: Interval
+    proposal_ms: float | None
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """An arm against the reference, on the runs that both have."""
+    """An arm against the reference, on the runs that both have.
+
+    Attributes:
+        arm: its name.
+        after: trials after which the best costs are compared.
+        cost: Wilcoxon's signed-rank test of the best costs.
+        cost_p_holm: its p, adjusted for all arms that are compared after as many trials.
+        difference: of the best costs, median over runs; below 0 the arm is better.
+        walkers: McNemar's exact test of a walker by the last trial that both have.
+        walkers_p_holm: its p, adjusted likewise.
+    """
 
     arm: str
-    after: int  # trials after which the best costs are compared
-    cost: PairedTest  # Wilcoxon's signed-rank test of the best costs
-    cost_p_holm: float  # its p, adjusted for all arms that are compared after as many trials
-    difference: Interval  # of the best costs, median over runs; below 0 the arm is better
-    walkers: PairedTest  # McNemar's exact test of a walker by the last trial that both have
-    walkers_p_holm: float  # its p, adjusted likewise
+    after: int
+    cost: PairedTest
+    cost_p_holm: float
+    difference: Interval
+    walkers: PairedTest
+    walkers_p_holm: float
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """All numbers of an experiment."""
+    """All numbers of an experiment.
+
+    Attributes:
+        experiment: its name.
+        arms: best first.
+        peer: the best of the peers; None without peers.
+        reference: the arm to which the others are compared: ours, or the paper's; None
+            without both.
+        comparisons: by trials, then in the order of `arms`.
+    """
 
     experiment: str
-    arms: tuple[ArmNumbers, ...]  # best first
-    peer: str | None  # the best of the peers; None without peers
-    reference: str | None  # the arm to which the others are compared: ours, or the paper's
-    comparisons: tuple[Comparison, ...]  # by trials, then in the order of `arms`
+    arms: tuple[ArmNumbers, ...]
+    peer: str | None
+    reference: str | None
+    comparisons: tuple[Comparison, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for programs; infinities are null."""

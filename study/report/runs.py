@@ -40,15 +40,26 @@ COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
 
 @dataclass(frozen=True, eq=False)
 class ArmRuns:
-    """The runs of one arm, as far as all of them have come: r runs of t trials."""
+    """The runs of one arm, as far as all of them have come: r runs of t trials.
+
+    Attributes:
+        arm: its name.
+        runs: their numbers, ascending, [r].
+        best: the best cost so far, `Objective.best`, [r, t].
+        walks: whether a trial walked, [r, t].
+        found: trials in the table.
+        proposal_ms: median time of a proposal; None where it is not known.
+        repeated: further trials in the arrays: the first walker of a run that ended with
+            it.
+    """
 
     arm: str
-    runs: NDArray[np.int64]  # their numbers, ascending, [r]
-    best: NDArray[np.float64]  # the best cost so far, `Objective.best`, [r, t]
-    walks: NDArray[np.bool_]  # whether a trial walked, [r, t]
-    found: int  # trials in the table
-    proposal_ms: float | None = None  # median time of a proposal; None where it is not known
-    repeated: int = 0  # further trials in the arrays: the first walker of a run that ended with it
+    runs: NDArray[np.int64]
+    best: NDArray[np.float64]
+    walks: NDArray[np.bool_]
+    found: int
+    proposal_ms: float | None = None
+    repeated: int = 0
 
     @property
     def trials(self) -> int:
@@ -74,13 +85,21 @@ class ArmRuns:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """One experiment."""
+    """One experiment.
+
+    Attributes:
+        folder: that was read.
+        name: of the experiment.
+        cost: `Objective.cost`.
+        arms: by name, in the order of the table.
+        facts: of experiment.json and run.json; empty where there are none.
+    """
 
     folder: Path
     name: str
-    cost: str  # of `Objective`
-    arms: dict[str, ArmRuns]  # by name, in the order of the table
-    facts: dict[str, Any]  # of experiment.json and run.json; empty where there are none
+    cost: str
+    arms: dict[str, ArmRuns]
+    facts: dict[str, Any]
 
     @property
     def runs(self) -> int:
