@@ -19,14 +19,25 @@ SOBOL, BASE_WORLD, FAMILY_WORLD, TRIAL_WORLDS, EVOLUTION = 100, 101, 103, 107, 1
 
 
 def seed_sequence(seed: int, purpose: int, index: int = 0) -> np.random.SeedSequence:
-    """The random stream of one draw: every draw of a store has its own."""
+    """The random stream of one draw: every draw of a store has its own.
+
+    Args:
+        seed: of the store, or of a family.
+        purpose: one of the numbers above.
+        index: of the draw among those of its purpose, from 0.
+    """
     return np.random.SeedSequence(entropy=seed, spawn_key=(purpose, index))
 
 
 def within_bounds(
     unit: NDArray[np.float64], parameters: Sequence[Parameter]
 ) -> NDArray[np.float64]:
-    """Points of the unit cube as values of the parameters, [n, p]."""
+    """Points of the unit cube as values of the parameters, [n, p].
+
+    Args:
+        unit: points of the unit cube, [n, p].
+        parameters: p of them.
+    """
     pairs = zip(map(_uniform, parameters), unit.T, strict=True)
     return np.column_stack([each.of_unit(column) for each, column in pairs])
 
@@ -34,7 +45,12 @@ def within_bounds(
 def in_unit_cube(
     points: NDArray[np.float64], parameters: Sequence[Parameter]
 ) -> NDArray[np.float64]:
-    """Values of the parameters as points of the unit cube, [n, p]."""
+    """Values of the parameters as points of the unit cube, [n, p].
+
+    Args:
+        points: in units of the parameters, [n, p].
+        parameters: p of them.
+    """
     pairs = zip(map(_uniform, parameters), points.T, strict=True)
     return np.column_stack([each.to_unit(column) for each, column in pairs])
 

@@ -272,6 +272,9 @@ def folded(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points beyond the unit cube's faces, reflected into it.
 
     The library would draw until all are inside, for ever where a wide strategy sits in a corner.
+
+    Args:
+        points: [n, p]; inside is 0 to 1.
     """
     return 1.0 - np.abs(np.mod(points, 2.0) - 1.0)
 
@@ -284,6 +287,11 @@ def choose(
     Half of a family's are the best of a cell each, which keeps ways to succeed apart; the others
     the best of all, however alike: of two that do the same in the search's worlds, one may survive
     in a world where the other fails. The grid's own points, the first generation, are rows already.
+
+    Args:
+        found: generations of each family, by its name; the first has points of the grid.
+        shares: how many candidates each family gets.
+        simulator: whose measures make the cells.
 
     Returns:
         By family, numbers of points, counted through its generations; the best come first.

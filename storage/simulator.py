@@ -74,7 +74,11 @@ class Uniform(NamedTuple):
     distribution: str = ""
 
     def of_unit(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values at these places from 0 to 1, [n]."""
+        """Values at some places of the range, in the parameter's unit, [n].
+
+        Args:
+            unit: places from 0, the lower bound, to 1, the upper one, [n].
+        """
         low, high = self._ends
         values = low * (high / low) ** unit if self.log else low + unit * (high - low)
         if self.step:
@@ -82,7 +86,11 @@ class Uniform(NamedTuple):
         return np.clip(values, self.low, self.high)
 
     def to_unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The places of values, [n]."""
+        """The places of some values in the range, from 0 to 1, [n].
+
+        Args:
+            values: in the parameter's unit, from `low` to `high`, [n].
+        """
         low, high = self._ends
         if self.log:
             return np.asarray(np.log(values / low) / np.log(high / low))
@@ -241,9 +249,13 @@ class Simulator(Protocol):
     def judge(
         self, rows: NDArray[np.void], horizon_s: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Objective [n] and measures [n, m] of points with these rows, [n, w], for a search.
+        """Objective [n] and measures [n, m] of n points, for a search.
 
         Default: means over the worlds, of `survived` and of the columns of `measures`.
+
+        Args:
+            rows: of the points in w worlds, [n, w].
+            horizon_s: of these runs.
         """
         means = [rows[name].astype(np.float64).mean(axis=1) for name in self.measures]
         return rows[self.survived].astype(np.float64).mean(axis=1), np.column_stack(means)
@@ -254,7 +266,11 @@ class Simulator(Protocol):
         return ("numpy",)
 
     def lasting(self, horizon_s: float) -> Self:
-        """The same for runs of about so long, which a check before the work takes, too."""
+        """The same for runs of about so long, which a check before the work takes, too.
+
+        Args:
+            horizon_s: of the runs.
+        """
         return self
 
     def canary(self) -> NDArray[np.void]:
@@ -381,7 +397,15 @@ def run_points(
     simulator: Simulator, points: NDArray[np.float64], worlds: Worlds, count: int,
     horizon_s: float, report: Report = lambda part: None,
 ) -> tuple[NDArray[np.void], dict[str, Any]]:  # fmt: skip
-    """`Simulator.run` of points [n, p] in `count` worlds, and a check of what it returns.
+    """`Simulator.run`, and a check of what it returns.
+
+    Args:
+        simulator: that runs the points.
+        points: [n, p], in units of the parameters.
+        worlds: that a rule has drawn.
+        count: of these worlds, w.
+        horizon_s: after which a run is over.
+        report: called with the fraction that is done, 0 to 1.
 
     Raises:
         InputError: a simulator that does not keep what `Simulator` promises, naming the column.
@@ -423,7 +447,12 @@ def failed_runs(simulator: Simulator, rows: NDArray[np.void]) -> NDArray[np.bool
 def judge_rows(
     simulator: Simulator, rows: NDArray[np.void], horizon_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`Simulator.judge` of rows [n, w], and a check of what it returns.
+    """`Simulator.judge`, and a check of what it returns.
+
+    Args:
+        simulator: that judges.
+        rows: of n points in w worlds, [n, w].
+        horizon_s: of these runs.
 
     Raises:
         InputError: an objective or measures that are not finite or of another shape.

@@ -102,10 +102,16 @@ def shard_table(
     families: Mapping[str, NDArray[np.generic]],
     origin: str = SOBOL_ROW,
 ) -> pa.Table:
-    """The table of a shard that begins with a row of the store: points [n, p] and their results.
+    """The table of a shard.
 
-    These are rows of the base setting, [n], and the columns of all families by name, [n] each, or
-    [n, w] of outcomes.
+    Args:
+        schema: its columns.
+        simulator: that ran the points.
+        first_row: number of its first row in the store.
+        points: [n, p].
+        rows: of the base setting, [n].
+        families: columns of all families by name, [n] each, or [n, w] of outcomes.
+        origin: where the points are from: `SOBOL_ROW` or `EVOLVED_ROW`.
     """
     columns: dict[str, NDArray[np.generic]] = {
         "row": np.arange(first_row, first_row + len(points)),
@@ -203,12 +209,20 @@ class Store:
 
     @checks.checked(columns=checks.optional(checks.each(checks.text)))
     def table(self, columns: Iterable[str] | None = None) -> pa.Table:
-        """The rows as an Arrow table, which has `to_pandas()`: all columns, or those named."""
+        """The rows as an Arrow table, which has `to_pandas()`.
+
+        Args:
+            columns: their names, in the order that the table is to have; None: all.
+        """
         return pa.concat_tables(self.tables(columns))
 
     @checks.checked(columns=checks.optional(checks.each(checks.text)))
     def tables(self, columns: Iterable[str] | None = None) -> Iterator[pa.Table]:
-        """The same, file by file, for a store that is larger than memory."""
+        """The same, file by file, for a store that is larger than memory.
+
+        Args:
+            columns: as for `table`.
+        """
         names = list(self.columns if columns is None else columns)
         for name in names:
             if name not in self.columns:
@@ -216,7 +230,11 @@ class Store:
         return (read_columns(file, names) for file in self.files)
 
     def numpy(self, columns: Iterable[str] | None = None) -> NDArray[np.void]:
-        """The rows as a structured array, [n]; words are NumPy strings, outcomes [w] each."""
+        """The rows as a structured array, [n]; words are NumPy strings, outcomes [w] each.
+
+        Args:
+            columns: as for `table`.
+        """
         table = self.table(columns)
         arrays = {}
         for name, kind in zip(table.column_names, table.schema.types, strict=True):
@@ -247,6 +265,9 @@ class Store:
     def settings_of(self, family: str) -> dict[str, Any]:
         """What the specification has of a family: its horizon, the worlds drawn and so on.
 
+        Args:
+            family: one of `families`.
+
         Raises:
             InputError: not one of `families`.
         """
@@ -271,7 +292,11 @@ class Store:
 
     @checks.checked(family=checks.text)
     def kept(self, family: str) -> tuple[str, ...]:
-        """The columns that each world of a family keeps; the first is how far a run came."""
+        """The columns that each world of a family keeps; the first is how far a run came.
+
+        Args:
+            family: one of `families`.
+        """
         checks.word(*self.families)("family", family)
         start = self.columns.index(evaluated_name(family)) + 1
         own = takewhile(lambda name: not name.endswith(EVALUATED_END), self.columns[start:])
@@ -285,7 +310,12 @@ class Store:
     def all_outcomes(
         self, column: str, families: Sequence[str]
     ) -> dict[str, NDArray[np.floating[Any]]]:
-        """`outcomes` of several families, by name, from one look at the files."""
+        """`outcomes` of several families, by name, from one look at the files.
+
+        Args:
+            column: one of `kept` of all these families.
+            families: some of `families`.
+        """
         names = {family: (outcome_name(family, column), evaluated_name(family))
                  for family in families}  # fmt: skip
         rows = self.numpy(name for both in names.values() for name in both)
@@ -381,7 +411,12 @@ def open_store(path: str | Path, verify: bool = False, unfinished: bool = False)
 
 @checks.checked(source=checks.path, target=checks.path)
 def merge(source: str | Path, target: str | Path) -> Store:
-    """Write a store into one file, whole or not at all, and open it."""
+    """Write a store into one file, whole or not at all, and open it.
+
+    Args:
+        source: folder of a finished store.
+        target: path of the file.
+    """
     store, target = open_store(source, verify=True), Path(target)
     footer = {}
     for key in store.footers[0]:  # a value that all footers share, or the list of all values

@@ -69,7 +69,11 @@ class Rows:
         return len(next(iter(vars(self).values())))
 
     def take(self, index: ArrayLike) -> Self:
-        """Those of these rows, in this order (rows may repeat)."""
+        """Some rows as a batch.
+
+        Args:
+            index: their numbers, in the order of the new batch; they may repeat.
+        """
         rows = checks.row_numbers("index", index, len(self))
         return type(self)(*(values[rows] for values in vars(self).values()))
 
@@ -131,6 +135,10 @@ class Bodies(Rows):
         """One body a seed: m, I times 1 + U(-f, f); centre of mass moved by U(-f, f) L/2.
 
         Left and right legs differ. Lengths, contact points and muscles are not changed.
+
+        Args:
+            seeds: one a body, n of them.
+            fraction: f, from 0 to below 1; 0.15 in the paper.
         """
         below_one = checks.number(0.0, math.nextafter(1.0, 0.0), "0 or more, below 1")
         fraction = below_one("body.disturbance", fraction)
@@ -162,7 +170,11 @@ class Build:
     inertia: tuple[float, ...] = AS_NOMINAL
 
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Bodies:
-        """One body a seed."""
+        """One body a seed.
+
+        Args:
+            seeds: one a body, n of them.
+        """
         drawn = Bodies.disturbed(seeds, self.disturbance)
         return Bodies(drawn.mass_kg * self.mass, drawn.inertia_kgm2 * self.inertia, drawn.com_m)
 

@@ -93,6 +93,9 @@ class Controller:
 
         They are those of muscles and swing control; stops of the joints are the body's own.
 
+        Args:
+            observation: what the n bodies sense at the beginning of the step.
+
         Raises:
             InputError: an array of another shape, or one with NaN or infinity. Nothing has then
                 happened: the step may be repeated.
@@ -107,7 +110,10 @@ class Controller:
         return packs.unfold(self._torques).astype(np.float64)
 
     def keep(self, rows: ArrayLike) -> None:
-        """Go on with these controllers alone, in this order: the others' bodies have fallen.
+        """Go on with some controllers alone: the others' bodies have fallen.
+
+        Args:
+            rows: numbers of the controllers that go on, in their new order.
 
         Raises:
             InputError: a row that is not there.

@@ -47,9 +47,15 @@ TICKS_PER_SECOND = round(1.0 / CONTROL_TICK_S)
 def result_rows(
     final: NDArray[Any], sums: Array, bodies: Bodies, duration_s: float
 ) -> NDArray[np.void]:
-    """Result rows from state rows [n, State.count] and summed rows [n, Sums.count].
+    """Result rows of n walkers.
 
     A quotient over nothing (no step, no distance) is zero.
+
+    Args:
+        final: state rows, [n, State.count].
+        sums: summed rows, [n, Sums.count]; NaN of a walker that diverged counts as 0.
+        bodies: n of them.
+        duration_s: that was asked for.
     """
     rows = np.zeros(len(final), dtype=RESULT_DTYPE)
     # A diverged walker's last numbers may be NaN; finite sums are kept.

@@ -192,10 +192,12 @@ def check_gains(
 
 @checks.checked(source=checks.path)
 def load_gains(source: str) -> NDArray[np.float64]:
-    """Gains by name (``published``, or a file in ``taichi_nmm/gains``) or from a JSON file, [16].
+    """Gains by name or from a JSON file, [16].
 
-    The file is one object with exactly the names of `GAINS` as keys, angles in rad, or an object
-    that holds such a one under "gains", as commands print it.
+    Args:
+        source: "published", the name of a file in `taichi_nmm/gains`, or the path of a
+            JSON file: one object with exactly the names of `GAINS` as keys, angles in
+            rad, or an object that holds such a one under "gains", as commands print it.
 
     Raises:
         InputError: a source that is not there or no such file, a value outside its bounds, or a

@@ -192,6 +192,10 @@ def smooth_cost(
     """1/(1 + t) + 0.3/(1 + d) + 0.01 |s - s_target| of each row, [n].
 
     t is the time walked in s, d the final hip position in m, s the mean speed in m/s.
+
+    Args:
+        rows: of a `Result`, [n].
+        target_speed_mps: s_target.
     """
     distance = np.maximum(rows["distance_m"], 0.0)
     speed_error = np.abs(rows["mean_speed_mps"] - target_speed_mps)
@@ -208,6 +212,10 @@ def walking_cost(
 
     x_fall is the distance before the fall in m, the cost of transport in J/(kg m). A walker that
     stood still until the end counts as walking, and pays 130 for its speed.
+
+    Args:
+        rows: of a `Result`, [n].
+        target_speed_mps: v_target.
     """
     fell = FALL_COST - np.maximum(rows["distance_m"], 0.0)
     walked = (

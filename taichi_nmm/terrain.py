@@ -118,7 +118,11 @@ class Terrain:
             raise InputError("terrain.height_m", highest, f"heights within +-{HIGHEST_M:g} m")
 
     def height(self, x_m: ArrayLike) -> NDArray[np.float64]:
-        """Height at x, of the same shape."""
+        """Height of the ground at some places, m.
+
+        Args:
+            x_m: along the walk, of any shape; beyond the grid the ground is level.
+        """
         return np.interp(checks.numbers("x_m", x_m), GRID_X_M, self.height_m)
 
 
@@ -135,9 +139,14 @@ def rough(
     flat_start_m: FlatStart = FLAT_START_M,
     slope: Rise = 0.0,
 ) -> Terrain:
-    """Knots every `spacing_m`, each +-`amplitude_m` from the last, linear in between.
+    """Knots joined by straight slopes, each a random height above or below the last.
 
-    All of it rises by `slope` (0.04 = 4 %) from the end of the flat start on.
+    Args:
+        seed: of these heights.
+        amplitude_m: the largest of them, up or down, 0 or more.
+        spacing_m: from one knot to the next, at least 0.001.
+        flat_start_m: where the first slope begins.
+        slope: by which all of it rises from there on (0.04 = 4 %), in addition.
     """
     knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m, slope)
     height = np.interp(GRID_X_M, knots_x, knots)
@@ -153,10 +162,16 @@ def blocks(
     flat_start_m: FlatStart = FLAT_START_M,
     slope: Rise = 0.0,
 ) -> Terrain:
-    """Level blocks of `spacing_m`, each +-`amplitude_m` from the last, joined by short risers.
+    """Level blocks, each a random height above or below the last, joined by short risers.
 
-    A riser lies at the end of its block and is `riser_m` long: from one grid cell to a whole block
-    (which is the rough ground). Each block is higher by `slope` of its length besides.
+    Args:
+        seed: of these heights.
+        amplitude_m: the largest of them, up or down, 0 or more.
+        spacing_m: length of a block with its riser, at least 0.001.
+        riser_m: length of a riser, at the end of its block: from one grid cell to a
+            whole block, which is the rough ground.
+        flat_start_m: where the first block begins.
+        slope: of its length by which each block is higher (0.04 = 4 %), in addition.
     """
     if not GRID_SPACING_M <= riser_m <= spacing_m:
         raise InputError("terrain.riser_m", riser_m, f"{GRID_SPACING_M} to {spacing_m} (spacing_m)")
@@ -174,7 +189,14 @@ def ramp(
     largest_slope: Slope = 0.20,
     direction: Direction = "up",
 ) -> Terrain:
-    """Slope that grows by `increment` every `segment_m` until `largest_slope` (0.2 = 20 %)."""
+    """A slope that grows from segment to segment; the first one is level.
+
+    Args:
+        increment: by which the slope grows with each segment, positive (0.04 = 4 %).
+        segment_m: length of a segment, positive.
+        largest_slope: where it grows no more, positive (0.2 = 20 %).
+        direction: "up" or "down".
+    """
     middle = np.maximum(GRID_X_M[:-1] + 0.5 * GRID_SPACING_M, 0.0)
     slope = _sign(direction) * np.minimum(np.floor(middle / segment_m) * increment, largest_slope)
     height = np.concatenate([[0.0], np.cumsum(slope * GRID_SPACING_M)])
@@ -188,7 +210,14 @@ def stairs(
     flat_start_m: FlatStart = FLAT_START_M,
     direction: Direction = "up",
 ) -> Terrain:
-    """Treads of `run_m`, each `rise_m` above (or below) the last, risers one grid cell long."""
+    """Level treads, with risers one grid cell long.
+
+    Args:
+        rise_m: height of a step, positive.
+        run_m: length of a step, at least two grid cells.
+        flat_start_m: where the first riser is.
+        direction: "up" or "down".
+    """
     if run_m < 2 * GRID_SPACING_M:
         raise InputError("terrain.run_m", run_m, f"at least {2 * GRID_SPACING_M}")
     count = np.floor((GRID_X_M - flat_start_m) / run_m + 1e-9) + 1.0

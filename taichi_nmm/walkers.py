@@ -238,7 +238,13 @@ def _check_prosthesis(
 def leg_coefficients(
     mass: NDArray[np.float64], inertia: NDArray[np.float64], com: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A1 A2 A3 and B11 B22 B33 B12 B13 B23 of legs, from columns thigh, shank, foot."""
+    """A1 A2 A3, [n, 3], and B11 B22 B33 B12 B13 B23, [n, 6], of legs.
+
+    Args:
+        mass: of thigh, shank and foot, kg, [n, 3].
+        inertia: of these about their centres of mass, kg m2, [n, 3].
+        com: from the proximal joint, m, [n, 3].
+    """
     m1, m2, m3 = mass.T
     i1, i2, i3 = inertia.T
     c1, c2, c3 = com.T
@@ -260,6 +266,10 @@ def leg_coefficients(
 
 
 def blends(step_s: float) -> tuple[float, float]:
-    """Blends of a physics step: to a new activation, and of the low pass of the loads."""
+    """Blends of a physics step: to a new activation, and of the low pass of the loads, 0 to 1.
+
+    Args:
+        step_s: of the physics.
+    """
     activation, load = 1.0 - np.exp(-step_s / np.array([ACTIVATION_TIME_S, LOAD_FILTER_S]))
     return float(activation), float(load)

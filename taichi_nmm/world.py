@@ -241,7 +241,11 @@ class WorldRanges:
 
     @checks.checked(seeds=checks.each(checks.seed))
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
-        """One world a seed."""
+        """One world a seed.
+
+        Args:
+            seeds: one a world, n of them; a number of a world has a stream of its own.
+        """
         streams = [_streams(seed) for seed in seeds]
         drawn: dict[str, NDArray[np.float64]] = {}
         for name in RANGES:

@@ -212,7 +212,12 @@ def recorded_walk(
 ) -> taichi_nmm.Result:  # fmt: skip
     """The result of one walker on the body and the ground of a run, with its trajectory.
 
-    `progress` is as `taichi_nmm.simulate` takes it.
+    Args:
+        gains: that walk, and those that follow them.
+        experiment: whose conditions they walk in.
+        run: of the experiment, from 0.
+        rate_hz: samples a second of the trajectory, a divisor of 1000.
+        progress: as `taichi_nmm.simulate` takes it.
 
     Raises:
         InputError: what the simulator refuses.

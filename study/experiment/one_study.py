@@ -70,9 +70,11 @@ class OneStudy:
         return dict(self.study.get_trials(deepcopy=False)[self.asked.number].user_attrs)
 
     def tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
-        """Finish the trial that was asked for: finite costs [k], and what is `shown` of it.
+        """Finish the trial that was asked for.
 
-        Attributes may be more, for readers of the study.
+        Args:
+            values: its costs, finite, [k].
+            attributes: what is `shown` of it, and more for readers of the study.
         """
         for name, value in attributes.items():
             self.asked.set_user_attr(name, value)

@@ -74,7 +74,13 @@ class Strides:
 
 
 def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -> Strides:
-    """All strides of a leg from heel strike to heel strike after the settling ones."""
+    """All strides of a leg from heel strike to heel strike after the settling ones.
+
+    Args:
+        trajectory: whose poses are finite, of 100 samples a second or more.
+        body_weight_n: by which forces are divided.
+        side: `LEFT` (0) or `RIGHT` (1).
+    """
     strikes = event_times(trajectory, side, STRIKE)[SETTLING_STRIDES:]
     starts, ends = strikes[:-1], strikes[1:]
     joints = np.rad2deg(trajectory.joint_rad[:, 3 * side : 3 * side + 3])
@@ -105,7 +111,13 @@ def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -
 
 
 def event_times(trajectory: Trajectory, side: int, kind: int) -> Array:
-    """Times of a foot's events of a kind, in order, [k]."""
+    """Times of a foot's events of a kind, in order, [k].
+
+    Args:
+        trajectory: of a walk.
+        side: of the foot, `LEFT` (0) or `RIGHT` (1).
+        kind: of the events, `STRIKE` or `TAKE_OFF`.
+    """
     events = trajectory.events
     wanted = (events["side"] == side) & (events["kind"] == kind)
     return np.sort(events["time_s"][wanted])

@@ -90,7 +90,10 @@ class Shown:
 def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None = None) -> Stretch:
     """The last `SHOWN_M` of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
 
-    The frame is by default as wide as the poses.
+    Args:
+        trajectory: of at least one finite sample.
+        terrain: the ground it walked on.
+        width_m: of the frame; None: as wide as the poses.
     """
     trajectory = stick.finite(trajectory)
     way = np.abs(trajectory.q[-1, 0] - trajectory.q[:, 0])  # still to come

@@ -37,7 +37,13 @@ PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 
 
 def new_figure(width_in: float, height_in: float, dpi: float = PNG_DPI) -> Figure:
-    """An empty white figure with an Agg canvas."""
+    """An empty white figure with an Agg canvas.
+
+    Args:
+        width_in: in inches.
+        height_in: in inches.
+        dpi: pixels an inch.
+    """
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
@@ -46,7 +52,15 @@ def new_figure(width_in: float, height_in: float, dpi: float = PNG_DPI) -> Figur
 def axes_at(
     figure: Figure, left_in: float, bottom_in: float, wide_in: float, high_in: float
 ) -> Axes:
-    """Axes at a place and of a size in inches."""
+    """Axes at a place and of a size in inches.
+
+    Args:
+        figure: that they are added to.
+        left_in: from the figure's left edge, inches.
+        bottom_in: from its lower edge, inches.
+        wide_in: their width, inches.
+        high_in: their height, inches.
+    """
     wide, high = figure.get_figwidth(), figure.get_figheight()
     return figure.add_axes((left_in / wide, bottom_in / high, wide_in / wide, high_in / high))
 

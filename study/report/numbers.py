@@ -57,7 +57,12 @@ class PairedTest:
 
 
 def wilson(successes: int, count: int) -> Interval:
-    """A proportion with Wilson's score interval; of a run or more."""
+    """A proportion with Wilson's score interval.
+
+    Args:
+        successes: 0 to `count`.
+        count: of all, 1 or more.
+    """
     test = scipy.stats.binomtest(successes, count)
     ends = test.proportion_ci(confidence_level=CONFIDENCE, method="wilson")
     return Interval(successes / count, float(ends.low), float(ends.high))
@@ -67,6 +72,9 @@ def median(values: ArrayLike) -> Interval:
     """Median over runs, [r], with its percentile bootstrap interval; infinities are allowed.
 
     A run without a walker counts as infinite: the median is known as long as half the runs are.
+
+    Args:
+        values: one a run, [r]; no NaN.
     """
     known = np.asarray(values, dtype=np.float64)
     # Not interpolated: between a number and infinity there is nothing.
@@ -75,7 +83,11 @@ def median(values: ArrayLike) -> Interval:
 
 
 def curve(values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Median over runs of curves [r, t], and the ends of each point's bootstrap interval, [t]."""
+    """Median over runs of curves [r, t], and the ends of each point's bootstrap interval, [t].
+
+    Args:
+        values: [r, t].
+    """
     low, high = np.array([_bootstrap(runs, CURVE_RESAMPLES) for runs in values.T]).T
     return np.median(values, axis=0), low, high
 
@@ -97,7 +109,12 @@ def resamples(count: int, times: int) -> NDArray[np.int64]:
 
 
 def wilcoxon(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
-    """Signed-rank test of paired values, each [n]; pairs that are equal are left out."""
+    """Signed-rank test of paired values, each [n]; pairs that are equal are left out.
+
+    Args:
+        ours: [n].
+        theirs: of the same runs, [n].
+    """
     difference = np.asarray(ours, dtype=np.float64) - np.asarray(theirs, dtype=np.float64)
     unequal = difference[difference != 0]
     p = float(scipy.stats.wilcoxon(unequal).pvalue) if len(unequal) else 1.0
@@ -105,7 +122,12 @@ def wilcoxon(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
 
 
 def mcnemar(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
-    """McNemar's exact test of paired yes and no, each [n]."""
+    """McNemar's exact test of paired yes and no, each [n].
+
+    Args:
+        ours: [n].
+        theirs: of the same runs, [n].
+    """
     first, second = np.asarray(ours, dtype=bool), np.asarray(theirs, dtype=bool)
     only_first, only_second = int(np.sum(first & ~second)), int(np.sum(~first & second))
     unequal = only_first + only_second

@@ -43,7 +43,13 @@ class Purpose(IntEnum):
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:
-    """The seed of one draw."""
+    """The seed of one draw.
+
+    Args:
+        seed: of a study, or of the sampler.
+        purpose: of the draw.
+        *key: numbers that tell draws of one purpose apart, such as the run or the turn.
+    """
     return np.random.SeedSequence(seed, spawn_key=(int(purpose), *key))
 
 

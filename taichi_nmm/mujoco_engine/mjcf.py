@@ -111,7 +111,10 @@ STOPS: dict[str, Stop] = {
 def limit(stop: Stop, inverse_inertia: float, step_s: float) -> tuple[Array, Array]:
     """`solref` [2] and `solimp` [5] of a limit with a stop's law.
 
-    `inverse_inertia` of the joint is MuJoCo's `dof_invweight0`, 1/(kg m2).
+    Args:
+        stop: whose law it is.
+        inverse_inertia: of the joint, MuJoCo's `dof_invweight0`, 1/(kg m2).
+        step_s: of the physics.
     """
     time_constant_s = STEPS_PER_TIME_CONSTANT * step_s
     stiffness = stops.STOP_STIFFNESS_NMPRAD
