@@ -259,6 +259,7 @@ def score_family(
 ) -> dict[str, NDArray[Any]]:
     """Mean and spread of every score over the worlds of a family, and the outcomes in each.
 
+    Of what runs that failed did not give, they are over the others; NaN where all failed.
     Of the points [n, p] those `chosen`, [n], are run; the others get zeros. Columns are by name,
     [n] each; outcomes are [n, w], NaN for what a run that failed did not give.
     """
@@ -275,11 +276,16 @@ def score_family(
     rows, _ = run_points(
         simulator, points[place], family.worlds, family.settings, family.horizon_s, report
     )
+    failed = failed_runs(simulator, rows)
     for score, (mean, spread) in zip(simulator.scores, names, strict=True):
         values = rows[score].astype(np.float64)
         columns[mean][place] = values.mean(axis=1)
         columns[spread][place] = values.std(axis=1)
-    failed = failed_runs(simulator, rows)
+        if score != simulator.survived:  # a failed run's zero is no number of it
+            for row in np.flatnonzero(failed.any(axis=1)).tolist():
+                given = values[row][~failed[row]]
+                columns[mean][place[row]] = given.mean() if len(given) else np.nan
+                columns[spread][place[row]] = given.std() if len(given) else np.nan
     for score, name in outcomes.items():
         with np.errstate(over="ignore"):
             values = rows[score].astype(simulator.outcome_type)

@@ -24,7 +24,7 @@ from storage.specification import require_parameters
 from storage.store import Store
 from study.experiment.gains import gains_at, gains_of_source
 from study.explore.server import NIGHT, Latest, Message, Saver, flow
-from study.explore.store_view import StoreView, file_of_selection
+from study.explore.store_view import StoreView, file_of_selection, numbers_of
 from study.explore.trials import Trials, open_rows
 from study.explore.walk_view import WalkView
 from study.pictures.movie import filmable, filmed
@@ -115,8 +115,9 @@ def numbers_text(store: Store, place: int) -> str:
     shown = []
     for name, kind in zip(table.column_names, table.schema.types, strict=True):
         if not pa.types.is_fixed_size_list(kind):
-            value = table[name][0].as_py()
-            text = f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
+            is_number = pa.types.is_floating(kind)
+            value = numbers_of(store, name)[place] if is_number else table[name][0].as_py()
+            text = f"{value:.4g}" if is_number else html.escape(str(value))
             text = "-" if value is None or value != value else text  # NaN: unknown
             shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
     return f"<div style='columns: 240px; font-size: 11px'><table>{''.join(shown)}</table></div>"

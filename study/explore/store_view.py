@@ -22,8 +22,9 @@ from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from storage.simulator import WALKER
-from storage.store import ORIGIN, SOBOL_ROW, Store
+from storage.function_simulator import ENDED
+from storage.simulator import FAILED, SURVIVED, WALKER
+from storage.store import ORIGIN, SOBOL_ROW, Store, evaluated_name
 from study.explore.server import SCRIPTS, Message, flow
 from study.explore.trials import STATE, TRIAL
 from study.explore.words import described, menu
@@ -69,11 +70,30 @@ def selected(ranges: Ranges, column: Callable[[str], Floats], rows: int) -> NDAr
 
 def numbers_of(store: Store, name: str) -> Floats:
     """The numbers of a column, [n]; NaN: unknown, as a gait's that made no step."""
-    needed = NEEDED_BY.get(name) if store.simulator == WALKER else None
+    if store.simulator != WALKER:
+        return _numbers_of_others(store, name)
+    needed = NEEDED_BY.get(name)
     if needed is None or needed not in store.columns:
         return np.asarray(store.table([name])[name].to_numpy(), dtype=np.float64)
     both = store.numpy([*{name, needed}])
     return np.where(unknown(name, both), np.nan, both[name])
+
+
+def _numbers_of_others(store: Store, name: str) -> Floats:
+    """Of another simulator: NaN where a run failed, or where a family did not run the row.
+
+    Files have zeros there, which would be the best of all that is to be small.
+    """
+    values = np.asarray(store.table([name])[name].to_numpy(), dtype=np.float64)
+    own = [family for family in store.families if name.startswith(f"{family}_")]
+    flags = [evaluated_name(family) for family in own]
+    if name in flags or name in (Store.ROW, SURVIVED, *store.gain_names):
+        return values
+    if flags:
+        return np.where(store.numpy(flags)[flags[0]], values, np.nan)
+    if ENDED not in store.columns:
+        return values
+    return np.where(store.numpy([ENDED])[ENDED] == FAILED, np.nan, values)
 
 
 def file_of_selection(store: Store, ranges: Ranges) -> tuple[str, bytes]:

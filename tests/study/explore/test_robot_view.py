@@ -3,15 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from optuna.distributions import IntDistribution
 
 from storage import Store, make_store
 from study.explore.page import BASE, numbers_text, page_of, worlds_of
-from study.explore.store_view import first_columns
+from study.explore.store_view import first_columns, numbers_of
 from taichi_nmm.errors import InputError
 from tests.browser import opened_page
-from tests.storage import rail, robot
+from tests.storage import plants, rail, robot
 from tests.study.explore.serving import MODEL, explorer
 
 GALE = {"settings": 2, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0]}}
@@ -40,6 +41,29 @@ def test_the_base_setting_is_the_stores_own(tmp_path: Path) -> None:
     """A configuration may give it other numbers than the simulator has."""
     store = make_store(robot.Cart, tmp_path / "cart", workers=1, samples=4, world={"wind": 2.0})
     assert robot.Cart.worlds["wind"] != worlds_of(store)[BASE]["wind"] == 2.0
+
+
+HOT = {"settings": 4, "min_survival_s": 0.0, "world": {"heat_k": [340.0, 370.0]}}
+WARM = {"settings": 2, "min_survival_s": 3000.0}
+
+
+def test_what_a_failed_run_did_not_give_is_unknown(tmp_path: Path) -> None:
+    """A battery that burns has lost no 0 J: not on the page, and not in a family's mean."""
+    simulation: dict[str, Any] = {"duration_s": 3000.0}
+    store = make_store(plants.Battery, tmp_path / "b", workers=1, samples=16, simulation=simulation,
+                       families={"hot": HOT, "warm": WARM}, world={"heat_k": 365.0})  # fmt: skip
+    rows, losses = store.numpy(), store.outcomes("hot", "loss_j")
+    failed, some = rows["run_ended"] == "failed", np.isnan(losses).any(axis=1)
+    assert 0 < failed.sum() < 16 and some.sum() > 0 and not np.isnan(losses).all(axis=1).any()
+    assert np.array_equal(np.isnan(numbers_of(store, "loss_j")), failed)
+    assert np.array_equal(numbers_of(store, "survived_fraction"), rows["survived_fraction"])
+    assert rows["hot_loss_j_mean"] == pytest.approx(np.nanmean(losses, axis=1), rel=1e-12)
+    assert rows["hot_loss_j_sd"] == pytest.approx(np.nanstd(losses, axis=1), rel=1e-9, abs=1e-9)
+    ran = rows["warm_evaluated"]
+    assert 0 < ran.sum() < 16
+    assert np.isnan(numbers_of(store, "warm_loss_j_mean"))[~ran].all()
+    text = numbers_text(store, int(np.flatnonzero(failed)[0]))
+    assert "<td>loss_j</td><td>-</td>" in text and "<td>warm_loss_j_mean</td><td>-</td>" in text
 
 
 def test_rows_that_mean_something_else_to_a_simulator_are_not_filmed(tmp_path: Path) -> None:
