@@ -153,18 +153,24 @@ def test_all_examples_of_the_sampler_run_in_their_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each continues from those before, so they share one namespace."""
-    page = DOCS / "sampler.md"
+    learn, look_up = DOCS / "sampler.md", DOCS / "sampler-reference.md"
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
-    blocks = code_blocks(page)
-    for number, code in enumerate([*blocks, blocks[-1]]):  # the last is a program to run again
-        exec(compile(code, f"docs/sampler.md, block {number}", "exec"), names)
-    said, shown = capsys.readouterr().out, code_blocks(page, "text")[1:]
-    assert shown and all(text in said for text in shown)
+
+    def run(page: Path, blocks: list[str]) -> None:
+        for number, code in enumerate(blocks):
+            exec(compile(code, f"docs/{page.name}, block {number}", "exec"), names)
+
+    taught = code_blocks(learn)
+    run(learn, [*taught, taught[-1]])  # the last is a program to run again
     study = names["study"]
     assert isinstance(study, optuna.Study)
     rows = [trial.user_attrs["row"] for trial in study.trials]
     assert len(set(rows)) == len(rows) == 10  # stopped after five, then continued
+    run(look_up, code_blocks(look_up))
+    said = capsys.readouterr().out
+    shown = [*code_blocks(learn, "text")[1:], *code_blocks(look_up, "text")]
+    assert len(shown) == 7 and all(text in said for text in shown)
 
 
 @pytest.mark.slow

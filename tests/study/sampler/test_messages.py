@@ -1,5 +1,5 @@
 """What a user can get wrong: each an error that names the cause before a trial is lost, or, with
-strict=False, one warning; each message that docs/sampler.md explains, and no other."""
+strict=False, one warning; each message that docs/sampler-messages.md explains, and no other."""
 
 import re
 import warnings
@@ -20,9 +20,8 @@ from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import bowl, only_a, rows_of, study_of
 
-PAGE = Path(__file__).parents[3] / "docs" / "sampler.md"
-MESSAGES = PAGE.read_text().split("## Messages, and what to do")[1]
-EXPLAINED = re.findall(r"^\| (?:warning )?`([^`]+)`", MESSAGES, re.M)
+PAGE = Path(__file__).parents[3] / "docs" / "sampler-messages.md"
+EXPLAINED = re.findall(r"^\| (?:warning )?`([^`]+)`", PAGE.read_text(), re.M)
 
 PARAMETERS = {"a": [0.1, 0.5, 0.9], "b": [1.0, 2.0, 3.0]}
 FEATURES = [[0.0], [1.0], [4.0]]
