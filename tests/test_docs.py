@@ -153,24 +153,19 @@ def test_all_examples_of_the_sampler_run_in_their_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each continues from those before, so they share one namespace."""
-    learn, look_up = DOCS / "sampler.md", DOCS / "sampler-reference.md"
+    pages = [DOCS / "sampler.md", DOCS / "sampler-reference.md"]
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "__main__"}
-
-    def run(page: Path, blocks: list[str]) -> None:
-        for number, code in enumerate(blocks):
-            exec(compile(code, f"docs/{page.name}, block {number}", "exec"), names)
-
-    taught = code_blocks(learn)
-    run(learn, [*taught, taught[-1]])  # the last is a program to run again
-    study = names["study"]
-    assert isinstance(study, optuna.Study)
-    rows = [trial.user_attrs["row"] for trial in study.trials]
-    assert len(set(rows)) == len(rows) == 10  # stopped after five, then continued
-    run(look_up, code_blocks(look_up))
+    names = {"__name__": "__main__"}
+    taught, listed = map(code_blocks, pages)
+    blocks = [*taught, taught[-1], *listed]  # the last that is taught is a program to run again
+    for number, code in enumerate(blocks):
+        exec(compile(code, f"the sampler's pages, block {number}", "exec"), names)
     said = capsys.readouterr().out
-    shown = [*code_blocks(learn, "text")[1:], *code_blocks(look_up, "text")]
+    _, *shown = [text for page in pages for text in code_blocks(page, "text")]
     assert len(shown) == 7 and all(text in said for text in shown)
+    oven = optuna.load_study(study_name="oven", storage="sqlite:///oven.db")
+    rows = [trial.user_attrs["row"] for trial in oven.trials]
+    assert len(set(rows)) == len(rows) == 10  # stopped after five, then continued
 
 
 @pytest.mark.slow
