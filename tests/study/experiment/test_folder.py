@@ -8,6 +8,7 @@ import pytest
 
 from study.experiment.arms import ARMS
 from study.experiment.folder import as_if_gone_on, by_study
+from tests.cases import cases
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -39,14 +40,7 @@ def trials(*studies: tuple[str, int, str]) -> pa.Table:
     return pa.Table.from_pylist(named, schema=pa.schema(kinds))
 
 
-@pytest.mark.parametrize(("before", "after"), [
-    ((), ()), ((("a", 0, "w"),), (("a", 0, "w"),)), ((("a", 0, "ff"),), (("a", 0, "ff"),)),
-    ((("a", 0, "w"), ("a", 1, "fff")), (("a", 0, "www"), ("a", 1, "fff"))),
-    ((("a", 0, "fw"), ("b", 0, "ffff")), (("a", 0, "fwww"), ("b", 0, "ffff"))),
-    # One that has not ended is as short as it is; neighbours of one number do not mix.
-    ((("a", 1, "fw"), ("b", 1, "f"), ("b", 2, "ffw")),
-     (("a", 1, "fww"), ("b", 1, "f"), ("b", 2, "ffw"))),
-])  # fmt: skip
+@cases("studies-gone-on.toml", "before", "after")
 def test_as_if_gone_on(before: Any, after: Any) -> None:
     given, expected = trials(*before), trials(*after)
     for shuffled in (given, given.take(np.random.default_rng(0).permutation(len(given)))):

@@ -13,6 +13,7 @@ from scipy.stats import norm, rankdata
 from study import FeatureTable
 from study.sampler import transforms
 from study.sampler.transforms import LARGEST, NormalScores, Standard, log_excess
+from tests.cases import cases
 from tests.study.sampler import studies
 from tests.study.sampler.studies import Floats
 
@@ -34,24 +35,12 @@ def test_the_order_of_large_costs_is_kept():
     assert np.argsort(found).tolist() == np.argsort(cost).tolist()
 
 
-@pytest.mark.parametrize(("given", "known", "ends"), [
-    ([INF, 1.0, -INF, 3.0, NAN], [], (-1.0, 5.0)),  # as far beyond as the values reach
-    ([INF, -INF], [], (-1.0, 1.0)), ([NAN], [], (-1.0, 1.0)), ([], [], (-1.0, 1.0)),
-    ([INF, 5.0], [], (0.0, 10.0)),  # the only number is neither the worst nor the best
-    ([INF, 0.0], [], (-1.0, 1.0)), ([INF, 0.3], [0.5], (0.1, 0.7)), ([INF], [0.5], (0.0, 1.0)),
-])  # fmt: skip
+@cases("stand-ins.toml", "given", "known", "ends")
 def test_infinity_is_beyond_all_numbers(given, known, ends):
     assert transforms.stand_ins(np.array(given), np.array(known)) == pytest.approx(ends)
 
 
-@pytest.mark.parametrize(("told", "expected"), [
-    ([INF, -1.0, -2.0], [2.0, -1.0, -2.0]), ([-INF, 1.0, 3.0], [-3.0, 1.0, 3.0]),
-    ([INF, INF], [1.0, 1.0]), ([-INF], [-1.0]), ([INF, -INF, NAN], [1.0, -1.0, NAN]),
-    ([INF, 5.0, -1.0], [5.0, 5.0, -1.0]), ([1e300, -1.0, 4.0], [4.0, -1.0, 4.0]),
-    ([LARGEST, -3.0], [3.0, -3.0]), ([1e300, 1e300, -3.0], [3.0, 3.0, -3.0]),
-    ([0.0, 2.0, 4.0], [-3.0, 2.0, 4.0]), ([0.0, 0.0], [-1.0, -1.0]), ([0.0, INF], [-1.0, 1.0]),
-    ([0.0, -2.0, 4.0], [0.0, -2.0, 4.0]), ([], []), ([NAN], [NAN]),
-])  # fmt: skip
+@cases("limits-by-side.toml", "told", "expected")
 def test_a_limit_keeps_its_side_whatever_stands_for_infinity(told, expected):
     assert_allclose(transforms.by_side(np.array(told)), expected)
 
