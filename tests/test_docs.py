@@ -117,7 +117,7 @@ def test_links_lead_somewhere_and_a_cell_of_a_table_has_one_number(page: Path) -
 
 def test_the_readme_is_short_and_moves() -> None:
     text = README.read_text()
-    assert len(text.splitlines()) <= 110
+    assert len(text.splitlines()) <= 130
     (file,) = re.findall(r"\]\((\S+\.gif)\)", text)
     assert (ROOT / file).stat().st_size < 1e6
     with Image.open(ROOT / file) as picture:
@@ -126,13 +126,13 @@ def test_the_readme_is_short_and_moves() -> None:
 
 @pytest.mark.slow
 def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(example: Example) -> None:
-    said, page = example(README), DOCS / "index.md"
+    said, page = example(README, 1), DOCS / "index.md"
     assert "completed" in said and "(10000, 6)" in said
     assert example(page) == code_blocks(page, "text")[0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("page", "block"), [(README, 1), (DOCS / "store.md", 0)])
+@pytest.mark.parametrize(("page", "block"), [(README, 0), (DOCS / "store.md", 0)])
 def test_examples_run_on_a_store(page: Path, block: int, tmp_path: Path, example: Example) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
