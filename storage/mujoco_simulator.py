@@ -89,6 +89,13 @@ def gymnasium_model(file: str) -> Path:
     return folder / file
 
 
+of_one_run = checks.checked(
+    point=checks.by_name(checks.anything),
+    world=checks.by_name(checks.number()),
+    seconds=checks.number(),
+)
+
+
 class MujocoSimulator(FunctionSimulator):
     """Robots of an MJCF model in MuJoCo. It pickles, if its functions are of a module."""
 
@@ -252,11 +259,7 @@ class MujocoSimulator(FunctionSimulator):
                     found[name][rows, places] = columns[name]
         return found
 
-    @checks.checked(
-        point=checks.by_name(lambda field, value: value),
-        world=checks.by_name(checks.number()),
-        seconds=checks.number(),
-    )
+    @of_one_run
     def trial(
         self, point: Mapping[str, Any], world: Mapping[str, float], seconds: float
     ) -> dict[str, float]:
@@ -280,11 +283,7 @@ class MujocoSimulator(FunctionSimulator):
         found = self._compute(shaped, whole, seconds)
         return {name: float(each[0, 0]) for name, each in found.items()}
 
-    @checks.checked(
-        point=checks.by_name(lambda field, value: value),
-        world=checks.by_name(checks.number()),
-        seconds=checks.number(),
-    )
+    @of_one_run
     def states(
         self, point: Mapping[str, Any], world: Mapping[str, float], seconds: float
     ) -> tuple[Any, list[Floats]]:
@@ -322,13 +321,15 @@ class MujocoSimulator(FunctionSimulator):
         """A parameter's value as a store's rows have it."""
         distribution, field = self.space[name], f"point.{name}"
         if isinstance(distribution, CategoricalDistribution):
-            return checks.that(distribution.choices.__contains__, f"{distribution.choices}")(
-                field, value
-            )
-        number = checks.number()(field, value)
-        if isinstance(distribution, IntDistribution):
-            return int(checks.that(lambda each: each % 1 == 0, "a whole number")(field, number))
-        return float(number)
+            if value not in distribution.choices:
+                raise InputError(field, value, f"one of {distribution.choices}")
+            return value
+        number = float(checks.number()(field, value))
+        if not isinstance(distribution, IntDistribution):
+            return number
+        if not number.is_integer():
+            raise InputError(field, value, "a whole number")
+        return int(number)
 
     def _walk(
         self,
