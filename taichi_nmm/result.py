@@ -69,9 +69,22 @@ def unknown(column: str, given: Any) -> NDArray[np.bool_]:
     if column not in NEEDED_BY:
         return missing
     measured = np.asarray(given[NEEDED_BY[column]], dtype=np.float64)
-    if NEEDED_BY[column] == "distance_m":
+    if NEEDED_BY[column] == "mean_speed_mps":
         return np.asarray(missing | ~(measured > 0.0))
     return np.asarray(missing | (measured == 0.0))
+
+
+def unmeasured(column: str, given: Any) -> NDArray[np.bool_]:
+    """As `unknown`, where the columns that are given tell; nowhere else.
+
+    Args:
+        column: of the walker's, or of any other simulator.
+        given: columns by name, perhaps without the one that tells.
+    """
+    names = given.dtype.names if isinstance(given, np.ndarray) else given
+    if NEEDED_BY.get(column) in names:
+        return unknown(column, given)
+    return np.zeros(np.shape(given[column]), dtype=bool)
 
 
 def known_numbers(row: np.void) -> dict[str, float | int | None]:

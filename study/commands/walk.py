@@ -77,6 +77,8 @@ def find_gains(args: Namespace) -> NamedGains:
         if is_needed == (getattr(args, where) is None):
             missing, kind = (where, given[0]) if is_needed else (kinds[0], kinds[0])
             raise InputError(missing, None, f"a value: --{kind} and --{where} belong together")
+    if args.least is not None and args.speed is None:
+        raise InputError("least", args.least, "none without --speed")
     if args.speed is not None:
         speeds = checks.each(checks.number(0.0))("speed", args.speed)
         least = args.least or priced(args.store)

@@ -33,7 +33,15 @@ from storage.simulator import SURVIVED, import_object
 from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.config import REQUIRED, Table
 from taichi_nmm.errors import InputError, in_a_line, listed
-from taichi_nmm.result import COMPLETED, FELL, NEEDED, RESULT_DTYPE, smooth_cost, walking_cost
+from taichi_nmm.result import (
+    COMPLETED,
+    FELL,
+    NEEDED,
+    RESULT_DTYPE,
+    smooth_cost,
+    unmeasured,
+    walking_cost,
+)
 
 Floats = NDArray[np.float64]
 
@@ -217,10 +225,17 @@ class Objective:
         return hashlib.sha256(b"".join(files)).hexdigest()[:16] if files else ""
 
     def _weighted(self, given: Any) -> Floats:
-        """Who falls early pays twice `fell_cost`, who lasts at most that."""
+        """Who falls early pays twice `fell_cost`, who lasts at most that.
+
+        So much pays also who lasted without what is paid for: no energy a metre is known of a
+        walker that stands still, and it is not 0.
+        """
         lasted = np.asarray(given[self.survived], np.float64)
         paid = sum(term.paid(term.values(given, self.survived)) for term in self.terms)
         lasting = np.minimum(paid, self.fell_cost)
+        for term in self.terms:
+            if term.function is None:
+                lasting = np.where(unmeasured(term.column, given), self.fell_cost, lasting)
         return np.asarray(np.where(lasted >= 1.0, lasting, self.fell_cost * (2.0 - lasted)))
 
 

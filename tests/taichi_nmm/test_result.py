@@ -45,7 +45,7 @@ def test_what_was_not_measured_is_unknown_and_never_zero() -> None:
     """Of a walker that fell before a scored step, or got nowhere; who measured is not doubted."""
     rows = np.zeros(3, RESULT_DTYPE)
     rows["duration_s"], rows["step_duration_mean_s"] = (0.4, 5.0, 5.0), (0.0, 0.6, 0.6)
-    rows["distance_m"], rows["step_count"] = (-0.1, 6.0, 6.0), (0, 1, 8)
+    rows["mean_speed_mps"], rows["step_count"] = (-0.25, 1.2, 1.2), (0, 1, 8)
     rows["step_length_mean_m"] = (0.0, 0.7, 0.7)
     rows["step_length_asymmetry"] = (0.0, 1.0, 0.02)  # of the second, only the left leg stepped
     rows["trunk_mean_rad"], rows["human_deviation"] = 0.0, (9.0, 2.0, 1.0)

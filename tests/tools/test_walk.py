@@ -168,7 +168,7 @@ def test_a_store_without_the_motors_energy_says_so(walk: Walk, tool: Tool, tmp_p
 def test_the_front_of_a_store_is_listed(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
     experiment = front(tmp_path)
     words = ("walk", "--front", "--store", experiment.stores["worlds"])
-    config = ("--config", tmp_path / "toy.toml")
+    config = ("--config", tmp_path / "kept" / "toy.toml")
     rows = tool.json(*words, *config)
     assert tool(*words, *config) == 0
     head, *lines = tool.out.splitlines()

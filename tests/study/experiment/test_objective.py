@@ -45,12 +45,27 @@ def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
     rows["survived_fraction"] = 1.0, 1.0, 1.0, 0.75, 0.0
     rows["mean_speed_mps"] = 0.84, 0.7, 2.0, 0.8, 0.8
     rows["cost_of_transport_jpkgpm"] = 4.0
+    rows["duration_s"] = 5.0
     expected = [8.0, 8.0 + 100.0 * 0.05, 50.0, 50.0 * 1.25, 100.0]  # the third costs 123: no more
     assert_allclose(AT_08.costs(rows), expected)
     given = {name: rows[name][:, None] for name in rows.dtype.names or ()}
     assert_allclose(AT_08.in_worlds(given, 5.0)[:, 0], expected)
     assert AT_08.success(100.0) == 50.0
     assert [*AT_08.metrics, *Objective("walking").metrics] == ["weighted_cost", "walking_cost"]
+
+
+def test_what_was_not_measured_costs_as_much_as_a_fall_at_the_end_and_never_0() -> None:
+    """Who stands still uses no energy a metre that is known, and no step is like people's."""
+    objective = read_objective(Table(TABLE | {"terms": {"human_deviation": 1.0}}), PAID)
+    rows = np.zeros(2, RESULT_DTYPE)
+    rows["survived_fraction"], rows["duration_s"], rows["step_count"] = 1.0, 100.0, (0, 150)
+    rows["human_deviation"] = 0.0, 3.0
+    assert objective.costs(rows).tolist() == [50.0, 3.0]
+    still = read_objective(Table(TABLE | {"terms": {"cost_of_transport_jpkgpm": 2.0}}), PAID)
+    rows["mean_speed_mps"], rows["cost_of_transport_jpkgpm"] = (0.0, 0.8), (0.0, 4.0)
+    assert still.costs(rows).tolist() == [50.0, 8.0]
+    given = {name: rows[name][:, None] for name in ("survived_fraction", *TERMS)}
+    assert still.in_worlds(given, 5.0)[:, 0].tolist() == [50.0, 8.0]
 
 
 def test_it_is_read_back_from_what_it_writes(tmp_path: Path, fake_simulator: None) -> None:
