@@ -79,6 +79,7 @@ def simulate(
     rows["survived_fraction"] = rows["duration_s"] / duration_s
     rows["mean_speed_mps"] = 1.3 * good
     rows["distance_m"] = rows["mean_speed_mps"] * rows["duration_s"]
+    rows["step_count"] = np.ceil(rows["duration_s"])
     rows["phi_printed"] = rows["phi_corrected"] = np.round(50.0 * good)  # with ties, as of real
     for number in range(1, 5):
         rows[f"m{number}_mean"] = np.sin(number + 7.0 * good)
