@@ -6,6 +6,7 @@ precompute` for a configuration with `simulator = "my_robot.py:robot"`, to the s
 gives each number of a family's worlds, or a range that it is drawn from.
 """
 
+import ast
 import hashlib
 import inspect
 import signal
@@ -42,6 +43,9 @@ NAME = checks.that(
     lambda value: isinstance(value, str) and value.isidentifier(),
     "a name of letters, digits and '_', which begins with no digit",
 )
+
+OURS = ("storage", "study", "taichi_nmm")  # whose version is not that of a user's function
+IMPORTS = (ast.Import, ast.ImportFrom)
 
 CANARY_POINTS = 4  # of two runs each, which have to agree
 CANARY_S = 1.0  # at most, unless all fail: steps of the simulator may be longer
@@ -146,8 +150,8 @@ class FunctionSimulator(Simulator):
 
     @property
     def code_version(self) -> str:
-        """A digest of the function's file: a store is of one version of it."""
-        return hashlib.sha256(self._source.read_bytes()).hexdigest()[:16]
+        """A digest of `code_of` the function: a store is of one version of it."""
+        return hashlib.sha256(code_of(self.function)).hexdigest()[:16]
 
     @property
     def words(self) -> Mapping[str, Sequence[str]]:
@@ -335,3 +339,31 @@ def source_of(function: Callable[..., Any]) -> Path:
     if file is None or not Path(file).is_file() or "<" in function.__qualname__:
         raise InputError("function", function.__qualname__, allowed)
     return Path(file)
+
+
+def code_of(function: Callable[..., Any]) -> bytes:
+    """The content of a function's file, and of the files of its folder that this one imports.
+
+    These are found by the import statements, wherever they stand, and those of the files found.
+    """
+    files = [source_of(function).resolve()]
+    for file in files:  # which grows
+        try:
+            tree = ast.parse(file.read_bytes())
+        except SyntaxError:  # of a file that nothing can import
+            continue
+        for node in ast.walk(tree):
+            for name in _imported(node):
+                path = file.parent.joinpath(*name.split("."))
+                for found in (path.with_suffix(".py"), path / "__init__.py"):
+                    if found.is_file() and found not in files:
+                        files.append(found)
+    return b"".join(file.read_bytes() for file in files)
+
+
+def _imported(node: ast.AST) -> list[str]:
+    """Modules that a statement may name, as seen from its folder; not those of this project."""
+    named = [alias.name for alias in node.names] if isinstance(node, IMPORTS) else []
+    if isinstance(node, ast.ImportFrom) and node.module:
+        named = [node.module, *(f"{node.module}.{name}" for name in named)]
+    return [name for name in named if name.partition(".")[0] not in OURS]

@@ -24,6 +24,7 @@ from storage.function_simulator import (
     DrawnNumbers,
     FunctionSimulator,
     NumberRanges,
+    code_of,
     source_of,
 )
 from storage.mujoco_herd import Herd, SensedState
@@ -188,7 +189,7 @@ class MujocoSimulator(FunctionSimulator):
         digest = hashlib.sha256(numerics + super().code_version.encode())
         digest.update(self._spec().to_xml().encode())
         if self._fallen is not None and source_of(self._fallen) != self._source:
-            digest.update(source_of(self._fallen).read_bytes())
+            digest.update(code_of(self._fallen))
         if self._names_files:
             for name in OF_FILES:
                 digest.update(getattr(self._plain, name).tobytes())

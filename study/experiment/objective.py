@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.function_simulator import source_of
+from storage.function_simulator import code_of
 from storage.simulator import SURVIVED, import_object
 from taichi_nmm.conditions import TRIAL_S
 from taichi_nmm.config import REQUIRED, Table
@@ -220,8 +220,8 @@ class Objective:
 
     @property
     def code(self) -> str:
-        """A digest of the files of its functions; trials of two versions never mix."""
-        files = [source_of(term.function).read_bytes() for term in self.terms if term.function]
+        """A digest of the code of its functions; trials of two versions never mix."""
+        files = [code_of(term.function) for term in self.terms if term.function]
         return hashlib.sha256(b"".join(files)).hexdigest()[:16] if files else ""
 
     def _weighted(self, given: Any) -> Floats:

@@ -1,5 +1,6 @@
 """A function as a simulator: stores from Python and of the command, and what is refused."""
 
+import hashlib
 import json
 import re
 import shutil
@@ -13,7 +14,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution, Int
 
 from storage import FunctionSimulator, make_store, open_store
 from storage.points import in_unit_cube, sobol_points, within_bounds
-from storage.simulator import Uniform, run_points
+from storage.simulator import Uniform, import_object, run_points
 from storage.specification import Specification, read_specification
 from study import FeatureTable
 from study.experiment.gains import gains_of_row
@@ -304,6 +305,43 @@ def test_a_run_that_all_but_lasted_has_lasted() -> None:
         assert set(runs(one)["survived_fraction"].ravel()) == {kept}
     with pytest.raises(InputError, match=r"from 0 to 1, not 1\.01"):
         runs(changed(returns({"survived_fraction": 1.01, "speed_mps": 1.0})))
+
+
+@pytest.mark.parametrize(
+    ("statement", "changed_file"),
+    [
+        ("from helper import loss", "helper.py"),
+        ("import helper", "helper.py"),
+        ("from parts.deep import loss", "parts/deep.py"),
+        ("from helper import loss", "further.py"),
+        ("from . import helper", "helper.py"),
+        ("from .parts import deep", "parts/deep.py"),
+    ],
+)
+def test_files_that_a_function_imports_are_in_its_version(
+    statement: str, changed_file: str, tmp_path: Path
+) -> None:
+    """Half a store of a function goes on with its own physics, or not at all."""
+    (tmp_path / "parts").mkdir()
+    for name in ("parts/__init__.py", "parts/deep.py", "further.py", "other.py", "storage.py"):
+        (tmp_path / name).write_text("G = 9.81")
+    (tmp_path / "helper.py").write_text("from further import G")
+    name = tmp_path.name  # of a module that no other test has imported
+    (tmp_path / f"{name}.py").write_text(
+        f"def run(point, world, seconds):\n    {statement}\n    import storage\n"
+    )
+    simulator = changed(import_object("simulator", f"{name}.py:run", tmp_path, "a function"))
+    first = simulator.code_version
+    for unused in ("other.py", "storage.py"):
+        (tmp_path / unused).write_text("G = 1.62")
+    assert simulator.code_version == first
+    (tmp_path / changed_file).write_text("G = 1.62")
+    assert simulator.code_version != first
+
+
+def test_a_file_that_imports_none_of_its_folder_has_the_version_of_before() -> None:
+    file = Path(robot.__file__).read_bytes()
+    assert robot.Cart.code_version == hashlib.sha256(file).hexdigest()[:16]
 
 
 def by_mode(point: Any, world: Any, seconds: float) -> dict[str, Any]:
