@@ -134,6 +134,21 @@ class ForeignTable:
             self._refuse_word(name, values.tolist())
         return values.astype(np.float64)
 
+    def words(self, name: str) -> list[str]:
+        """A column as words, [n]: numbers and times too; a gap is the empty one.
+
+        Raises:
+            InputError: no such column; lists and others.
+        """
+        column = self._column(name)
+        try:
+            found = column.cast(pa.string()).to_pylist()
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+            raise InputError(
+                f"{self.field}.{name}", str(column.type), "a column of words"
+            ) from None
+        return [word or "" for word in found]
+
     def seconds(self, name: str) -> Floats:
         """A clock's readings in seconds from the first one, float64 [n].
 
@@ -154,6 +169,9 @@ class ForeignTable:
             bits = 32 if pa.types.is_time32(kind) else 64
             ticks = column.cast(pa.int32() if bits == 32 else pa.int64()).to_numpy()
             seconds = (ticks.astype(np.int64) - int(ticks[:1].sum())) / PER_S[kind.unit]
+            if kind == pa.time32("s") and not (ticks % 60).any():  # of a text, which has 00:30
+                allowed = "times with seconds, such as 0:00:30: these may be minutes and seconds"
+                raise InputError(f"{self.field}.{name}[0]", str(column[0]), allowed)
         elif _is_text(kind):
             raise InputError(f"{self.field}.{name}[0]", str(column[0]), CLOCKS)
         else:

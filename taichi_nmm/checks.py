@@ -66,13 +66,15 @@ def that(holds: Callable[[Any], bool], allowed: str) -> Check:
 
 
 def number(low: float = -math.inf, high: float = math.inf, allowed: str = "") -> Check:
-    """A finite number from `low` to `high`; `allowed` describes it in other words."""
+    """A finite number from `low` to `high`, as Python's; `allowed` describes it in other words."""
     allowed = allowed or _within("a finite number", low, high)
 
     def check(field: str, value: Any) -> Any:
         if not is_number(value) or not (math.isfinite(value) and low <= value <= high):
             raise InputError(field, value, allowed)
-        return value or abs(value)  # no negative zero
+        if isinstance(value, int | np.integer):
+            return int(value)
+        return float(value) or 0.0  # no negative zero
 
     return check
 
@@ -89,13 +91,16 @@ def is_number(value: Any) -> bool:
 
 
 def whole(low: float = -math.inf, high: float = math.inf) -> Check:
-    """A whole number from `low` to `high`."""
+    """A whole number from `low` to `high`, as Python's."""
+    allowed = _within("a whole number", low, high)
 
-    def holds(value: Any) -> bool:
-        whole_number = isinstance(value, int | np.integer) and not isinstance(value, bool)
-        return whole_number and bool(low <= value <= high)
+    def check(field: str, value: Any) -> Any:
+        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not is_whole or not low <= value <= high:
+            raise InputError(field, value, allowed)
+        return int(value)
 
-    return that(holds, _within("a whole number", low, high))
+    return check
 
 
 def _within(kind: str, low: float, high: float) -> str:
@@ -220,7 +225,7 @@ def unmasked(values: Any) -> Any:
         return [unmasked(each) for each in values]
     if not np.ma.is_masked(values):
         return values
-    return values.astype(np.float64).filled(np.nan)
+    return np.ma.filled(values.astype(np.float64), np.nan)  # pandas has filled its own by now
 
 
 def finite(field: str, values: Any) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from storage.tables import difference
 from study.bench.advice import EXPECTED, Advice, Recommended, simulated_range
 from study.bench.doubts import Range, doubts, odd_failures, odd_value
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
-from study.bench.plan import Goal, Plan, read_plan
+from study.bench.plan import Column, Goal, Plan, read_plan
 from study.bench.shown import require_shown, show
 from study.bench.words import operator_here, require_names
 from study.sampler.space import as_suggested, printed_tolerance
@@ -86,6 +86,7 @@ class Bench:
         candidates = bench.candidates
         if not bench._entries:
             simulated = simulated_range(candidates.rows)
+            _require_limits(bench.plan.columns)
             _require_failures(bench.plan.goal, simulated)
         with bench._turn():
             if not bench._entries:
@@ -279,6 +280,10 @@ class Bench:
 
     def _add_own(self, own: Sequence[Own], *, twice: bool) -> tuple[list[int], list[int]]:
         """Numbers of the trials that were entered, and of those that were there, if that counts."""
+        for row in own:
+            checks.flag("failed", row.failed)
+            for name in ("context", "operator", "time"):
+                checks.optional(checks.text)(name, getattr(row, name))
         checked = [self._params(row.params) for row in own]
         results = [
             self._checked(checks.number()("value", row.value), row.columns, row.note) for row in own
@@ -295,7 +300,7 @@ class Bench:
                     others.remove(same[0])
                     known.append(same[0].number)
                     continue
-                given = _given(trial) | result | {"failed": row.failed}
+                given = _given(trial) | result | {"failed": bool(row.failed)}
                 told = {"operator": row.operator, "time": row.time}
                 trials.append(given | {key: word for key, word in told.items() if word})
             if trials or twice:
@@ -491,3 +496,14 @@ def _require_failures(goal: Goal, simulated: Range | None) -> None:
             least, most = simulated
             allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
             raise InputError(f"goal.{key}", value, allowed)
+    if goal.failed is not None and sign * goal.failed[0] < sign * goal.failed[1]:
+        allowed = f"a value no worse than goal.failed_at_once, {goal.failed[0]:g}"
+        raise InputError("goal.failed_at_end", goal.failed[1], allowed)
+
+
+def _require_limits(columns: Mapping[str, Column]) -> None:
+    """Refuse limits that no number keeps."""
+    for name, column in columns.items():
+        if column.least > column.most:
+            allowed = f"a number up to columns.{name}.most, {column.most:g}"
+            raise InputError(f"columns.{name}.least", column.least, allowed)

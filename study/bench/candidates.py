@@ -148,13 +148,20 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
     space = begun
     if space is None:
         space = {name: each.distribution(name, found) for name, each in declared.items()}
-    outcomes = {}  # each pattern is a family
+    outcomes, taken = {}, set(names)  # each pattern is a family
     for pattern in patterns:
         named = [name for name in found.names if fnmatch(name, pattern)]
+        if pattern in found.names:  # a name may look like a pattern: cost [J]
+            named = [pattern]
         if not named:
             raise InputError(
                 "candidates.outcomes", pattern, f"some of {listed(found.names, pattern)}"
             )
+        twice = [name for name in named if name in taken]
+        if twice and begun is None:
+            allowed = f"each column once: {twice[0]} is a parameter or in another pattern"
+            raise InputError("candidates.outcomes", pattern, allowed)
+        taken.update(named)
         outcomes[pattern] = np.column_stack([found.numbers(name) for name in named])
     return FeatureTable.from_arrays(
         columns,

@@ -1,6 +1,8 @@
 """Trials of a bench as a file, and from one: all that a trial is goes out and comes in again."""
 
 import csv
+import warnings
+from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,7 @@ import numpy as np
 from storage.foreign_tables import ForeignTable
 from study.bench.bench import Bench, Own
 from study.bench.candidates import choices_of
+from study.bench.words import plain
 from taichi_nmm.errors import InputError, listed
 
 WORDS = ("context", "operator", "time", "note")  # columns that are never numbers
@@ -40,19 +43,26 @@ def read_trials(bench: Bench, path: Path) -> list[Own]:
         InputError: naming the column and what is wrong.
     """
     columns = bench.plan.columns
-    params = _params_of(bench, path)
-    file = ForeignTable.read("import", path, words=WORDS)
+    choices = {name: choices_of(distribution) for name, distribution in bench.space.items()}
+    named = [name for name, known in choices.items() if known]
+    file = ForeignTable.read("import", path, words=[*WORDS, *named])
+    _require_used(file.names, [*choices, *columns, "trial", "value", "failed", *WORDS])
+    params = {name: _parameter(file, name, known) for name, known in choices.items()}
     values = file.numbers("value")
     told = {name: file.numbers(name) for name in columns if name in file.names}
-    words = {name: file.values(name).tolist() for name in WORDS if name in file.names}
+    words = {name: file.words(name) for name in WORDS if name in file.names}
     failed = np.zeros(len(file))
     if "failed" in file.names:
         failed = np.nan_to_num(file.numbers("failed"))
         if not np.isin(failed, (0.0, 1.0)).all():
             raise InputError("import: failed", "other numbers", "0 or 1 in each row")
+    for row in np.flatnonzero(np.isnan(values) & (failed > 0.0))[:1].tolist():
+        raise InputError(f"import.value[{row}]", "nothing", "the value of each trial that failed")
+    if np.isnan(values).all():
+        raise InputError("import", str(path), "a file with a value in one row at least")
     found = list[Own]()
     for place in np.flatnonzero(~np.isnan(values)).tolist():
-        said = {name: str(given[place] or "") for name, given in words.items()}
+        said = {name: given[place] for name, given in words.items()}
         own = Own(
             params={name: given[place] for name, given in params.items()},
             value=float(values[place]),
@@ -67,23 +77,26 @@ def read_trials(bench: Bench, path: Path) -> list[Own]:
     return found
 
 
-def _params_of(bench: Bench, path: Path) -> dict[str, list[Any]]:
-    """The columns of the parameters, of each one's type."""
-    names = list(bench.space)
-    known = ForeignTable.read("import", path)
-    for name in (*names, "value"):
-        if name not in known.names:
-            allowed = f"a file with the columns {listed(names, name)}, value"
-            raise InputError("import", name, allowed)
-    choices = {name: choices_of(distribution) for name, distribution in bench.space.items()}
-    named = [name for name in names if choices[name]]
-    file = ForeignTable.read("import", path, words=named)
-    params = dict[str, list[Any]]()
-    for name in names:
-        given = file.values(name)
-        is_text = given.dtype.kind == "O" and name not in named
-        params[name] = (file.numbers(name) if is_text else given).tolist()  # or says what is wrong
-    for name in named:
-        said = ["" if word is None else str(word) for word in params[name]]
-        params[name] = [choices[name].get(word, word) for word in said]
-    return params
+def _require_used(names: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse a column that is one of these but for its spelling; warn of others.
+
+    Raises:
+        InputError: naming the column.
+    """
+    others = [name for name in names if name not in known]
+    meant = {plain(name): name for name in known}
+    for name in others:
+        if plain(name) in meant:
+            raise InputError("import", name, f"{meant[plain(name)]}, as the bench has it")
+    if others:
+        warnings.warn(f"columns that are no part of a trial: {listed(others)}", stacklevel=3)
+
+
+def _parameter(file: ForeignTable, name: str, choices: Mapping[str, Any]) -> list[Any]:
+    """A column of a parameter, of its type; `choices` by what a file has for them, if any."""
+    given = file.values(name)
+    if choices:
+        said = ["" if word is None else str(word) for word in given.tolist()]
+        return [choices.get(word, word) for word in said]
+    found: list[Any] = (file.numbers(name) if given.dtype.kind == "O" else given).tolist()
+    return found

@@ -212,7 +212,8 @@ def read_state(entries: list[Entry]) -> State:
             trial.columns = dict(trial.columns)  # corrections must not reach the entry
             trial.values += [trial.value] if trial.value is not None else []
             state.trials[trial.number] = trial
-        if "trial" in data:
+        # Version 0.3.0 could bring an entry back whose trial is gone.
+        if data.get("trial") in state.trials:
             _change(state.trials[data["trial"]], entry)
     return state
 
@@ -231,6 +232,13 @@ def _change(trial: Trial, entry: Entry) -> None:
     trial.values.append(data["value"])
     trial.time = entry.time
     trial.failed = entry.kind == "fail" or data.get("seconds") is not None
+
+
+def _changed_by(entry: Entry, entries: list[Entry]) -> set[int]:
+    """Numbers of the trials that an entry changes; an undoing, those of what it undoes."""
+    while entry.kind == "undo":
+        entry = entries[entry.data["entry"]]
+    return set(trials_of(entry))
 
 
 def undoable(entries: list[Entry], number: int | None, operator: str) -> Entry:
@@ -254,9 +262,10 @@ def undoable(entries: list[Entry], number: int | None, operator: str) -> Entry:
         raise InputError("undo", "the last" if number is None else number,
                          f"an entry that stands: {numbers}")  # fmt: skip
     (chosen,) = found
-    about = set(trials_of(chosen))
-    later = [entry for entry in standing if entry.number > chosen.number]
-    stands_on = next((entry for entry in later if about & set(trials_of(entry))), None)
+    about = _changed_by(chosen, entries)
+    # An undoing counts if what it undid is earlier: what comes back must find its trial there.
+    later = [one for one in standing if one.data.get("entry", 0) < chosen.number < one.number]
+    stands_on = next((entry for entry in later if about & _changed_by(entry, entries)), None)
     if stands_on is not None:
         allowed = f"entry {stands_on.number} first, which is about the same trial"
         raise InputError("undo", chosen.number, allowed)

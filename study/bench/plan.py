@@ -108,7 +108,7 @@ class Column:
     def limits(self, name: str, value: float) -> dict[str, float]:
         """What is above zero where a limit is broken, by name."""
         both = {f"{name} at least": self.least - value, f"{name} at most": value - self.most}
-        return {limit: excess for limit, excess in both.items() if math.isfinite(excess)}
+        return {limit: excess for limit, excess in both.items() if excess > -math.inf}
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,9 @@ from taichi_nmm.result import RESULT_DTYPE, smooth_cost
 
 TIME, POSITION = "time", "position"  # columns of a log: a clock, and metres
 MOST_TRIALS = 10.0  # that a log may last: one in milliseconds would last a thousand
+LONGEST_S = 3600.0  # where a trial has no end: milliseconds, or a clock that jumps by an hour
+LONGEST_GAP_S = 30.0  # between rows of which the others are near: 143059, 143100 is no second
+USUAL_GAPS = 10.0  # times the median
 FASTEST_MPS = 30.0  # a cheetah (Sharp 1997): a position in centimetres would be faster
 
 
@@ -28,10 +31,16 @@ def cost_of_log(path: Path, duration_s: float) -> float:
     log = ForeignTable.read("log", path)
     if len(log) < 2:
         raise InputError("log", f"{len(log)} rows", "two rows or more")
-    elapsed_s = float(log.seconds(TIME)[-1])
-    if elapsed_s > MOST_TRIALS * duration_s:
-        allowed = f"seconds, of a trial of {duration_s:g} s: up to {MOST_TRIALS * duration_s:g}"
+    time_s = log.seconds(TIME)
+    elapsed_s, gaps_s = float(time_s[-1]), np.diff(time_s)
+    most_s = MOST_TRIALS * duration_s if math.isfinite(duration_s) else LONGEST_S
+    if elapsed_s > most_s:
+        allowed = f"seconds, of a trial of {duration_s:g} s: up to {most_s:g}"
         raise InputError(f"log.{TIME}", f"{elapsed_s:g} from first to last", allowed)
+    for row in np.flatnonzero(gaps_s > max(LONGEST_GAP_S, USUAL_GAPS * np.median(gaps_s)))[:1]:
+        allowed = "rows without such a gap; a clock in seconds, not as hhmmss"
+        found = f"{gaps_s[row]:g} s after the row before"
+        raise InputError(f"log.{TIME}[{row + 1}]", found, allowed)
     position_m = log.numbers(POSITION)
     for row in np.flatnonzero(~np.isfinite(position_m))[:1].tolist():
         raise InputError(f"log.{POSITION}[{row}]", float(position_m[row]), "a finite number")

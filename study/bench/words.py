@@ -53,20 +53,20 @@ def clashes(
 
     Names that differ in small and capital letters, dashes, underscores and spaces alone are one.
     """
-    taken = {_plain(name): f"an export has a column {name}" for name in EXPORTED}
+    taken = {plain(name): f"an export has a column {name}" for name in EXPORTED}
     for name in parameters:
-        if _plain(name) in taken:
-            yield "candidates.parameters", name, taken[_plain(name)]
-    taken |= {_plain(name): f"a trial notes its {name}" for name in OF_THE_SAMPLER}
-    taken |= {_plain(name): f"--{name} is an option of `bench`" for name in _options()}
-    taken |= {_plain(name): f"{name} is a parameter" for name in parameters}
+        if plain(name) in taken:
+            yield "candidates.parameters", name, taken[plain(name)]
+    taken |= {plain(name): f"a trial notes its {name}" for name in OF_THE_SAMPLER}
+    taken |= {plain(name): f"--{name} is an option of `bench`" for name in _options()}
+    taken |= {plain(name): f"{name} is a parameter" for name in parameters}
     for name in columns:
         if not name.strip("- ") or "=" in name or name[0] in "- " or not is_printable(name):
             why = "one that can be typed as an option, without = and with a letter first"
             yield "columns", name, why
-        elif _plain(name) in taken:
-            yield "columns", name, taken[_plain(name)]
-        taken[_plain(name)] = f"{name} is another column"
+        elif plain(name) in taken:
+            yield "columns", name, taken[plain(name)]
+        taken[plain(name)] = f"{name} is another column"
 
 
 def _options() -> list[str]:
@@ -79,7 +79,8 @@ def _options() -> list[str]:
     return [flag.lstrip("-") for option in declared for flag in option["flags"]] + ["help", "h"]
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
+    """A name in the one way of writing it that capitals, dashes and spaces do not change."""
     return name.strip().casefold().replace("_", "-").replace(" ", "-")
 
 

@@ -5,6 +5,7 @@ import shlex
 import socket
 import sys
 import tempfile
+import warnings
 from argparse import Namespace
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -193,7 +194,9 @@ def export(bench: Bench, args: Namespace) -> None:
 def import_trials(bench: Bench, args: Namespace) -> None:
     """Enter the trials of a CSV, those that are not there yet."""
     path = Path(needed(args.what, "what", "a CSV file"))
-    entered, known = bench.add_new(read_trials(bench, path))
+    with warnings.catch_warnings(record=True, action="always") as said:
+        entered, known = bench.add_new(read_trials(bench, path))
+    warn([str(each.message) for each in said])
     if entered:
         print(f"trials {', '.join(map(str, entered))}")
     if known:

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unicodedata import normalize
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,7 +129,9 @@ def _parameter_column(
     if len(bad):
         raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
     for row in np.flatnonzero(np.abs(numbers) >= LARGEST_EXACT).tolist():
-        value: Any = values[row] if isinstance(values, list | tuple) else column[row]
+        value: Any = column[row]
+        if column.dtype.kind == "f" and isinstance(values, list | tuple):
+            value = values[row]
         is_whole = isinstance(value, int | np.integer)  # its float may be that of 2^53
         if is_whole and abs(int(value)) > LARGEST_EXACT:
             allowed = (
@@ -191,12 +194,17 @@ def _choices(
         listed = [None if _is_gap(value) else value for value in listed]
     _require_no_flag_among_numbers(name, listed if given is None else given.choices)
     if given is None:
+        _require_told_apart(name, listed)
         for row, value in enumerate(listed):
             is_choice = isinstance(value, CHOICES) and not typed.is_clock(value)
             if not is_choice and not _is_gap(value):
                 raise InputError(f"table.{name}[{row}]", value, KINDS)
             if typed.is_meant(value):
                 allowed = "a number, not a word that looks like one; or a choice, declared as such"
+                for odd, other in enumerate(listed):
+                    if isinstance(other, str) and not typed.is_meant(other):
+                        allowed += f" (row {odd} has {other!r})"
+                        break
                 raise InputError(f"table.{name}[{row}]", value, allowed)
         others = [value for value in listed if value is not None and not _is_gap(value)]
         words = bool(others) and all(isinstance(value, str | bool) for value in others)
@@ -211,6 +219,17 @@ def _choices(
         if value not in index:
             raise InputError(f"table.{name}[{row}]", value, f"one of {choices}")
     return np.array([index[value] for value in listed]), given or CategoricalDistribution(choices)
+
+
+def _require_told_apart(name: str, values: Sequence[Any]) -> None:
+    """Refuse words that look the same, but for blanks around them or the codes of their letters."""
+    known = dict[str, tuple[int, str]]()
+    for row, value in enumerate(values):
+        if isinstance(value, str):
+            first, same = known.setdefault(normalize("NFC", value.strip()), (row, value))
+            if same != value:
+                allowed = f"a word that does not look the same as {same!r} in row {first}"
+                raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
 def _require_no_flag_among_numbers(name: str, values: Sequence[Any]) -> None:

@@ -236,6 +236,7 @@ def test_clocks_in_a_text(tmp_path: Path, readings: str, seconds: float | None) 
     ("0 inf", r"time\[1\]: inf .* seconds, finite numbers"),
     ("1746369000000 1746369001000", r"time\[0\]: 1746369000000.0 .* may be milliseconds"),
     ("2026-05-04 2026-05-05", r"time: '2026-05-04' .* of a date or a time make a number"),
+    ("00:01 00:02", r"time\[0\]: '00:01:00' .* with seconds, such as 0:00:30"),
     ("04.05.2026 05.05.2026", r"time\[0\]: '04.05.2026' .* seconds, or times such as"),
 ])  # fmt: skip
 def test_what_is_no_clock_is_refused(tmp_path: Path, readings: str, said: str) -> None:

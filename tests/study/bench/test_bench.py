@@ -5,7 +5,7 @@ import sqlite3
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -19,8 +19,8 @@ import pytest
 from optuna.trial import TrialState
 
 from study.bench import journal
-from study.bench.bench import Bench
-from study.bench.plan import Goal
+from study.bench.bench import Bench, Own
+from study.bench.plan import Goal, read_plan
 from study.experiment.objective import Term
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
@@ -253,6 +253,10 @@ def test_another_file_or_other_candidates_are_refused(bench: Bench, tmp_path: Pa
     ('name = "walk"', 'name = "walk"\nstorage = "walk.db"', r"storage: 'walk.db' .* a table"),
     ("[goal]", "[goal", r"bench: .*walk.toml"),
     ("[columns.torque]", "[safety]\nleast_kept = 2\n[columns.torque]", r"safety.least_kept: 2"),
+    ("most = 90", "most = 60\nleast = 90", r"columns.torque.least: 90.*most, 60"),
+    ("failed_at_end = 3", "failed_at_end = 9", r"goal.failed_at_end: 9.* no worse than .*once, 6"),
+    ('"world*"', '"*"', r"outcomes: .\*. .* once: stiffness is a parameter or in"),
+    ('"world*"', '"world*", "world1"', r"outcomes: 'world1' .* once: world1 is a parameter or in"),
 ])  # fmt: skip
 def test_a_file_that_cannot_be_used_is_one_line(
     tmp_path: Path, old: str, new: str, said: str
@@ -382,6 +386,41 @@ def test_a_correction_that_is_undone_leaves_the_columns_as_they_were(bench: Benc
     assert bench.state.trials[0].columns == {"torque": 95.0}
     bench.undo()
     assert bench.state.trials[0].columns == {"torque": 60.0} == bench.look().trials[0].columns
+
+
+def test_an_undoing_is_undone_only_while_its_trial_is_as_it_was(bench: Bench) -> None:
+    bench.next()
+    bench.record(0, 0.4)
+    bench.undo()
+    bench.record(0, 0.9)
+    with pytest.raises(InputError, match=r"undo: 3 .* entry 4 first, .* the same trial"):
+        bench.undo(3)
+    bench.undo()
+    assert bench.undo(3).kind == "undo" and bench.state.trials[0].value == 0.4
+    bench.undo()
+    bench.undo()  # the trial itself
+    with pytest.raises(InputError, match=r"undo: 7 .* entry 8 first, .* the same trial"):
+        bench.undo(7)
+    assert not Bench(bench.plan.path).state.trials
+    bench._add("undo", {"entry": 7})  # as version 0.3.0 did, which could then read it no more
+    assert not Bench(bench.plan.path).state.trials
+
+
+def test_numbers_of_numpy_are_numbers(bench: Bench) -> None:
+    bench.next()
+    bench.record(
+        cast(int, np.int64(0)), np.float32(0.5), columns={"torque": cast(int, np.int8(81))}
+    )
+    trial = Bench(bench.plan.path).state.trials[0]
+    assert (trial.value, trial.columns) == (0.5, {"torque": 81})
+    for name, wrong in {"failed": "no", "time": datetime.now(UTC), "context": 7}.items():
+        with pytest.raises(InputError, match=name):
+            bench.add([Own(trial.params, 0.4)._replace(**{name: wrong})])
+
+
+def test_a_limit_that_is_exceeded_beyond_all_floats_is_broken(tmp_path: Path) -> None:
+    plan = read_plan(robot.write(tmp_path, more="[columns.heat]\nmost = -1e308\n"))
+    assert plan.kept({"torque": 0.0, "heat": 1e308}) is False
 
 
 def test_a_relative_database_lies_beside_the_file(

@@ -221,3 +221,12 @@ def test_bounds_of_arrays_and_files_are_kept_off_the_table(tmp_path: Path) -> No
     assert of_dose(table) == FloatDistribution(9.5, 50.5)
     with pytest.raises(InputError, match=r"table.dose\[0\]: 10.0 .* 20 to 50"):
         FeatureTable.from_arrays({"dose": WHOLE}, WHOLE, bounds={"dose": (20, 50)})
+
+
+def test_a_column_that_looks_like_a_pattern_is_itself(tmp_path: Path) -> None:
+    path = plan(tmp_path, WHOLE).path
+    path.write_text(path.read_text().replace('features = ["known"]', 'outcomes = ["cost [J]"]'))
+    rows = "".join(f"{dose},{dose / 10},{99 - dose}\n" for dose in WHOLE)
+    (tmp_path / "doses.csv").write_text(f"dose,cost [J],cost J\n{rows}")
+    worlds = read_plan(path).read_candidates().rows.worlds
+    assert worlds is not None and worlds.costs[0, 0] == 1.0

@@ -1,7 +1,10 @@
 """Export and import keep what a trial is, and a file that comes twice is recognised."""
 
+from datetime import datetime
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from study.bench.bench import Bench
@@ -87,6 +90,9 @@ def test_a_list_that_has_grown_enters_what_is_new(bench: Bench, tmp_path: Path) 
     ("stiffness,damping,value\n20,1,inf\n", "value: inf"),
     ("stiffness,damping,value,torque\n20,1,2,inf\n", "torque"),
     ("stiffness,value\n1,2\n", "import: 'damping'"),
+    ("stiffness,damping,value,Torque\n20,1,2,95\n", "import: 'Torque' .* torque, as the bench has"),
+    ("stiffness,damping,value,failed\n20,1,,1\n20,1,2,0\n", r"import.value\[0\]: 'nothing'"),
+    ("stiffness,damping,value\n20,1,\n", "import: .*wrong.csv.* a value in one row at least"),
 ])  # fmt: skip
 def test_what_cannot_be_imported_is_one_line(
     bench: Bench, tmp_path: Path, text: str, said: str
@@ -96,3 +102,16 @@ def test_what_cannot_be_imported_is_one_line(
     with pytest.raises(InputError, match=said):
         bench.add_new(read_trials(bench, path))
     assert len(bench.entries) == 1
+
+
+def test_words_of_any_type_are_words(bench: Bench, tmp_path: Path) -> None:
+    columns = {
+        "stiffness": [20.0], "damping": [1.0], "value": [2.0], "context": [0], "depth": [1],
+        "note": pa.nulls(1), "time": [datetime(2026, 5, 4, 14, 30)],
+    }  # fmt: skip
+    path = tmp_path / "trials.parquet"
+    pq.write_table(pa.table(columns), path)
+    with pytest.warns(UserWarning, match=r"columns that are no part of a trial: depth$"):
+        bench.add_new(read_trials(bench, path))
+    trial = bench.state.trials[0]
+    assert (trial.context, trial.note, trial.time[:16]) == ("0", "", "2026-05-04 14:30")

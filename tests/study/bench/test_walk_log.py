@@ -1,5 +1,6 @@
 """The cost of a log: its clock in any unit, or a line that says what is wrong with it."""
 
+import math
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -60,6 +61,19 @@ def test_what_is_no_log_of_a_walk(
 ) -> None:
     with pytest.raises(InputError, match=said):
         cost_of_log(log(tmp_path, clocks, positions), 30.0)
+
+
+@pytest.mark.parametrize(("clocks", "said"), [
+    ([f"{1430 + t // 60:04d}{t % 60:02d}" for t in range(40, 71)],
+     r"log.time\[20\]: '41 s after the row before' .* hhmmss"),
+    (["0", "30000"], "log.time: '30000 from first to last' .* up to 3600"),
+])  # fmt: skip
+def test_a_clock_that_jumps_or_runs_for_hours_is_none_of_a_walk(
+    tmp_path: Path, clocks: list[str], said: str
+) -> None:
+    path = log(tmp_path, clocks, [f"{SPEED_MPS * t}" for t in range(len(clocks))])
+    with pytest.raises(InputError, match=said):
+        cost_of_log(path, math.inf)
 
 
 def test_an_empty_file_and_one_of_other_columns(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Tables of rows: from arrays, frames, Parquet and stores; imperfect, refused, pickled, shown."""
 
 import pickle
+from decimal import Decimal
 
 import numpy as np
 import optuna
@@ -142,6 +143,12 @@ def test_features_of_any_scale():
     ({"a": [0.0]}, [[[1.0]]], {}, "table.features.shape"),
     (TWO, [1, 3], {"bounds": {"a": (0, 1), "b": (0, 5.5)}}, r"table.b\[1\]: 6.0 .* 0 to 5.5"),
     (TWO, [1, 3], {"bounds": {"c": (0, 1)}}, "table.bounds: 'c'"),
+    ({"a": ["0.5", "0.7", "1O"]}, [1, 3, 5], {}, r"table.a\[0\]: '0.5' .*row 2 has '1O'"),
+    ({"a": ["red", "blue", "red "]}, [1, 3, 5], {}, r"table.a\[2\]: 'red ' .* as 'red' in row 0"),
+    ({"a": ["\u00df\u00f6", "\u00dfo\u0308"]}, [1, 3], {}, r"table.a\[1\]: .* in row 0"),
+    ({"a": pd.array([1, None], dtype="Int64")}, [1, 3], {}, r"table.a\[1\]: nan"),
+    ({"a": pd.array([True, None], dtype="boolean")}, [1, 3], {}, r"table.a\[1\]: nan"),
+    ({"a": [Decimal(2**60), Decimal(2**60 + 1)]}, [1, 3], {}, r"table.a\[0\]: 115.* up to 2\^53"),
     (TWO, [1, 3], {"bounds": {"a": (1, 0)}}, "table.bounds.a"),
     (MIXED, [1, 2, 3], {"bounds": {"kind": (1, 2)}}, "table.bounds.kind: .* categorical"),
     (TWO, [1, 3], {"space": {"c": FloatDistribution(0, 1)}}, "table.space: 'c'"),
