@@ -109,4 +109,4 @@ def test_words_of_any_type_are_words(bench: Bench, tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"columns that are no part of a trial: depth$"):
         bench.add_new(read_trials(bench, path))
     trial = bench.state.trials[0]
-    assert (trial.context, trial.note, trial.time) == ("0", "", "1970-01-01 00:00:00")
+    assert (trial.context, trial.note, trial.time) == ("0", "", "1970-01-01 00:00:00.000")
