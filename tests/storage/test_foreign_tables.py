@@ -17,6 +17,7 @@ import pytest
 
 from storage.foreign_tables import ForeignTable
 from taichi_nmm.errors import InputError
+from tests.cases import cases
 
 EUROPE = "\ufeffdose;cost;kind\r\n1;0,25;soft\r\n2;1,5;hard\r\n"
 
@@ -91,23 +92,7 @@ def test_a_text_that_cannot_be_read_in_one_way(tmp_path: Path, content: bytes, s
         read(tmp_path / "table.csv")
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("x;y\n1,234;2\n5,678;3\n", r"x\[0\]: '1,234' .* 1234 or 1.234"),  # thousands, or decimals?
-    ('x,y\n"1,5",2\n"2,5",3\n', r"x\[0\]: '1,5' .* 1.5: a decimal point"),
-    ("x;y\n1,5;1\n2.5;2\n", r"x\[0\]: '1,5' .* 1.5: a decimal point"),
-    ("x;y\n1.234,5;1\n2,5;2\n", r"x\[0\]: '1.234,5' .* 1234.5"),
-    ("x,y\nm,s\n1,2\n3,4\n", r"x\[0\]: 'm' .* a row of units below the names: take it out"),
-    ("x,y\n1,2\nnone,4\n", r"x\[1\]: 'none' .* numbers"),
-    ("x,y\n1,2\n#DIV/0!,4\n", r"x\[1\]: '#DIV/0!' .* numbers"),
-    ("x,y\n2026-05-04,2\n2026-05-05,3\n", r"x: '2026-05-04' .* of a date or a time make a number"),
-    ("x,x\n1,2\n", r"'x' .* a name of one column, not of 2"),
-    ("z,y\n1,2\n", r"'x' .* one of the columns z, y"),
-    ("x,y\n18446744073709551615,1\n18446744073709551614,2\n", r"x\[0\]: '1844.* numbers"),
-    ("x,y\n9007199254740993,1\n9007199254740992,2\n", r"x: 9007199254740993 .* 2\^53"),
-    ("x,y\n9007199254740993,1\n1.5,2\n", r"x\[0\]: '9007199254740993' .* numbers"),
-    ("x;y\n1\u00a0000,5;1\n", r"x\[0\]: .* 1000.5: a decimal point"),
-    ("x;y\n0,5;1\n1.5;2\n0.5;3\n", r"x\[0\]: '0,5' .* 0.5: a decimal point"),
-])  # fmt: skip
+@cases("bad-numbers.toml", "text", "said")
 def test_a_column_that_has_no_numbers_in_one_reading(tmp_path: Path, text: str, said: str) -> None:
     table = of_text(tmp_path, text)
     with pytest.raises(InputError, match=rf"^table(\.|: ){said}"):
@@ -226,18 +211,7 @@ def test_clocks_in_a_text(tmp_path: Path, readings: str, seconds: float | None) 
         assert table.seconds("time").tolist() == [0.0, pytest.approx(seconds, abs=1e-9)]
 
 
-@pytest.mark.parametrize(("readings", "said"), [
-    ("0 1 0.5", r"time\[2\]: '0.5' .* rise from row to row"),
-    ("0 1 1", r"time\[2\]: '1' .* rise from row to row"),
-    ("23:59:59 00:00:00", r"time\[1\]: '00:00:00' .* past midnight, with the date"),
-    ("0 nan 1", r"time\[1\]: 'nothing' .* a time in each row"),
-    ("s 0 1", r"time\[0\]: 's' .* seconds, or times such as"),
-    ("0 inf", r"time\[1\]: inf .* seconds, finite numbers"),
-    ("1746369000000 1746369001000", r"time\[0\]: 1746369000000.0 .* may be milliseconds"),
-    ("2026-05-04 2026-05-05", r"time: '2026-05-04' .* of a date or a time make a number"),
-    ("00:01 00:02", r"time\[0\]: '00:01:00' .* with seconds, such as 0:00:30"),
-    ("04.05.2026 05.05.2026", r"time\[0\]: '04.05.2026' .* seconds, or times such as"),
-])  # fmt: skip
+@cases("bad-clocks.toml", "readings", "said")
 def test_what_is_no_clock_is_refused(tmp_path: Path, readings: str, said: str) -> None:
     table = of_text(tmp_path, "time,x\n" + "".join(f"{r},1\n" for r in readings.split()))
     with pytest.raises(InputError, match=rf"^table.{said}"):

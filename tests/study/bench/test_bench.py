@@ -24,6 +24,7 @@ from study.bench.plan import Goal, read_plan
 from study.experiment.objective import Term
 from study.sampler.table_policy import TableExhaustedError
 from taichi_nmm.errors import InputError
+from tests.cases import cases
 from tests.study.bench import robot
 from tests.tools.kills import DATABASE, FORK, Death, in_process
 
@@ -240,24 +241,7 @@ def test_another_file_or_other_candidates_are_refused(bench: Bench, tmp_path: Pa
         Bench(path)
 
 
-@pytest.mark.parametrize(("old", "new", "said"), [
-    ("log = [", "logs = [", r"candidates.logs"),
-    ('"damping"]', '"dampin"]', r"candidates: 'dampin' .* one of the columns stiffness, damping"),
-    ("world*", "wold*", r"candidates.outcomes: 'wold\*'"),
-    ("candidates.csv", "nothing.csv", r"candidates.file: .*nothing.csv"),
-    ("failed_at_end = 3", "", r"goal: 'a part' .* failed_at_end"),
-    ("most = 90", "mots = 90", r"columns.torque.mots"),
-    ('name = "walk"', 'name = "a/b"', r"name: 'a/b'"),
-
-    ("[columns.torque]", "[columns]\ntorque = 1\n[x]", r"columns.torque: 1 .* a table"),
-    ('name = "walk"', 'name = "walk"\nstorage = "walk.db"', r"storage: 'walk.db' .* a table"),
-    ("[goal]", "[goal", r"bench: .*walk.toml"),
-    ("[columns.torque]", "[safety]\nleast_kept = 2\n[columns.torque]", r"safety.least_kept: 2"),
-    ("most = 90", "most = 60\nleast = 90", r"columns.torque.least: 90.*most, 60"),
-    ("failed_at_end = 3", "failed_at_end = 9", r"goal.failed_at_end: 9.* no worse than .*once, 6"),
-    ('"world*"', '"*"', r"outcomes: .\*. .* once: stiffness is a parameter or in"),
-    ('"world*"', '"world*", "world1"', r"outcomes: 'world1' .* once: world1 is a parameter or in"),
-])  # fmt: skip
+@cases("bad-benches.toml", "old", "new", "said")
 def test_a_file_that_cannot_be_used_is_one_line(
     tmp_path: Path, old: str, new: str, said: str
 ) -> None:

@@ -19,6 +19,7 @@ from study.bench.plan import Plan, read_plan
 from study.cli import main
 from study.sampler.table import FeatureTable
 from taichi_nmm.errors import InputError
+from tests.cases import cases
 
 TOML = """
 [candidates]
@@ -80,34 +81,7 @@ def test_whole_numbers_on_a_logarithmic_scale_stay_whole(tmp_path: Path) -> None
         bench.record(number, (trial.params["dose"] - 5.3) ** 2)
 
 
-@pytest.mark.parametrize(("doses", "more", "said"), [
-    ("10|50", "bounds.dose = [20, 50]", r"table.dose\[0\]: 10.0 .* 20 to 50"),
-    ("10|50", "bounds.dose = [10, 49.5]", r"table.dose\[1\]: 50.0 .* 10 to 49.5"),
-    ("1.5|2.0", 'type.dose = "whole"', r"table.dose\[0\]: 1.5 "),
-    ("1.5|2.0", "step.dose = 0.2", r"candidates.dose\[1\]: 2.0 .* steps of 0.2 from 1.5 on"),
-    ("10|50", 'type.dose = "whole"\nstep.dose = 0.5', r"candidates.step.dose: 0.5 .* whole number"),
-    ("10|50", 'type.dose = "wholes"', r"candidates.type.dose: 'wholes' .* float or whole or"),
-    ("10|50", 'type.other = "float"', r"candidates.type: 'other' .* one of the parameters dose"),
-    ("10|50", "bounds.other = [1, 2]", r"candidates.bounds: 'other' .* one of the parameters"),
-    ("10|50", "bounds.dose = [2, 1]", r"candidates.bounds.dose: \[2, 1\]"),
-    ("10|50", 'type.dose = "choice"\nbounds.dose = [1, 99]', r"candidates.bounds.dose: .*a choice"),
-    ("10|50", 'type.dose = "choice"\nlog = ["dose"]', r"candidates.log: 'dose' .* no choices"),
-    ("10|20", 'step.dose = 10\nlog = ["dose"]', r"candidates.step.dose: 10.0 .* logarithmic"),
-    ("0|1", 'log = ["dose"]', r"candidates.log: 'dose' .* above 0; its least value is 0"),
-    ("2026-05-04|2026-05-05", "", r"candidates.dose: '2026-05-04' .* of a date"),
-    ("04.05.2026|05.05.2026", "", r"table.dose\[0\]: '04.05.2026' .* of a date"),
-    ("05/04/2026|05/05/2026", "", r"table.dose\[0\]: '05/04/2026' .* of a date"),
-    ("14:30:00.5|14:31:00", "", r"table.dose\[0\]: '14:30:00.5' .* of a date"),
-    ("9007199254740993|1", "", r"table.dose\[0\]: 9007199254740993 .* 2\^53"),
-    ("2026-05-04", 'type.dose = "float"', r"candidates.dose: '2026-05-04' .* of a date"),
-    ("|", "", r"table.dose\[0\]: nan .* a finite number"),
-    ("|", 'type.dose = "float"', r"candidates.dose: 'no number'"),
-    ("1|", "bounds.dose = [0, 9]", r"table.dose\[1\]: nan .* a finite number"),
-    ("1.5|n.a.", "", r"table.dose\[0\]: '1.5' .* a number, not a word"),
-    ("1.5|n.a.", "bounds.dose = [1, 2]", r"candidates.dose\[1\]: 'n.a.' .* numbers"),
-    ("1152921504606846976|1152921504606846977", "", r"table.dose\[0\]: 11529215046.* 2\^53"),
-    ("mg|1|2", "", r"table.dose\[1\]: '1' .* a number, not a word"),
-])  # fmt: skip
+@cases("bad-candidates.toml", "doses", "more", "said")
 def test_what_does_not_fit_is_refused_by_name(
     tmp_path: Path, doses: str, more: str, said: str
 ) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from study.bench.walk_log import cost_of_log
 from taichi_nmm.errors import InputError
+from tests.cases import cases
 
 START = datetime(2026, 5, 4, 14, 30, 0, 10_000)
 SPEED_MPS = 1.2
@@ -43,20 +44,7 @@ def test_a_log_with_decimal_commas(tmp_path: Path) -> None:
     assert cost_of_log(path, 30.0) == pytest.approx(0.0414, abs=5e-5)
 
 
-@pytest.mark.parametrize(("clocks", "positions", "said"), [
-    ("", "", r"log: '0 rows' .* two rows or more"),
-    ("0", "0", r"log: '1 rows' .* two rows or more"),
-    ("s 0 1", "m 0 1", r"log.time\[0\]: 's' .* seconds, or times such as"),
-    ("1 0", "0 1", r"log.time\[1\]: '0' .* rise from row to row"),
-    ("0 0", "0 1", r"log.time\[1\]: '0' .* rise from row to row"),
-    ("0 nan 2", "0 1 2", r"log.time\[1\]: 'nothing'"),
-    ("0 30000", "0 36", r"log.time: '30000 from first to last' .* of 30 s: up to 300"),
-    ("0 30", "0 36000", r"log.position: '1200 m/s' .* metres and seconds"),
-    ("0 30", "0 nan", r"log.position\[1\]: nan .* a finite number"),
-    ("0 30", "0 far", r"log.position\[1\]: 'far' .* numbers"),
-    ("0 1 2", "m 0 1", r"log.position\[0\]: 'm' .* a row of units .* take it out"),
-    ("143058 143059 143100 143101", "0 1 2 3", r"log.time\[2\]: '41 s after .* not as hhmmss"),
-])  # fmt: skip
+@cases("bad-logs.toml", "clocks", "positions", "said")
 def test_what_is_no_log_of_a_walk(tmp_path: Path, clocks: str, positions: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         cost_of_log(log(tmp_path, clocks.split(), positions.split()), 30.0)
