@@ -38,7 +38,8 @@ def number(field: str, word: str) -> float:
     if not WITH_POINT.fullmatch(text):
         raise InputError(field, word, mend(text) or "a number, such as 0.92")
     value = float(text)
-    if not math.isfinite(value):
+    is_lost = value == 0.0 and re.search("[1-9]", text.lower().partition("e")[0])  # 1e-400
+    if is_lost or not math.isfinite(value):
         raise InputError(field, word, "a finite number")
     return value
 

@@ -20,6 +20,7 @@ def test_a_number_has_a_decimal_point_or_a_decimal_comma(word: str, value: float
     ("1,234,567", "1234567"), ("1.234.567", "1234567"), ("1'000", "1000"), ("1 000,5", "1000.5"),
     ("much", "a number, such as 0.92"), ("", "a number"), ("nan", "a number"), ("inf", "a number"),
     ("1e400", "a finite number"), ("1_000", "a number"), ("5 Nm", "a number"), ("0x10", "a number"),
+    ("1e-400", "a finite number"),
 ])  # fmt: skip
 def test_what_may_mean_two_numbers_or_none_is_refused_with_the_mend(word: str, mend: str) -> None:
     with pytest.raises(InputError) as refused:
