@@ -56,9 +56,13 @@ DrawnNumbers = dict[str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class NumberRanges:
-    """The rule of a table [world]: each number is drawn uniformly from its range."""
+    """The rule of a table [world]: each number is drawn uniformly from its range.
 
-    ranges: dict[str, tuple[float, float]]  # lowest and highest of each number, by its name
+    Attributes:
+        ranges: lowest and highest of each number, by its name.
+    """
+
+    ranges: dict[str, tuple[float, float]]
 
     def draw(self, seeds: Sequence[np.random.SeedSequence]) -> DrawnNumbers:
         """One world a seed; each also has a whole number `seed` of its own."""
@@ -182,7 +186,14 @@ class FunctionSimulator(Simulator):
     def run(
         self, points: NDArray[np.float64], worlds: DrawnNumbers, horizon_s: float, report: Report
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
-        """Run every point in every world, [n, w]."""
+        """Run every point in every world, [n, w].
+
+        Args:
+            points: [n, p]; a choice is its number.
+            worlds: w of them, each number by its name, [w].
+            horizon_s: after which a run is over.
+            report: called with the fraction that is done, 0 to 1.
+        """
         count = len(worlds[SEED])
         rows = np.zeros((len(points), count), self.columns)
         values = [self._values(name, points[:, k]) for k, name in enumerate(self.space)]

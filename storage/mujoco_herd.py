@@ -26,16 +26,27 @@ class SensedState:
 
     Noise of the world is in `qpos` and `qvel` alone. Heights are along z, or along y in a model
     whose gravity is along y, from the model's origin.
+
+    Attributes:
+        time_s: since the beginning of the run.
+        qpos: MuJoCo's positions, [n, nq].
+        qvel: its velocities, [n, nv].
+        x_m: of the root body, [n]; with height, tilt and sensors of one physics step
+            before.
+        height_m: of the root body, [n].
+        pitch_rad: of the root body from its start, forwards positive, [n].
+        tilt_rad: of the root body in any direction, from 0, [n].
+        sensors: of the model, by name, [n] or [n, k].
     """
 
     time_s: float
-    qpos: Floats  # [n, nq], MuJoCo's positions
-    qvel: Floats  # [n, nv], its velocities
-    x_m: Floats  # [n], of the root body; with height, tilt and sensors of one physics step before
-    height_m: Floats  # [n], of the root body
-    pitch_rad: Floats  # [n], of the root body from its start; forwards is positive
-    tilt_rad: Floats  # [n], in any direction, from 0
-    sensors: Mapping[str, Floats]  # of the model, by name, [n] or [n, k]
+    qpos: Floats
+    qvel: Floats
+    x_m: Floats
+    height_m: Floats
+    pitch_rad: Floats
+    tilt_rad: Floats
+    sensors: Mapping[str, Floats]
 
 
 class Herd:

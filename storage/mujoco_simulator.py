@@ -70,6 +70,10 @@ def fallen(sensed: SensedState, start_m: float) -> NDArray[np.bool_]:
     """The rule of a fall if the user gives none: below half of the start, or tilted by 1 rad.
 
     A model of which half of the start's height is no sign of a fall is refused without a rule.
+
+    Args:
+        sensed: of the n robots that are up.
+        start_m: height of the root body at the start.
     """
     return (sensed.height_m < 0.5 * start_m) | (sensed.tilt_rad > 1.0)
 
@@ -290,7 +294,11 @@ class MujocoSimulator(FunctionSimulator):
     ) -> tuple[Any, list[Floats]]:
         """The model of a world, and MuJoCo's positions in a run of a point, a control step each.
 
-        Numbers of `WORLDS` that the world does not have are those of the base setting.
+        Args:
+            point: parameters by name.
+            world: numbers by name; those of `WORLDS` that it has not are those of the
+                base setting.
+            seconds: how long the run lasts at most.
 
         Raises:
             InputError: a parameter or a number of the world that is missing or unknown.

@@ -89,10 +89,15 @@ def follow(point: Any, sensed: SensedState, memory: dict[str, Any]) -> Floats:
 
 @dataclass
 class Measured:
-    """A model, in a state in which it moves."""
+    """A model, in a state in which it moves.
+
+    Attributes:
+        simulator: of the model.
+        plain: the file's own model, without the automatic reset.
+    """
 
     simulator: MujocoSimulator
-    plain: Any  # the file's own model, without the automatic reset
+    plain: Any
 
     def __post_init__(self) -> None:
         draws = np.random.default_rng(7)

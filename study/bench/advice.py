@@ -38,9 +38,13 @@ SHOWN_NUMBERS = 6  # of trials, in a sentence
 
 @dataclass(frozen=True)
 class Recommended(Best):
-    """The trial that is best by the model, of those that neither failed nor broke a limit."""
+    """The trial that is best by the model, of those that neither failed nor broke a limit.
 
-    remark: str = ""  # what is not known of it, or speaks against it
+    Attributes:
+        remark: what is not known of it, or speaks against it; "": nothing.
+    """
+
+    remark: str = ""
 
     def __str__(self) -> str:
         return f"{super().__str__()} {self.remark}".strip()

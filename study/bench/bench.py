@@ -38,16 +38,27 @@ MOST_BATCH = 1000
 
 
 class Own(NamedTuple):
-    """A trial that nobody proposed."""
+    """A trial that nobody proposed.
+
+    Attributes:
+        params: its parameters, by name.
+        value: in the unit of the goal.
+        columns: other numbers, by the names of the bench's columns, in their units.
+        note: of whoever enters it.
+        failed: whether it failed.
+        context: in which it was tried; None: the present one.
+        operator: who tried it; None: who enters it.
+        time: of the trial, ISO 8601; None: of the entry.
+    """
 
     params: Mapping[str, Any]
     value: float
     columns: Mapping[str, float] = {}
     note: str = ""
     failed: bool = False
-    context: str | None = None  # None: the present one
-    operator: str | None = None  # None: who enters it
-    time: str | None = None  # of the trial, ISO 8601; None: of the entry
+    context: str | None = None
+    operator: str | None = None
+    time: str | None = None
 
 
 class Bench:
@@ -81,7 +92,12 @@ class Bench:
 
     @classmethod
     def new(cls, path: str | Path, operator: str | None = None) -> "Bench":
-        """Begin a bench, or open the one that was begun with this file."""
+        """Begin a bench, or open the one that was begun with this file.
+
+        Args:
+            path: of the TOML file.
+            operator: as of a `Bench`.
+        """
         bench = cls(path, operator)
         candidates = bench.candidates
         if not bench._entries:
@@ -189,7 +205,11 @@ class Bench:
         return found
 
     def expected(self, params: Sequence[Mapping[str, Any]]) -> list[str]:
-        """What is expected of each candidate by now, in a sentence."""
+        """What is expected of each candidate by now, in a sentence.
+
+        Args:
+            params: of the candidates, by name.
+        """
         return self._advice(self.state).expected(params)
 
     def _mine(self, state: State) -> list[Trial]:
@@ -219,6 +239,14 @@ class Bench:
     ) -> None:
         """Enter the result of a trial: its value, or after how many seconds it failed.
 
+        Args:
+            number: of a pending trial.
+            value: its result, in the unit of the goal; may be left out of a trial that
+                failed.
+            failed_s: after how many seconds it failed; None: it did not.
+            columns: other numbers, by the names of the bench's columns, in their units.
+            note: of whoever enters it.
+
         Raises:
             InputError: no pending trial, no finite number, or a column that the file has not.
         """
@@ -241,6 +269,13 @@ class Bench:
 
         With a value, a trial that failed is a failure no longer; with `failed_s`, it is one.
 
+        Args:
+            number: of a finished trial.
+            value: as of `record`; None: it stays.
+            failed_s: likewise.
+            columns: those that change.
+            note: "": it stays.
+
         Raises:
             InputError: nothing to replace; or as `record`.
         """
@@ -251,7 +286,12 @@ class Bench:
 
     @checks.checked(number=WHOLE, note=checks.text)
     def abort(self, number: int, note: str = "") -> None:
-        """Enter that a trial was broken off: nothing is learned, and it is the next one again."""
+        """Enter that a trial was broken off: nothing is learned, and it is the next one again.
+
+        Args:
+            number: of a pending trial.
+            note: why.
+        """
         with self._turn() as state:
             state.trial(number, finished=False)
             self._add("abort", {"trial": number, "note": note})

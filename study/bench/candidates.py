@@ -36,12 +36,19 @@ OFF_STEP = 1e-8  # of a step: how far a value may be off, as for Optuna
 
 @dataclass(frozen=True)
 class Declared:
-    """What a bench's file says of a parameter; None: nothing."""
+    """What a bench's file says of a parameter; None: nothing.
+
+    Attributes:
+        kind: "float", "whole" or "choice".
+        bounds: the least and the largest value.
+        step: between two values, from the least on.
+        log: whether it is on a logarithmic scale.
+    """
 
     kind: Kind | None = None
-    bounds: tuple[float, float] | None = None  # the least and the largest value
-    step: float | None = None  # between two values, from the least on
-    log: bool = False  # on a logarithmic scale
+    bounds: tuple[float, float] | None = None
+    step: float | None = None
+    log: bool = False
 
     def distribution(self, name: str, table: ForeignTable) -> BaseDistribution:
         """The distribution of the parameter that a column of a table has.

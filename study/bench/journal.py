@@ -35,11 +35,19 @@ MOST_DIGITS = 9  # of the number of a trial, or of an entry, that somebody types
 
 @dataclass(frozen=True)
 class Entry:
-    """Something that an operator did."""
+    """Something that an operator did.
+
+    Attributes:
+        number: among all entries, from 0.
+        kind: begin, next, record, fail, correct, abort, add, context or undo.
+        time: of the operator's clock, ISO 8601.
+        operator: who made it.
+        data: what was entered, as JSON values.
+    """
 
     number: int
-    kind: str  # begin, next, record, fail, correct, abort, add, context, undo
-    time: str  # of the operator's clock, ISO 8601
+    kind: str
+    time: str
     operator: str
     data: Mapping[str, Any]
 
@@ -73,31 +81,55 @@ def result_text(data: Mapping[str, Any]) -> str:
 
 @dataclass
 class Trial:
-    """A trial as the entries leave it."""
+    """A trial as the entries leave it.
+
+    Attributes:
+        number: among all trials, from 0.
+        params: its parameters, by name.
+        notes: of the sampler.
+        context: in which it is tried.
+        operator: who has it, or had it.
+        why: it was proposed, in words.
+        value: in the unit of the goal; None: nobody has entered a result.
+        columns: other numbers that were entered, by the names of the bench's columns, in
+            their units.
+        failed: whether it failed.
+        note: of whoever entered its result.
+        aborted: times that it was broken off and nothing learned.
+        time: when its result was entered, or when it was measured, ISO 8601.
+        values: all that were ever entered for it, the last one counts.
+    """
 
     number: int
     params: dict[str, Any]
-    notes: dict[str, Any]  # of the sampler
+    notes: dict[str, Any]
     context: str
     operator: str
     why: str = ""
-    value: float | None = None  # None: nobody has entered a result
+    value: float | None = None
     columns: dict[str, float] = field(default_factory=dict)
     failed: bool = False
     note: str = ""
-    aborted: int = 0  # times that it was broken off and nothing learned
-    time: str = ""  # when its result was entered, or when it was measured; ISO 8601
-    values: list[float] = field(default_factory=list)  # all that were ever entered for it
+    aborted: int = 0
+    time: str = ""
+    values: list[float] = field(default_factory=list)
 
 
 @dataclass
 class State:
-    """What all entries come to."""
+    """What all entries come to.
 
-    trials: dict[int, Trial]  # by number; those of an entry that was undone are missing
+    Attributes:
+        trials: by number; those of an entry that was undone are missing.
+        context: the present one; "": it has no name.
+        count: of numbers that were ever given to a trial.
+        undone: numbers of the entries that were undone.
+    """
+
+    trials: dict[int, Trial]
     context: str
-    count: int  # of numbers that were ever given to a trial
-    undone: frozenset[int]  # entries
+    count: int
+    undone: frozenset[int]
 
     def of_context(self, context: str) -> list[Trial]:
         """The trials of a context, in their order."""

@@ -42,13 +42,23 @@ READABLE = "a readable TOML file of a bench"
 
 @dataclass(frozen=True)
 class Goal:
-    """What a trial is tried for."""
+    """What a trial is tried for.
 
-    value: str  # the number of a trial in words, with its unit
+    Attributes:
+        value: the number of a trial in words, with its unit.
+        maximise: whether more is better.
+        success: the value from which on a trial has succeeded; None: the file does not
+            say.
+        failed: value of a trial that fails at once, and at its end; None: the file does
+            not say.
+        duration_s: of a whole trial; infinite where it has no end.
+    """
+
+    value: str
     maximise: bool
-    success: float | None  # the value from which on a trial has succeeded
-    failed: tuple[float, float] | None  # value of a trial that fails at once, and at its end
-    duration_s: float  # of a whole trial; infinite where it has no end
+    success: float | None
+    failed: tuple[float, float] | None
+    duration_s: float
 
     def of_failure(self, seconds: float) -> float:
         """The value of a trial that failed after so long: the later, the better.
@@ -99,7 +109,13 @@ class Goal:
 
 @dataclass(frozen=True)
 class Column:
-    """Another number of a trial, and the limits that it must keep."""
+    """Another number of a trial, and the limits that it must keep.
+
+    Attributes:
+        unit: of the number, in words.
+        least: that is allowed, in this unit; minus infinity: there is no such limit.
+        most: that is allowed; infinity: there is no such limit.
+    """
 
     unit: str
     least: float
@@ -113,19 +129,41 @@ class Column:
 
 @dataclass(frozen=True)
 class Safety:
-    """Limits of what may be proposed."""
+    """Limits of what may be proposed.
 
-    most_step: float = 1.0  # of any parameter's range, from the nearest trial that succeeded
-    least_success: float = 0.0  # predicted chance to succeed
-    least_kept: float = 0.0  # predicted chance that the limits of all columns are kept
+    Attributes:
+        most_step: from the nearest trial that succeeded, as a share of any parameter's
+            range, 0 to 1.
+        least_success: predicted chance to succeed, 0 to 1.
+        least_kept: predicted chance that the limits of all columns are kept, 0 to 1.
+    """
+
+    most_step: float = 1.0
+    least_success: float = 0.0
+    least_kept: float = 0.0
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The content of a bench's file."""
+    """The content of a bench's file.
+
+    Attributes:
+        path: of the file.
+        document: the file as it is written, without what may change.
+        name: of the bench, and of its study.
+        about: what it is for, in words.
+        seed: of the sampler.
+        candidates: the table [candidates], as it is written.
+        goal: what a trial is tried for.
+        columns: other numbers of a trial, by name.
+        safety: limits of what may be proposed.
+        off_grid: points near the best trials that are looked at; None: as many as the
+            sampler has.
+        url: of the study database.
+    """
 
     path: Path
-    document: Mapping[str, Any]  # as it is written, without what may change
+    document: Mapping[str, Any]
     name: str
     about: str
     seed: int
@@ -133,8 +171,8 @@ class Plan:
     goal: Goal
     columns: Mapping[str, Column]
     safety: Safety
-    off_grid: int | None  # points near the best trials that are looked at; None: as the sampler has
-    url: str  # of the study database
+    off_grid: int | None
+    url: str
 
     @property
     def limited(self) -> list[str]:

@@ -254,13 +254,22 @@ def _is_gap(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class FileColumns:
-    """Where a table was read from."""
+    """Where a table was read from.
 
-    path: Path  # a Parquet file, a folder of them, or a store
-    features: Sequence[str]  # k columns
-    parameters: Sequence[str] | None  # d columns; None: those of the store
-    space: Mapping[str, BaseDistribution] | None  # distributions of some parameters
-    bounds: Bounds | None  # (low, high) of some parameters; None: those that a store was made with
+    Attributes:
+        path: of a Parquet file, a folder of them, or a store.
+        features: names of k columns.
+        parameters: names of d columns; None: those of the store.
+        space: distributions of some parameters, by name; None: of none.
+        bounds: (low, high) of some parameters, by name; None: those that a store was
+            made with.
+    """
+
+    path: Path
+    features: Sequence[str]
+    parameters: Sequence[str] | None
+    space: Mapping[str, BaseDistribution] | None
+    bounds: Bounds | None
 
     def read(self) -> Content:
         """Read the columns, and check them."""

@@ -37,20 +37,36 @@ LookedUp = dict[int, tuple[FrozenTrial, int | None, Floats | None]]
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The trials of a study before one of its trials."""
+    """The trials of a study before one of its trials.
 
-    trials: tuple[FrozenTrial, ...]  # the n finished ones that can be learned from, by number
-    parameters: Floats  # of each, [n, d]
-    rows: NDArray[np.int64]  # of each, the row that it is, or OFF_TABLE, [n]
-    cost: Floats  # of each, lower is better, finite, [n]; infinity is beyond the others
-    costs: Floats  # of each, for each of the k goals of the study, [n, k]
-    signs: Floats  # of costs in the study's values: -1 where these are maximised, [k]
-    running: Floats  # parameters of those running elsewhere, [r, d]
-    running_rows: NDArray[np.int64]  # of each, [r]
-    tried: NDArray[np.bool_]  # rows that any trial has taken, whatever became of it, [table rows]
-    unplaced: tuple[FrozenTrial, ...]  # finished trials left out, being no row of the table
-    fixed: Mapping[str, Any]  # settled values of the trial itself: the user's, or suggested already
-    goals: Goals | None = None  # what made one cost of several
+    Attributes:
+        trials: the n finished ones that can be learned from, by number.
+        parameters: of each, [n, d].
+        rows: of each, the row of the table that it is, or OFF_TABLE, [n].
+        cost: of each, lower is better, finite: infinity is beyond the others, [n].
+        costs: of each, for each of the k goals of the study, [n, k].
+        signs: of costs in the study's values: -1 where these are maximised, else 1, [k].
+        running: parameters of the r trials that run elsewhere, [r, d].
+        running_rows: of each, the row, or OFF_TABLE, [r].
+        tried: whether any trial has taken a row, whatever became of it, [table rows].
+        unplaced: finished trials left out, being no row of the table.
+        fixed: settled values of the trial itself by name: the user's, or suggested
+            already.
+        goals: what made one cost of several; None: there is one.
+    """
+
+    trials: tuple[FrozenTrial, ...]
+    parameters: Floats
+    rows: NDArray[np.int64]
+    cost: Floats
+    costs: Floats
+    signs: Floats
+    running: Floats
+    running_rows: NDArray[np.int64]
+    tried: NDArray[np.bool_]
+    unplaced: tuple[FrozenTrial, ...]
+    fixed: Mapping[str, Any]
+    goals: Goals | None = None
 
     @property
     def sign(self) -> float:

@@ -42,11 +42,17 @@ STEP_DECADES = (-2.5, -0.3)  # log10 of a step's standard deviation, in ranges: 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Parameters by name, in a fixed order, with their distributions."""
+    """Parameters by name, in a fixed order, with their distributions.
 
-    names: tuple[str, ...]  # of the d parameters
-    distributions: tuple[BaseDistribution, ...]  # of each
-    pins: tuple[tuple[int, float], ...] = ()  # (column, number) of values that all new points have
+    Attributes:
+        names: of the d parameters.
+        distributions: of each.
+        pins: column and number of the values that all new points have.
+    """
+
+    names: tuple[str, ...]
+    distributions: tuple[BaseDistribution, ...]
+    pins: tuple[tuple[int, float], ...] = ()
 
     @classmethod
     def of(cls, distributions: Mapping[str, BaseDistribution]) -> "Space":

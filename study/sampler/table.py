@@ -47,14 +47,24 @@ HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's mult
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """n candidates."""
+    """n candidates.
 
-    space: Space  # the d parameters
-    parameters: Floats  # [n, d]; of a categorical, the index of its choice
-    feature_names: tuple[str, ...]  # k names
-    features: Floats  # [n, k], of any scale; NaN where unknown
-    worlds: Worlds | None = None  # what each row costs in simulated worlds
-    alike: Floats | None = None  # [n, r], whose products are the covariance of the rows
+    Attributes:
+        space: the d parameters.
+        parameters: of each row, [n, d]; of a categorical, the index of its choice.
+        feature_names: k names.
+        features: of each row, of any scale, [n, k]; NaN where unknown.
+        worlds: what each row costs in simulated worlds; None: that is not known.
+        alike: vectors whose products are the covariance of the rows, [n, r]; None: there
+            are none.
+    """
+
+    space: Space
+    parameters: Floats
+    feature_names: tuple[str, ...]
+    features: Floats
+    worlds: Worlds | None = None
+    alike: Floats | None = None
 
     def __len__(self) -> int:
         """Number of rows, n."""
@@ -461,7 +471,15 @@ class FeatureTable:
         bounds: Bounds | None = None,
         space: Mapping[str, BaseDistribution] | None = None,
     ) -> Self:
-        """Named columns of a pandas data frame; otherwise as `from_arrays`."""
+        """Named columns of a pandas data frame.
+
+        Args:
+            frame: a row a candidate, n of them.
+            parameters: names of d columns.
+            features: names of k columns of numbers.
+            bounds: as in `from_arrays`.
+            space: as in `from_arrays`.
+        """
         for name in [*parameters, *features]:
             if name not in frame.columns:
                 raise InputError("column", name, f"one of {listed(frame.columns, name)}")
