@@ -44,8 +44,11 @@ def shortened(text: str, longest: int = LONGEST_VALUE) -> str:
 
 
 def listed(names: Iterable[object], near: object = "") -> str:
-    """Names in a line; of many, those that look most like `near`, and how many more there are."""
-    known = [str(name) for name in names]
+    """Names in a line; of many, those that look most like `near`, and how many more there are.
+
+    A name with blanks at its ends is quoted: nobody would see them.
+    """
+    known = [name if name == name.strip() else repr(name) for name in map(str, names)]
     if len(known) <= MOST_LISTED:
         return ", ".join(known)
     from difflib import SequenceMatcher  # where there is a mistake

@@ -44,3 +44,4 @@ def test_of_many_names_the_nearest_are_listed_and_the_others_counted() -> None:
     assert listed(names, "world29").startswith("world29, ")
     assert listed(names).startswith("world0, world1, ") and len(listed(names)) < 200
     assert listed([]) == ""
+    assert listed(["damping ", "mass"]) == "'damping ', mass"
