@@ -179,17 +179,25 @@ def application(
                 return page_or_line(bench, error=str(error), given=given)
             return bottle.redirect(f"/?entry={bench.entries[-1].number}")
 
-    def say(error: Any) -> str:
-        """An error as one line."""
-        line = bottle.html_escape(str(error.body))
-        return f'<!DOCTYPE html><title>bench</title><p role="alert">{line}'
-
-    app.default_error_handler = say
+    app.default_error_handler = error_page
     app.add_hook("before_request", require_token)
     app.get("/", callback=show)
     app.get("/film/<trial:int>", callback=film)
     app.post("/operator", callback=name_operator)
     app.post("/<action>", callback=enter)
+
+    answer = protected(app)
+    return (answer if token else guarded(answer, None)), token
+
+
+def error_page(error: Any) -> str:
+    """An error as one line."""
+    line = bottle.html_escape(str(error.body))
+    return f'<!DOCTYPE html><title>bench</title><p role="alert">{line}'
+
+
+def protected(app: Application) -> Application:
+    """An application whose answers tell browsers what the page may do."""
 
     def answer(environment: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
         def begin(status: str, headers: list[tuple[str, str]], *error: Any) -> Any:
@@ -197,7 +205,7 @@ def application(
 
         return cast(Iterable[bytes], app(environment, begin))
 
-    return (answer if token else guarded(answer, None)), token
+    return answer
 
 
 def page(
