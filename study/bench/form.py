@@ -13,7 +13,7 @@ from concurrent.futures import BrokenExecutor, Executor
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 from urllib.parse import quote, unquote
 
 import bottle
@@ -203,7 +203,7 @@ def protected(app: Application) -> Application:
         def begin(status: str, headers: list[tuple[str, str]], *error: Any) -> Any:
             return start(status, [*headers, *PROTECTION], *error)
 
-        return cast(Iterable[bytes], app(environment, begin))
+        return app(environment, begin)
 
     return answer
 
