@@ -1,8 +1,8 @@
 """The robots of a call in one batch of MuJoCo's: what each senses, does and costs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,6 @@ from storage.function_simulator import SEED, DrawnNumbers
 from storage.mujoco_worlds import Floats, push_rates, quaternions, upward, weight_of
 from storage.simulator import SURVIVED
 from taichi_nmm.errors import InputError
-
-if TYPE_CHECKING:
-    from storage.mujoco_simulator import MujocoSimulator
 
 MOST_COST = 100.0
 PUSH_EVERY_S = 2.0
@@ -49,39 +46,65 @@ class SensedState:
     sensors: Mapping[str, Floats]
 
 
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """What all robots of a herd share.
+
+    Attributes:
+        name: of the simulator, for errors.
+        model: MuJoCo's, of the base setting.
+        root: number of the body that height and tilt are of.
+        start_qpos: MuJoCo's positions at the start, [nq]; None: the model's.
+        controller: controls [n, nu] of a point, what is sensed, and its memory.
+        is_down: whether runs are over, [n], of what is sensed and the root's height at the
+            start in m.
+        control_step_s: how long controls hold.
+        substeps: physics steps in it.
+    """
+
+    name: str
+    model: Any
+    root: int
+    start_qpos: Floats | None
+    controller: Callable[..., Any]
+    is_down: Callable[[SensedState, float], NDArray[np.bool_]]
+    control_step_s: float
+    substeps: int
+
+
 class Herd:
     """The robots of a call: n points x w worlds, and what became of each."""
 
     def __init__(
         self,
-        simulator: "MujocoSimulator",
+        robot: Robot,
         points: Mapping[str, Any],
         worlds: DrawnNumbers,
         models: list[Any],
     ) -> None:
         from mujoco.batch import Batch
 
-        self._simulator = simulator
+        self._robot = robot
         self._shape = len(next(iter(points.values()))), len(models)
         many = self._shape[0] * self._shape[1]
         self._world = np.tile(np.arange(len(models)), self._shape[0])  # of each robot
         self._point = {name: np.repeat(each, len(models)) for name, each in points.items()}
         self._batch = Batch(models[0], many, nthread=1)
         self._batch.set_models([models[k] for k in self._world])
-        bind, model = self._batch.bind, simulator._plain
+        bind, model = self._batch.bind, robot.model
         self.qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
         self._place, self._turn, self._forces = bind("xpos"), bind("xmat"), bind("actuator_force")
         self._speeds, self._sensors = bind("actuator_velocity"), bind("sensordata")
         self._torques = bind("qfrc_actuator")
         self._batch.reset()
-        if simulator._start_qpos is not None:
-            self.qpos[:] = simulator._start_qpos
+        if robot.start_qpos is not None:
+            self.qpos[:] = robot.start_qpos
             self._batch.forward()
         self._named = [
             (model.sensor(k).name, model.sensor_adr[k], model.sensor_dim[k])
             for k in range(model.nsensor)
         ]
-        root = simulator._root
+        root = robot.root
         self._place, self._turn = self._place[:, root], self._turn[:, root].reshape(many, 3, 3)
         self._start = self._place[0].copy()
         self._axis, self._sign = upward(model)
@@ -90,7 +113,7 @@ class Herd:
         self._upward = self._sign * self._turn[0, self._axis]
         weights = [weight_of(each, root) for each in models]
         self._weight = np.array(weights, dtype=np.float64)[self._world]
-        self._delay = np.rint(worlds["delay_s"] / simulator.control_step_s).astype(np.int64)
+        self._delay = np.rint(worlds["delay_s"] / robot.control_step_s).astype(np.int64)
         self._queue = np.zeros((int(self._delay.max()) + 1, *self._ctrl.shape))
         self._noise = np.hstack(
             [
@@ -119,25 +142,25 @@ class Herd:
         """A control step of those that are up; whether any is up after it."""
         from mujoco.batch import SimulationError
 
-        simulator, up = self._simulator, self._up
-        sensed = self._sensed(step * simulator.control_step_s)
+        robot, up = self._robot, self._up
+        sensed = self._sensed(step * robot.control_step_s)
         asked = self._controls(sensed)
         self._queue[step % len(self._queue), up] = asked
         late = (step - self._delay[self._world[up]]) % len(self._queue)
         self._ctrl[up] = self._queue[late, up]
         self._pushes(step)
         try:
-            self._batch.step(up, nstep=simulator._substeps)
+            self._batch.step(up, nstep=robot.substeps)
         except SimulationError as error:  # those have not moved, the others have
             self.qpos[error.ids] = np.nan
         power = self._forces[up] * self._speeds[up]
         if self._is_clipped:
             power = self._torques[up] * self._qvel[up]
-        self._energy[up] += np.abs(power).sum(axis=1) * simulator.control_step_s
+        self._energy[up] += np.abs(power).sum(axis=1) * robot.control_step_s
         self._effort[up] += (asked**2).mean(axis=1)
         self._peak[up] = np.maximum(self._peak[up], np.abs(self._torques[up]).max(axis=1))
-        now = self._seen((step + 1) * simulator.control_step_s, self.qpos[up], self._qvel[up])
-        down = simulator._is_down(now, self._start_m)
+        now = self._seen((step + 1) * robot.control_step_s, self.qpos[up], self._qvel[up])
+        down = robot.is_down(now, self._start_m)
         stays = np.isfinite(self.qpos[up]).all(axis=1) & ~self._broken[up] & ~np.asarray(down)
         self._lasted[up[stays]] += 1
         if not stays.all():
@@ -148,7 +171,7 @@ class Herd:
 
     def columns(self, steps: int) -> dict[str, Floats]:
         """Columns of all robots, [n, w]; NaN where a controller gave no number."""
-        seconds = np.maximum(self._lasted, 1) * self._simulator.control_step_s
+        seconds = np.maximum(self._lasted, 1) * self._robot.control_step_s
         distance = np.nan_to_num(self._place[:, 0] - self._start[0])
         moved = np.maximum(distance, 1e-6)
         weight = self._weight * moved
@@ -171,10 +194,10 @@ class Herd:
         """The controller's controls of those that are up, [n, nu]."""
         point = {name: each[self._up] for name, each in self._point.items()}
         shape = (len(self._up), self._ctrl.shape[1])
-        found = np.asarray(self._simulator.function(point, sensed, self._memory), dtype=np.float64)
+        found = np.asarray(self._robot.controller(point, sensed, self._memory), dtype=np.float64)
         if found.shape != shape:
             allowed = f"controls of shape {list(shape)} (robots, controls), not {list(found.shape)}"
-            raise InputError("controller", self._simulator.name, allowed)
+            raise InputError("controller", self._robot.name, allowed)
         broken: NDArray[np.bool_] = ~np.all(np.isfinite(found), axis=1)
         self._broken[self._up[broken]] = True
         return np.where(broken[:, None], 0.0, found)
@@ -224,12 +247,12 @@ class Herd:
         """Change the root's velocity where a world's next push is due."""
         if self._rates is None or not self._push.any():
             return
-        every = round(PUSH_EVERY_S / self._simulator.control_step_s)
+        every = round(PUSH_EVERY_S / self._robot.control_step_s)
         if step % every == 0:
             drawn = np.zeros((len(self._push), 2))
             for k in np.flatnonzero(self._push):
                 drawn[k] = self._draws[k].random(2)
-            first = round(START_S / self._simulator.control_step_s) if step == 0 else 0
+            first = round(START_S / self._robot.control_step_s) if step == 0 else 0
             self._pushed_at = step + first + (drawn[:, 0] * (every - first)).astype(np.int64)
             self._push = np.abs(self._push) * np.where(drawn[:, 1] < 0.5, -1.0, 1.0)
         due = self._world[self._up]

@@ -27,7 +27,7 @@ from storage.function_simulator import (
     code_of,
     source_of,
 )
-from storage.mujoco_herd import Herd, SensedState
+from storage.mujoco_herd import Herd, Robot, SensedState
 from storage.mujoco_worlds import (
     Floats,
     change,
@@ -355,7 +355,7 @@ class MujocoSimulator(FunctionSimulator):
         if steps < 1:
             allowed = f"{self.control_step_s:g} s, one control step, or more"
             raise InputError("seconds", seconds, allowed)
-        herd = Herd(self, points, worlds, models)
+        herd = Herd(self.robot, points, worlds, models)
         warn = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda text: None)  # no lines, nor a file, on who diverges
         try:
@@ -366,6 +366,20 @@ class MujocoSimulator(FunctionSimulator):
         finally:
             mujoco.set_mju_user_warning(warn)
         return herd.columns(steps)
+
+    @property
+    def robot(self) -> Robot:
+        """What all robots of a call share."""
+        return Robot(
+            name=self.name,
+            model=self._plain,
+            root=self._root,
+            start_qpos=self._start_qpos,
+            controller=self.function,
+            is_down=self._is_down,
+            control_step_s=self.control_step_s,
+            substeps=self._substeps,
+        )
 
     def _is_down(self, sensed: SensedState, start_m: float) -> NDArray[np.bool_]:
         if self._fallen is None:

@@ -128,7 +128,7 @@ class Measured:
         drawn = {name: np.array([value]) for name, value in whole.items()}
         self.simulator._require_worlds(drawn)
         model = self.simulator._model_of(whole)
-        return model, Herd(self.simulator, {"share": np.array([1.0])}, drawn, [model])
+        return model, Herd(self.simulator.robot, {"share": np.array([1.0])}, drawn, [model])
 
     def at(self, model: Any, ctrl: Floats | None = None, rates: Floats | None = None) -> Any:
         """A model's data in that state."""
