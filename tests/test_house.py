@@ -22,7 +22,7 @@ MOST_LINES = 600
 # The budget of CONTRIBUTING.md, in nodes of the syntax tree: neither width nor docstrings nor
 # comments change it. The hub's package counts; the tests do not count as product.
 MOST_NODES_OF_PRODUCT = 275_000
-MOST_NODES_OF_TESTS = 265_000
+MOST_NODES_OF_TESTS = 266_000
 LEAST_DOCUMENTED = 0.95  # of the fields that users hold
 DOOR = "taichi_nmm.__main__"  # of the commands: the one module that looks up
 COMMANDS = ("tools", "study.commands")

@@ -138,8 +138,10 @@ class Advice:
             limits = {"may be named": -1.0 if trial.number in named else 1.0}
             study.add_trial(frozen(trial, self.space, self.plan, limits))
         best = self.sampler.best(study)
-        number = self.here[best.number].number
-        return Recommended(**vars(best) | {"number": number}, remark=" ".join(doubts[number]))
+        chosen = self.here[best.number]
+        others = [trial for trial in good if trial.number not in named]
+        remarks = [*doubts[chosen.number], *self._passed_over(chosen, others)]
+        return Recommended(**vars(best) | {"number": chosen.number}, remark=" ".join(remarks))
 
     def repeat(self) -> int | None:
         """The trial of which a repeat would tell most: the least sure one that may be the best."""
@@ -170,6 +172,22 @@ class Advice:
             return ""
         parts = [f"{name} of {_trials(numbers)}" for name, numbers in missing.items()]
         return f"Not entered, so that nobody knows whether it was kept: {'; '.join(parts)}."
+
+    def _passed_over(self, chosen: Trial, others: Iterable[Trial]) -> list[str]:
+        """What is not known of trials that had better values than the chosen one."""
+        sign = -1.0 if self.plan.goal.maximise else 1.0
+        better = [
+            trial
+            for trial in others
+            if trial.value is not None
+            and chosen.value is not None
+            and sign * trial.value < sign * chosen.value
+        ]
+        unknown = self.unknown_limits(better)
+        if not unknown:
+            return []
+        numbers = _trials([trial.number for trial in better])
+        return [f"{numbers.capitalize()} had better values. {unknown}"]
 
     def _doubts_of(self, trial: Trial) -> list[str]:
         """What speaks against a trial that may be named."""

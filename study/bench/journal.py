@@ -73,8 +73,10 @@ def result_text(data: Mapping[str, Any]) -> str:
         parts.append(f"failed after {data['seconds']:.12g} s")
     if data.get("value") is not None:
         parts.append(f"{data['value']:.12g}")
-    if data.get("failed") is False:
+    if data.get("failed") is False and "params" not in data:  # the correction of a failure
         parts.append("no longer a failure")
+    if data.get("failed") and data.get("seconds") is None:  # of an import
+        parts.append("failed")
     parts += [f"{name} {value:.12g}" for name, value in data.get("columns", {}).items()]
     return ", ".join(parts)
 

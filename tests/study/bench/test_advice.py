@@ -1,5 +1,6 @@
 """What a bench says: next trials, expectations and recommendations, also where little is known."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,10 @@ def test_a_trial_that_is_not_known_to_keep_its_limits_is_recommended_last(bench:
     assert "torque of trial 0" in str(bench.best())
     ask_and_tell(bench, 0.9, torque=60.0)
     assert bench.best().number == 1 and "unknown" not in str(bench.best())
+    told = "Trial 0 had better values. Not entered, .*: torque of trial 0."
+    assert re.search(told, str(bench.best()))
+    bench.correct(0, columns={"torque": 60.0})
+    assert bench.best().number == 0 and "better values" not in str(bench.best())
 
 
 def test_neither_failures_nor_broken_limits_are_recommended(bench: Bench) -> None:

@@ -50,6 +50,8 @@ def test_all_that_a_trial_is_goes_out_and_comes_in(
     told = [trial for trial in bench.state.trials.values() if trial.value is not None]
     assert [content(trial) for trial in again.state.trials.values()] == [*map(content, told)]
     assert {trial.context for trial in again.state.trials.values()} == {"", "gravel", "007"}
+    line = str(again.entries[-1])
+    assert "no longer" not in line and line.count("failed") == 1
     bench.context("")
     assert str(again.best()) == str(bench.best())
 

@@ -294,6 +294,18 @@ def on_the_body(page: Any, side: str, muscle: str) -> tuple[float, float]:
     return float(x), float(z)
 
 
+def stop_at(page: Any, moment_s: float) -> None:
+    """Show a moment of a walk that is stopped: a frame that was under way may set another first."""
+    page.wait_for_function(
+        f"""() => {{
+            if (window.walk_player.time === {moment_s}) return true
+            {MODEL}('time').value = 0
+            {MODEL}('time').value = {moment_s}
+            return false
+        }}"""
+    )
+
+
 @pytest.fixture(scope="module")
 def standing(page: Any, store: Path) -> None:
     """The gait `reference`."""
@@ -309,8 +321,7 @@ def test_a_muscle_is_named_where_it_is(page: Any, standing: None, muscle: str, s
     change(page, "play", "active", False)
     behind = muscle == "HFL"  # seen best on the leg that is behind
     moment_s = LEFT_AHEAD_S if (side == "left") != behind else RIGHT_AHEAD_S
-    change(page, "time", "value", moment_s)
-    page.wait_for_function(f"window.walk_player.time === {moment_s}")
+    stop_at(page, moment_s)
     page.mouse.move(*at(page, "stage", *on_the_body(page, side, muscle)))
     name = f"{side} {muscle}, {PLACES[muscle]['words']}: "
     page.wait_for_function(f"{MODEL}('stage').title.text.includes({json.dumps(name)})")
