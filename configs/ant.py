@@ -1,7 +1,8 @@
 """Gymnasium's Ant, a body in three dimensions, under a central pattern generator of 12 parameters.
 
-A. J. Ijspeert, "Central pattern generators for locomotion control in animals and robots: a review"
-(2008): phases that hold a lag make the rhythm of the legs; the trunk's course and pitch change it.
+A. J. Ijspeert, "Central pattern generators for locomotion control in animals and
+robots: a review" (2008): phases that hold a lag make the rhythm of the legs; the
+trunk's course and pitch change it.
 """
 
 import mujoco
@@ -13,8 +14,13 @@ from storage.mujoco_simulator import MujocoSimulator, gymnasium_model
 # The four legs: front left, hind left, hind right, front right.
 LEFT = np.array([1.0, 1.0, -1.0, -1.0])
 FRONT = np.array([1.0, -1.0, -1.0, 1.0])
-DOWN = np.array([1.0, -1.0, -1.0, 1.0])  # the sign of an ankle's angle that bends it down
-HIP, ANKLE = np.array([7, 9, 11, 13]), np.array([8, 10, 12, 14])  # in qpos; in qvel 1 less
+DOWN = np.array(
+    [1.0, -1.0, -1.0, 1.0]
+)  # the sign of an ankle's angle that bends it down
+HIP, ANKLE = (
+    np.array([7, 9, 11, 13]),
+    np.array([8, 10, 12, 14]),
+)  # in qpos; in qvel 1 less
 MOTOR = np.array([2, 4, 6, 0])  # of the hips; each ankle's follows
 START = [
     0.0,
@@ -58,7 +64,9 @@ def controller(point, sensed, memory):
     stride = of["stride"] * (1.0 + LEFT * turn)
     hip = LEFT * (of["centre"] * FRONT - stride * np.cos(phase))
     lift = of["lift"] * np.maximum(-np.sin(phase), 0.0)
-    ankle = DOWN * (of["stance"] + of["lean"] * FRONT * sensed.pitch_rad[:, None] - lift)
+    ankle = DOWN * (
+        of["stance"] + of["lean"] * FRONT * sensed.pitch_rad[:, None] - lift
+    )
     kp, kd = of["kp"], of["kp"] * of["kd"]
     controls = np.empty((len(turn), 8))
     for target, place, motor in ((hip, HIP, MOTOR), (ankle, ANKLE, MOTOR + 1)):
@@ -79,7 +87,9 @@ robot = MujocoSimulator(
     controller,
     parameters={
         "frequency_hz": FloatDistribution(0.5, 2.5),
-        "diagonal": FloatDistribution(0.3, 0.7),  # lag of the hind left leg; 0.5 is a trot
+        "diagonal": FloatDistribution(
+            0.3, 0.7
+        ),  # lag of the hind left leg; 0.5 is a trot
         "hind": FloatDistribution(-0.2, 0.2),  # lag of the hind right leg
         "stride": FloatDistribution(0.1, 0.6),
         "centre": FloatDistribution(-0.3, 0.3),

@@ -1,9 +1,9 @@
 """Gymnasium's Walker2d under a gait of 12 gains: a state machine that keeps its balance.
 
-The controller is SIMBICON's: K. Yin, K. Loken, M. van de Panne, "SIMBICON: Simple Biped Locomotion
-Control" (2007). A leg swings until it lands, then the other one does. The hip of the swing leg
-follows the place of the stance foot and the trunk's speed. Hips bend backwards only, so the trunk
-leans back.
+The controller is SIMBICON's: K. Yin, K. Loken, M. van de Panne, "SIMBICON: Simple Biped
+Locomotion Control" (2007). A leg swings until it lands, then the other one does. The
+hip of the swing leg follows the place of the stance foot and the trunk's speed. Hips
+bend backwards only, so the trunk leans back.
 """
 
 import mujoco
@@ -13,7 +13,11 @@ from optuna.distributions import FloatDistribution
 from storage.mujoco_simulator import MujocoSimulator, gymnasium_model
 
 FEET = ("foot", "foot_left")
-HIP, KNEE, ANKLE = np.array([3, 6]), np.array([4, 7]), np.array([5, 8])  # in qpos and qvel
+HIP, KNEE, ANKLE = (
+    np.array([3, 6]),
+    np.array([4, 7]),
+    np.array([5, 8]),
+)  # in qpos and qvel
 PITCH, FIRST = 2, 3  # the trunk's angle; the first joint with a motor
 WEAK_ANKLE = 0.3  # of the gains of hip and knee
 LEAST_SPEED_MPS, PATIENCE_S = 0.25, 2.0  # who gets less far stands rather than walks
@@ -24,9 +28,16 @@ def model():
     spec = mujoco.MjSpec.from_file(str(gymnasium_model("walker2d_v5.xml")))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for foot in FEET:
-        box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [0.2, 0.1, 0.1], "group": 4}  # not shown
+        box = {
+            "type": mujoco.mjtGeom.mjGEOM_BOX,
+            "size": [0.2, 0.1, 0.1],
+            "group": 4,
+        }  # not shown
         spec.body(foot).add_site(name=foot, pos=[-0.1, 0.0, 0.1], **box)
-        touch = {"type": mujoco.mjtSensor.mjSENS_TOUCH, "objtype": mujoco.mjtObj.mjOBJ_SITE}
+        touch = {
+            "type": mujoco.mjtSensor.mjSENS_TOUCH,
+            "objtype": mujoco.mjtObj.mjOBJ_SITE,
+        }
         spec.add_sensor(name=foot, objname=foot, **touch)
     return spec
 
@@ -35,9 +46,14 @@ def controller(point, sensed, memory):
     """Torques of n robots, [n, 6], as shares of the motors' 100 N m."""
     rows, now = np.arange(len(sensed.x_m)), sensed.time_s
     if not memory:
-        memory["since_s"], memory["swing"] = np.zeros(len(rows)), np.zeros(len(rows), dtype=int)
+        memory["since_s"], memory["swing"] = (
+            np.zeros(len(rows)),
+            np.zeros(len(rows), dtype=int),
+        )
     waited, swing = now - memory["since_s"], memory["swing"]
-    lands = np.where(swing == 0, sensed.sensors["foot"], sensed.sensors["foot_left"]) > 0.0
+    lands = (
+        np.where(swing == 0, sensed.sensors["foot"], sensed.sensors["foot_left"]) > 0.0
+    )
     over = (waited >= point["step_s"]) | (lands & (waited >= 0.5 * point["step_s"]))
     memory["since_s"] = np.where(over, now, memory["since_s"])
     memory["swing"] = swing = np.where(over, 1 - swing, swing)
@@ -56,8 +72,14 @@ def controller(point, sensed, memory):
     pitch, pitch_rate = angle[:, PITCH], rate[:, PITCH]
     thigh = angle[rows, HIP[swing]] - pitch
     thigh_rate = rate[rows, HIP[swing]] - pitch_rate
-    behind = -np.sin(angle[rows, HIP[stance]] - pitch)  # of the stance foot, in lengths of a leg
-    aim = point["swing_hip"] + point["balance_d"] * behind + point["balance_v"] * rate[:, 0]
+    behind = -np.sin(
+        angle[rows, HIP[stance]] - pitch
+    )  # of the stance foot, in lengths of a leg
+    aim = (
+        point["swing_hip"]
+        + point["balance_d"] * behind
+        + point["balance_v"] * rate[:, 0]
+    )
     torque = kp * (aim - thigh) - kd * thigh_rate
     trunk = kp * (point["trunk"] - pitch) - kd * pitch_rate
     controls[rows, HIP[swing] - FIRST] = torque
@@ -85,7 +107,9 @@ robot = MujocoSimulator(
         "swing_hip": FloatDistribution(0.3, 1.0),
         "swing_knee": FloatDistribution(-2.0, -1.0),
         "stance_knee": FloatDistribution(-0.4, 0.0),
-        "lift": FloatDistribution(0.4, 1.0),  # the share of a step for which the knee is bent
+        "lift": FloatDistribution(
+            0.4, 1.0
+        ),  # the share of a step for which the knee is bent
         "push_off": FloatDistribution(-0.3, 0.6),
         "trunk": FloatDistribution(-0.6, 0.1),
         "balance_d": FloatDistribution(-0.2, 0.8),

@@ -1,7 +1,8 @@
 """A hook of mkdocs: each notebook runs when the site is built, and becomes a page with its outputs.
 
-A notebook becomes Markdown, so that its links are checked and its code looks like any other page's.
-An error in a cell is an error of the build; its output on standard error is a warning.
+A notebook becomes Markdown, so that its links are checked and its code looks like any
+other page's. An error in a cell is an error of the build; its output on standard error
+is a warning.
 """
 
 import base64
@@ -20,8 +21,8 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 
 LONGEST_CELL_S = 300
-# Two warnings are about this machine, not the notebook: tqdm finds no widgets, and the kernel talks
-# to this process in plain text.
+# Two warnings are about this machine, not the notebook: tqdm finds no widgets, and the
+# kernel talks to this process in plain text.
 ENVIRONMENT = {"PYTHONWARNINGS": "ignore:IProgress not found"}
 ERRORS_ONLY = ["--log-level=40"]
 
@@ -40,7 +41,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Put the page and the pictures of each notebook in its place."""
     for file in [file for file in files if file.src_uri.endswith(".ipynb")]:
         pictures: dict[str, bytes] = {}
-        parts = markdown(executed(Path(config.docs_dir, file.src_uri)), file.name, pictures)
+        parts = markdown(
+            executed(Path(config.docs_dir, file.src_uri)), file.name, pictures
+        )
         page = Page.generated(config, file.src_uri, content="\n\n".join(parts))
         files.remove(file)
         files.append(page)
@@ -62,8 +65,11 @@ def executed(path: Path) -> nbformat.NotebookNode:
             coalesce_streams=True,
         )
         try:
-            # Cells' errors come in messages; a kernel's own last words may be an abort of libzmq.
-            return client.execute(env=os.environ | ENVIRONMENT, stderr=subprocess.DEVNULL)
+            # Cells' errors come in messages; a kernel's own last words may be an abort
+            # of libzmq.
+            return client.execute(
+                env=os.environ | ENVIRONMENT, stderr=subprocess.DEVNULL
+            )
         except CellExecutionError as error:
             raise PluginError(f"{path.name}: {error}") from None
 
@@ -83,7 +89,9 @@ def markdown(
                 picture = f"{name}-{len(pictures) + 1}.png"
                 pictures[picture] = base64.b64decode(data["image/png"])
                 # As display(..., metadata={"image/png": {"alt": ...}}) describes it.
-                said = output.metadata.get("image/png", {}).get("alt", "what the code drew")
+                said = output.metadata.get("image/png", {}).get(
+                    "alt", "what the code drew"
+                )
                 yield f"![{said}]({picture})"
             elif output.get("name") == "stderr":
                 log.warning(f"{name}: {output.text.strip()}")

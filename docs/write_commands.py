@@ -21,7 +21,9 @@ INTRODUCTION = (ROOT / "docs" / "commands-introduction.txt").read_text(encoding=
 
 def page() -> str:
     """The whole page."""
-    return "\n".join([INTRODUCTION, *(line for name in COMMANDS for line in chapter(name))])
+    return "\n".join(
+        [INTRODUCTION, *(line for name in COMMANDS for line in chapter(name))]
+    )
 
 
 def chapter(name: str) -> Iterator[str]:
@@ -42,7 +44,9 @@ def words(action: argparse.Action) -> str:
     value = str(action.metavar or "")
     if action.choices is not None and not value:
         value = "{" + ",".join(map(str, action.choices)) + "}"
-    return cell(" ".join(filter(None, [", ".join(action.option_strings), value])) or action.dest)
+    return cell(
+        " ".join(filter(None, [", ".join(action.option_strings), value])) or action.dest
+    )
 
 
 def cell(text: str) -> str:

@@ -1,8 +1,8 @@
 """The Parquet store of gait scores, and Optuna's study databases.
 
-Importing this package loads neither Taichi nor Optuna, and Arrow when a name below is first used;
-`storage.precompute` fills a store, `storage.databases` has the databases, and `storage.pool`
-spreads work over processes.
+Importing this package loads neither Taichi nor Optuna, and Arrow when a name below is
+first used; `storage.precompute` fills a store, `storage.databases` has the databases,
+and `storage.pool` spreads work over processes.
 """
 
 from importlib import import_module

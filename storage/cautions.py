@@ -11,8 +11,8 @@ from taichi_nmm.errors import shortened
 def cautions(store: Store, survived: str) -> list[str]:
     """A line for each family, and for the base setting, in which no row came to the end.
 
-    Each names the key that changes it. `survived` is the column with how far a run came. Of a
-    family that an older version made, without outcomes, nothing is said.
+    Each names the key that changes it. `survived` is the column with how far a run
+    came. Of a family that an older version made, without outcomes, nothing is said.
     """
     names = {}
     for family in store.families:
@@ -32,7 +32,9 @@ def cautions(store: Store, survived: str) -> list[str]:
         lasted = rows[outcome][ran]
         if not len(lasted):
             key = "min_survived_fraction" if "after" in settings else "min_survival_s"
-            lines.append(f"{path}.{key}: 0 of {len(rows)} rows reached {settings[key]:g}")
+            lines.append(
+                f"{path}.{key}: 0 of {len(rows)} rows reached {settings[key]:g}"
+            )
         elif not np.any(lasted >= 1.0):
             share = f"0 of {len(lasted)} rows lasted {settings['horizon_s']:g} s in any world"
             longest = f"the longest {_below(np.nanmax(lasted))} of it"

@@ -18,8 +18,9 @@ def open_pool(
 ) -> AbstractContextManager[Pool]:
     """So many worker processes of this machine; or in their place, the workers of a cluster.
 
-    They fill a folder (None: a new one) by units that use the simulator, on one thread, further
-    packages that decide results, and stores, which they read at the path of `Pool.there`.
+    They fill a folder (None: a new one) by units that use the simulator, on one thread,
+    further packages that decide results, and stores, which they read at the path of
+    `Pool.there`.
 
     Raises:
         InputError: as `local_pool` and `cluster_pool`.

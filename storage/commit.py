@@ -1,8 +1,9 @@
 """The commit protocol: a file appears under its name whole and checked, or not at all.
 
-A process that is killed while it writes straight to the destination leaves an unreadable file under
-the final name. So a temporary sibling is written, closed, re-opened to be checked, and put on the
-disk before it takes its name; then the folder is put on the disk.
+A process that is killed while it writes straight to the destination leaves an
+unreadable file under the final name. So a temporary sibling is written, closed,
+re-opened to be checked, and put on the disk before it takes its name; then the folder
+is put on the disk.
 """
 
 import errno
@@ -30,8 +31,8 @@ def commit(
     """Make the file `path`: `write` fills a temporary sibling, `check` re-opens it and may raise.
 
     Raises:
-        InputError: naming the path as `field`: the folder cannot be written or the disk is full;
-            nothing is left behind.
+        InputError: naming the path as `field`: the folder cannot be written or the disk
+            is full; nothing is left behind.
     """
     with writable(path, field):
         if not path.name:
@@ -48,7 +49,8 @@ def commit(
 def temporary_sibling(path: Path) -> Iterator[Path]:
     """An empty file beside `path` that is to take its name; it is gone at the end if it has not.
 
-    It is locked while this process lives. Siblings that killed processes left are removed.
+    It is locked while this process lives. Siblings that killed processes left are
+    removed.
     """
     remove_orphans(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
@@ -77,7 +79,12 @@ def commit_text(path: Path, text: str, field: str = "out") -> None:
         if temporary.read_text(encoding="utf-8") != text:
             raise OSError("what was read back differs from what was written")
 
-    commit(path, lambda temporary: temporary.write_text(text, encoding="utf-8"), check, field)
+    commit(
+        path,
+        lambda temporary: temporary.write_text(text, encoding="utf-8"),
+        check,
+        field,
+    )
 
 
 def commit_json(path: Path, document: dict[str, Any]) -> None:
@@ -105,8 +112,8 @@ def together(folder: Path) -> Iterator[Path]:
     If it ends otherwise, nothing is there that was not there before.
 
     Raises:
-        InputError: the folder cannot be written, the disk is full, or another process is filling
-            the same folder.
+        InputError: the folder cannot be written, the disk is full, or another process
+            is filling the same folder.
     """
     require_named(folder)
     new = folder.resolve().with_name(f".{folder.resolve().name}.new")
@@ -136,12 +143,15 @@ def together(folder: Path) -> Iterator[Path]:
         os.close(held)
 
 
-def lock_now(held: int, path: Path, field: str = "out", taken: InputError | None = None) -> None:
+def lock_now(
+    held: int, path: Path, field: str = "out", taken: InputError | None = None
+) -> None:
     """Lock an open file or folder, of descriptor `held`, as long as it is open.
 
     Raises:
-        InputError: `taken`, or one that names `path` as `field`: another process holds the lock; or
-            the file system has no locks, as some network and FUSE file systems (errors 37, 95).
+        InputError: `taken`, or one that names `path` as `field`: another process holds
+            the lock; or the file system has no locks, as some network and FUSE file
+            systems (errors 37, 95).
     """
     try:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -161,7 +171,9 @@ def require_writable(path: Path, field: str = "out") -> None:
     with writable(path, field):
         with suppress(FileNotFoundError, NotADirectoryError):
             path.stat()  # refuses a name that is too long, for which `exists` is False on 3.14
-        nearest = next(each for each in (path, *path.absolute().parents) if each.exists())
+        nearest = next(
+            each for each in (path, *path.absolute().parents) if each.exists()
+        )
         if nearest != path and not nearest.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, f"{nearest} is no folder")
         if not os.access(nearest, os.W_OK | (os.X_OK if nearest.is_dir() else 0)):
@@ -193,9 +205,13 @@ def require_named(folder: Path) -> None:
 def remove_orphans(path: Path) -> None:
     """Remove temporary siblings of a file that no process holds."""
     for file in path.parent.iterdir():
-        if file.name.startswith(f".{path.name}.") and file.name.endswith(TEMPORARY_SUFFIX):
+        if file.name.startswith(f".{path.name}.") and file.name.endswith(
+            TEMPORARY_SUFFIX
+        ):
             with suppress(OSError):  # locked, gone, or another user's
-                if file.stat().st_nlink > 1:  # it has its name; closing it would end SQLite's locks
+                if (
+                    file.stat().st_nlink > 1
+                ):  # it has its name; closing it would end SQLite's locks
                     file.unlink()
                     continue
                 with file.open("ab") as orphan:

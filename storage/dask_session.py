@@ -1,12 +1,13 @@
 """A session of work on a Dask cluster: a scheduler that runs already, or workers of this machine.
 
-Workers that compute the bits of the folder get work, however late they join. Dask makes a call
-again elsewhere when its worker is killed. The cluster is left as it was found.
+Workers that compute the bits of the folder get work, however late they join. Dask makes
+a call again elsewhere when its worker is killed. The cluster is left as it was found.
 
-On every worker a session has a *workplace*: processes that run calls, and stores that these read.
-Taichi compiles on a main thread only, and a worker's main thread is Dask's own; so calls go to
-processes that end with the worker. A worker that is started again, or joins late, is set up
-likewise. Workers share no disk with the command, so stores are sent to them.
+On every worker a session has a *workplace*: processes that run calls, and stores that
+these read. Taichi compiles on a main thread only, and a worker's main thread is Dask's
+own; so calls go to processes that end with the worker. A worker that is started again,
+or joins late, is set up likewise. Workers share no disk with the command, so stores are
+sent to them.
 """
 
 import asyncio
@@ -29,7 +30,14 @@ from pathlib import Path
 from typing import Any
 
 import dask
-from distributed import Client, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker
+from distributed import (
+    Client,
+    KilledWorker,
+    LocalCluster,
+    Worker,
+    WorkerPlugin,
+    get_worker,
+)
 from distributed import Future as Remote
 from distributed.comm import CommClosedError
 from distributed.security import Security
@@ -53,7 +61,9 @@ WATCH_S = 2.0
 ANSWER_S = 30.0  # that a scheduler may take: of one that stalls, connections stay open
 LIVES = 3  # processes of a worker that a call may lose
 MOST_DEATHS = 20  # of workers of this machine that one call may take with it
-LARGEST_TASK = "1 TiB"  # without a warning: sixty studies with all their trials are some MiB
+LARGEST_TASK = (
+    "1 TiB"  # without a warning: sixty studies with all their trials are some MiB
+)
 LOOPBACK = "127.0.0.1"
 REMEDY = "--mixed; or another --out"
 GOES_ON = "the same command goes on where it stopped"
@@ -66,7 +76,9 @@ def packed(store: Path) -> dict[str, bytes]:
         InputError: a file of it cannot be read.
     """
     files = {}
-    for name in (MANIFEST_NAME, *Manifest.read(store).hashes) if store.is_dir() else ("",):
+    for name in (
+        (MANIFEST_NAME, *Manifest.read(store).hashes) if store.is_dir() else ("",)
+    ):
         with reading("store", store / name, "a file that can be read") as file:
             files[name] = file.read_bytes()
     return files
@@ -89,16 +101,25 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
     """The processes of one session on one worker, as many as it has threads."""
 
     def __init__(
-        self, session: str, describe: Callable[[], Kind], freights: dict[Path, dict[str, bytes]]
+        self,
+        session: str,
+        describe: Callable[[], Kind],
+        freights: dict[Path, dict[str, bytes]],
     ) -> None:
-        self.name = session  # of this plugin, its events, and the resource of a worker let in
-        self._describe = describe  # makes the worker's kind; called in one of the processes
-        self._freights = freights  # of stores, by their places in the folder that calls run in
+        self.name = (
+            session  # of this plugin, its events, and the resource of a worker let in
+        )
+        self._describe = (
+            describe  # makes the worker's kind; called in one of the processes
+        )
+        self._freights = (
+            freights  # of stores, by their places in the folder that calls run in
+        )
 
     def setup(self, worker: Worker) -> None:
         """Unpack the stores, start a process, and send its kind to the session."""
-        # Dask's nannies start workers as daemons, which may have no children. Ours end with their
-        # worker.
+        # Dask's nannies start workers as daemons, which may have no children. Ours end
+        # with their worker.
         multiprocessing.current_process().daemon = False
         self._folder = Path(worker.local_directory) / self.name
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -156,13 +177,19 @@ class Session(Executor):
     """Lets workers in and makes calls on them. A failure is an `InputError`."""
 
     def __init__(self, client: Client, asked: Cluster, kind: Kind | None) -> None:
-        self.name = SESSION + client.id  # of workers' plugin, of their events, and their resource
+        self.name = (
+            SESSION + client.id
+        )  # of workers' plugin, of their events, and their resource
         self.kind = kind  # that workers must be of, unless mixed; None: that of the first worker
-        self.kinds: list[Kind] = []  # of all workers that were ever let in, in this order
+        self.kinds: list[
+            Kind
+        ] = []  # of all workers that were ever let in, in this order
         self._client = client
         self._asked = asked
         self._inside: set[str] = set()
-        self._there: dict[str, int] = {}  # threads of the scheduler's workers, by address
+        self._there: dict[
+            str, int
+        ] = {}  # threads of the scheduler's workers, by address
         self._refused: dict[str, str] = {}  # reasons, by address
         self._pending: dict[asyncio.Task[Any], Remote] = {}
         self._fault = "a scheduler that stays"  # of a call that is cancelled
@@ -178,13 +205,23 @@ class Session(Executor):
     async def meet(self, event: tuple[float, dict[str, Any]]) -> None:
         """Let in a worker that sends its kind, or tell the user why not."""
         _, told = event
-        address, kind, reason = str(told["worker"]), told.get("kind"), str(told.get("error", ""))
+        address, kind, reason = (
+            str(told["worker"]),
+            told.get("kind"),
+            str(told.get("error", "")),
+        )
         if kind is not None:
             self.kind = self.kind or kind
             reason = "" if self._asked.mixed else differences(kind, self.kind)
         if reason or kind is None:
-            if reason not in self._refused.values():  # one line for a hundred workers alike
-                print(f"worker {address} gets no work: {reason}", file=sys.stderr, flush=True)
+            if (
+                reason not in self._refused.values()
+            ):  # one line for a hundred workers alike
+                print(
+                    f"worker {address} gets no work: {reason}",
+                    file=sys.stderr,
+                    flush=True,
+                )
             self._refused[address] = reason
         else:
             if kind not in self.kinds:
@@ -211,7 +248,9 @@ class Session(Executor):
                 raise InputError("cluster", self._asked.address, allowed)
             time.sleep(POLL_S)
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(
+        self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any
+    ) -> Future[Any]:
         """Call a function of an importable module on some worker; arguments by place alone."""
         if kwargs:
             raise TypeError("arguments by name")
@@ -246,7 +285,9 @@ class Session(Executor):
         except (asyncio.CancelledError, CancelledError, CommClosedError):
             allowed = self._fault
         except KilledWorker as killed:
-            allowed = f"workers that live: a call took {killed.allowed_failures + 1} with it"
+            allowed = (
+                f"workers that live: a call took {killed.allowed_failures + 1} with it"
+            )
         except Exception as failed:
             allowed = f"calls that do not fail there ({in_a_line(failed)})"
         finally:
@@ -267,7 +308,9 @@ class Session(Executor):
             if self.places() or not self._pending:
                 seen_s = time.monotonic()
             elif time.monotonic() - seen_s > WORKERLESS_S:
-                self._give_up(f"a cluster that is not without a worker for {WORKERLESS_S:.0f} s")
+                self._give_up(
+                    f"a cluster that is not without a worker for {WORKERLESS_S:.0f} s"
+                )
 
     def _give_up(self, allowed: str) -> None:
         self._fault = allowed
@@ -317,14 +360,17 @@ def cluster_pool(
 ) -> Iterator[Pool]:
     """A pool of a cluster's workers, on which nothing is left when the context ends.
 
-    Arguments as of `storage.cluster.open_pool`; the folder decides of which kind workers must be.
+    Arguments as of `storage.cluster.open_pool`; the folder decides of which kind
+    workers must be.
 
     Raises:
-        InputError: no scheduler there, none of its workers is of the folder's kind, or a store
-            that cannot be read.
+        InputError: no scheduler there, none of its workers is of the folder's kind, or
+            a store that cannot be read.
     """
     describe = partial(own_kind, simulator, packages)
-    places = {store: Path("stores", str(place), "store") for place, store in enumerate(stores)}
+    places = {
+        store: Path("stores", str(place), "store") for place, store in enumerate(stores)
+    }
     freights = {place: packed(store) for store, place in places.items()}
     kind = None if asked.mixed or folder is None else folder_kind(folder, describe)
     with _scheduler(asked) as where, _client(asked, *where) as client:
@@ -369,7 +415,8 @@ def left_behind(dask_scheduler: Any = None) -> list[str]:
     return [
         name
         for name in dask_scheduler.worker_plugins
-        if name.startswith(SESSION) and name.removeprefix(SESSION) not in dask_scheduler.clients
+        if name.startswith(SESSION)
+        and name.removeprefix(SESSION) not in dask_scheduler.clients
     ]
 
 
@@ -377,8 +424,8 @@ def left_behind(dask_scheduler: Any = None) -> list[str]:
 def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
     """The address of the cluster and how to talk to it; one of this machine is started and ended.
 
-    A scheduler runs anything for anybody who reaches it. So ours is on the loopback address, and
-    asks for certificates that only this process and its workers have.
+    A scheduler runs anything for anybody who reaches it. So ours is on the loopback
+    address, and asks for certificates that only this process and its workers have.
     """
     if not asked.local_processes:
         yield asked.address, Security()  # as Dask's own settings say
@@ -399,14 +446,18 @@ def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
             )
         except RuntimeError as error:  # Dask's processes meet by semaphores
             allowed = "a machine with shared memory (/dev/shm) that can be written; or --workers"
-            raise InputError("cluster", asked.address, f"{allowed} ({_first(error)})") from None
+            raise InputError(
+                "cluster", asked.address, f"{allowed} ({_first(error)})"
+            ) from None
     with cluster:
         yield cluster.scheduler_address, security
 
 
 @contextmanager
 def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client]:
-    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)  # it speaks of every retry
+    logging.getLogger("distributed").setLevel(
+        logging.CRITICAL + 1
+    )  # it speaks of every retry
     dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASK})
     with _failures(asked):
         client = Client(
@@ -414,7 +465,9 @@ def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client
             security=security,
             timeout=CONNECT_S,
             set_as_default=False,
-            direct_to_workers=bool(asked.local_processes),  # of others they may be out of reach
+            direct_to_workers=bool(
+                asked.local_processes
+            ),  # of others they may be out of reach
         )
     try:
         yield client
@@ -430,7 +483,9 @@ def _failures(asked: Cluster) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except Exception as error:  # of sockets, TLS, or a worker that cannot set up the plugin
+    except (
+        Exception
+    ) as error:  # of sockets, TLS, or a worker that cannot set up the plugin
         allowed = f"a scheduler that answers, and workers with this project ({in_a_line(error)})"
         raise InputError("cluster", asked.address, allowed) from None
 

@@ -1,6 +1,7 @@
 """A folder whose files are the state of some work: one process fills it, any later one goes on.
 
-Its first file is the document, which describes the work. Other work in this folder is refused.
+Its first file is the document, which describes the work. Other work in this folder is
+refused.
 """
 
 import fnmatch
@@ -47,23 +48,30 @@ class Folder:
 
     @classmethod
     @contextmanager
-    def claim(cls, path: Path, document: dict[str, Any], fresh: bool = False) -> Iterator[Self]:
+    def claim(
+        cls, path: Path, document: dict[str, Any], fresh: bool = False
+    ) -> Iterator[Self]:
         """Hold the folder: new, or begun with the same document, or emptied by `fresh`.
 
         Files that were never finished are removed.
 
         Raises:
-            InputError: in use by another process, of something else, of another document, or not
-                writable.
+            InputError: in use by another process, of something else, of another
+                document, or not writable.
         """
         cls._require_claimable(path)
         with writable(path):
             path.mkdir(parents=True, exist_ok=True)
-            lock = (path / LOCK_NAME).open("a")  # never removed: another process may hold it
+            lock = (path / LOCK_NAME).open(
+                "a"
+            )  # never removed: another process may hold it
         with lock:
             lock_now(lock.fileno(), path)
             remove(path, UNFINISHED)
-            for pattern in (cls.FIRST, *cls.FILES):  # a folder would be met after the work
+            for pattern in (
+                cls.FIRST,
+                *cls.FILES,
+            ):  # a folder would be met after the work
                 for file in sorted(path.glob(pattern)):
                     if file.is_dir():
                         allowed = "a file there, not a folder; or another --out"
@@ -114,7 +122,9 @@ class Folder:
             raise InputError("out", str(path), allowed)
 
     @classmethod
-    def _agree(cls, path: Path, document: dict[str, Any], write: bool = True) -> dict[str, Any]:
+    def _agree(
+        cls, path: Path, document: dict[str, Any], write: bool = True
+    ) -> dict[str, Any]:
         file, growing = path / cls.FIRST, cls.GROWING
         return agree(file, document, growing=growing, remedy=cls.REMEDY, write=write)
 

@@ -1,9 +1,10 @@
 """Tables that other people wrote: CSV and other texts, Parquet, folders of Parquet; packed or not.
 
-What a file is tells its content, not its name. A text's separator, decimal commas, byte order mark
-and ends of lines are found out where only one reading is possible; otherwise the file is refused,
-with what to do. A column is asked for as what it is needed for (values, numbers, the seconds of a
-clock), and refused by name where it is something else: a date is no number of nanoseconds.
+What a file is tells its content, not its name. A text's separator, decimal commas, byte
+order mark and ends of lines are found out where only one reading is possible; otherwise
+the file is refused, with what to do. A column is asked for as what it is needed for
+(values, numbers, the seconds of a clock), and refused by name where it is something
+else: a date is no number of nanoseconds.
 
 Columns that nobody asks for may hold anything.
 """
@@ -32,16 +33,23 @@ Floats = NDArray[np.float64]
 ALLOWED = "a Parquet file, a folder of them, or a text such as CSV, that exists"
 PARQUET = b"PAR1"  # at the begin of such a file
 ZIP = b"PK\x03\x04"  # of a spreadsheet
-BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}  # of what Excel calls Unicode
+BYTE_ORDER_MARKS = {
+    b"\xff\xfe": "utf-16",
+    b"\xfe\xff": "utf-16",
+}  # of what Excel calls Unicode
 PARQUET_ENDINGS = (".parquet", ".pq")
 MOST_BYTES = 2 << 30  # of a file, unpacked
 NO_VALUE = "__HIVE_DEFAULT_PARTITION__"  # in a folder's name, as Hive has it
 
 LARGEST_EXACT = 2**53  # of whole numbers in float64
-LATEST_S = 1e11  # the year 5138, in seconds since 1970: later readings have another unit
+LATEST_S = (
+    1e11  # the year 5138, in seconds since 1970: later readings have another unit
+)
 PER_S = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 NUMBERS = "numbers, one in each row"
-NOT_WORDS = "numbers, no words that look like them; in a text, all with the same decimal mark"
+NOT_WORDS = (
+    "numbers, no words that look like them; in a text, all with the same decimal mark"
+)
 CLOCKS = "seconds, or times such as 14:30:00.25 or 2026-05-04 14:30:00.25"
 VALUES = "numbers, words or flags"
 GAPS = frozenset(["", *pa.csv.ConvertOptions().null_values])
@@ -82,8 +90,8 @@ class ForeignTable:
             of_columns: what errors of columns begin with; by default the field.
 
         Raises:
-            InputError: no such file, no table, a text that can be read in two ways, or no such
-                column.
+            InputError: no such file, no table, a text that can be read in two ways, or
+                no such column.
         """
         own = of_columns or field
         if is_folder(path):
@@ -98,8 +106,8 @@ class ForeignTable:
     def values(self, name: str) -> NDArray[Any]:
         """A column of parameters or choices, [n]: floats, whole numbers, flags, or words.
 
-        A gap is NaN among numbers and None among others. Decimals are floats, or whole numbers
-        where they have no digits after the point.
+        A gap is NaN among numbers and None among others. Decimals are floats, or whole
+        numbers where they have no digits after the point.
 
         Raises:
             InputError: no such column; dates or times; lists, bytes and others.
@@ -116,7 +124,9 @@ class ForeignTable:
         if pa.types.is_integer(kind) or pa.types.is_boolean(kind) or _is_text(kind):
             return np.asarray(column.to_numpy())
         if pa.types.is_temporal(kind):
-            raise InputError(f"{self.field}.{name}", _first(column), f"{VALUES}; {DATES}")
+            raise InputError(
+                f"{self.field}.{name}", _first(column), f"{VALUES}; {DATES}"
+            )
         raise InputError(f"{self.field}.{name}", str(kind), f"a column of {VALUES}")
 
     def numbers(self, name: str) -> Floats:
@@ -155,8 +165,8 @@ class ForeignTable:
         A clock has dates and times, times of a day, durations, or numbers of seconds.
 
         Raises:
-            InputError: as `numbers`; a gap; a reading that is no later than the one before;
-                numbers that are no seconds.
+            InputError: as `numbers`; a gap; a reading that is no later than the one
+                before; numbers that are no seconds.
         """
         column = _as_times(self._column(name))
         kind = column.type
@@ -164,25 +174,37 @@ class ForeignTable:
         is_clock |= pa.types.is_duration(kind)
         if column.null_count:
             row = column.is_null().to_pylist().index(True)
-            raise InputError(f"{self.field}.{name}[{row}]", "nothing", "a time in each row")
+            raise InputError(
+                f"{self.field}.{name}[{row}]", "nothing", "a time in each row"
+            )
         if is_clock:
             bits = 32 if pa.types.is_time32(kind) else 64
             ticks = column.cast(pa.int32() if bits == 32 else pa.int64()).to_numpy()
             seconds = (ticks.astype(np.int64) - int(ticks[:1].sum())) / PER_S[kind.unit]
-            if kind == pa.time32("s") and not (ticks % 60).any():  # of a text, which has 00:30
+            if (
+                kind == pa.time32("s") and not (ticks % 60).any()
+            ):  # of a text, which has 00:30
                 allowed = "times with seconds, such as 0:00:30: these may be minutes and seconds"
                 raise InputError(f"{self.field}.{name}[0]", str(column[0]), allowed)
         elif _is_text(kind):
             raise InputError(f"{self.field}.{name}[0]", str(column[0]), CLOCKS)
         else:
             read = self.numbers(name)
-            for row in np.flatnonzero(~np.isfinite(read) | (np.abs(read) > LATEST_S))[:1].tolist():
+            for row in np.flatnonzero(~np.isfinite(read) | (np.abs(read) > LATEST_S))[
+                :1
+            ].tolist():
                 allowed = "seconds, finite numbers; these may be milliseconds, or less"
-                raise InputError(f"{self.field}.{name}[{row}]", float(read[row]), allowed)
+                raise InputError(
+                    f"{self.field}.{name}[{row}]", float(read[row]), allowed
+                )
             seconds = read - read[:1].sum()
         for row in (1 + np.flatnonzero(np.diff(seconds) <= 0.0)[:1]).tolist():
-            allowed = "times that rise from row to row; of a log past midnight, with the date"
-            raise InputError(f"{self.field}.{name}[{row}]", str(column[row].as_py()), allowed)
+            allowed = (
+                "times that rise from row to row; of a log past midnight, with the date"
+            )
+            raise InputError(
+                f"{self.field}.{name}[{row}]", str(column[row].as_py()), allowed
+            )
         return np.asarray(seconds)
 
     def _column(self, name: str) -> pa.ChunkedArray:
@@ -218,7 +240,9 @@ class ForeignTable:
             for row, word in enumerate(words)
             if word is None or not typed.WITH_POINT.fullmatch(word.strip())
         ]
-        wrong = [row for row in odd if words[row] is not None and words[row] not in GAPS]
+        wrong = [
+            row for row in odd if words[row] is not None and words[row] not in GAPS
+        ]
         row = (wrong or [0])[0]
         word = str(words[row])
         field = f"{self.field}.{name}[{row}]"
@@ -236,7 +260,9 @@ def _require_columns(field: str, wanted: Sequence[str], known: Sequence[str]) ->
         if name not in known:
             raise InputError(field, name, f"one of the columns {listed(known, name)}")
         if known.count(name) > 1:
-            raise InputError(field, name, f"a name of one column, not of {known.count(name)}")
+            raise InputError(
+                field, name, f"a name of one column, not of {known.count(name)}"
+            )
 
 
 def _is_text(kind: pa.DataType) -> bool:
@@ -247,7 +273,9 @@ def _as_times(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """Words that are all times, with dates or of a day, such as 14:30:00.010; else as they are."""
     if not _is_text(column.type) or not pc.all(pc.match_substring(column, ":")).as_py():
         return column
-    words = pc.replace_substring(column.cast(pa.string()), ",", ".")  # as Python's logging has it
+    words = pc.replace_substring(
+        column.cast(pa.string()), ",", "."
+    )  # as Python's logging has it
     of_a_day = pc.binary_join_element_wise("1970-01-01", words, " ")
     for written, kind in (
         (words, pa.timestamp("ns")),
@@ -273,7 +301,9 @@ def _of_file(
     """The columns of a file that are needed."""
     packed_by = PACKED_BY.get(file.suffix.lower())
     named = file.with_suffix("") if packed_by else file
-    with import_module(packed_by).open(file) if packed_by else file.open("rb") as stream:
+    with (
+        import_module(packed_by).open(file) if packed_by else file.open("rb") as stream
+    ):
         begin: bytes = stream.read(len(PARQUET))
         if begin == PARQUET and not packed_by:
             return _of_parquet(file, own, columns)
@@ -293,7 +323,9 @@ def _of_file(
     return found.select(list(columns))
 
 
-def _of_parquet(file: Path | pa.BufferReader, own: str, columns: Sequence[str] | None) -> pa.Table:
+def _of_parquet(
+    file: Path | pa.BufferReader, own: str, columns: Sequence[str] | None
+) -> pa.Table:
     if columns is not None:
         _require_columns(own, columns, pq.read_schema(file).names)
         columns = list(dict.fromkeys(columns))
@@ -305,15 +337,22 @@ def _of_text(content: bytes, words: Collection[str]) -> pa.Table:
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
-        raise ValueError(f"no text in UTF-8 (byte {error.start}): save it as CSV UTF-8") from None
+        raise ValueError(
+            f"no text in UTF-8 (byte {error.start}): save it as CSV UTF-8"
+        ) from None
     if "\0" in text[: typed.SAMPLE_CHARACTERS]:
         raise ValueError("it is no text")
     if text.startswith("sep="):  # by which a file tells Excel its separator
         text = text.partition("\n")[2]
     mark = typed.separator(text)
-    text = re.sub(rf"[\r\n][{mark}\s]*\Z", "\n", text)  # a spreadsheet ends in rows of no cells
+    text = re.sub(
+        rf"[\r\n][{mark}\s]*\Z", "\n", text
+    )  # a spreadsheet ends in rows of no cells
     if mark == typed.BLANKS:
-        mark, text = "\t", "\n".join("\t".join(line.split()) for line in text.splitlines())
+        mark, text = (
+            "\t",
+            "\n".join("\t".join(line.split()) for line in text.splitlines()),
+        )
     source = text.encode()
     found = _parsed(source, mark, ".", words)
     if mark != "," and _has_decimal_commas(found, words):
@@ -323,7 +362,9 @@ def _of_text(content: bytes, words: Collection[str]) -> pa.Table:
         as_words = _parsed(source, mark, ".", [*words, *long])
         for name in long:
             if _has_long(as_words[name]):
-                found = found.set_column(found.column_names.index(name), name, as_words[name])
+                found = found.set_column(
+                    found.column_names.index(name), name, as_words[name]
+                )
     return found
 
 
@@ -342,8 +383,8 @@ def _parsed(source: bytes, mark: str, decimal: str, words: Collection[str]) -> p
 def _has_decimal_commas(table: pa.Table, words: Collection[str]) -> bool:
     """Whether a column has numbers with decimal commas, and but for gaps nothing else.
 
-    Where all of a file's may as well be marks between thousands, they stay words, which are refused
-    when numbers are needed.
+    Where all of a file's may as well be marks between thousands, they stay words, which
+    are refused when numbers are needed.
     """
     for name, column in zip(table.column_names, table.columns, strict=True):
         if name in words or not _is_text(column.type):
@@ -361,16 +402,24 @@ def _has_decimal_commas(table: pa.Table, words: Collection[str]) -> bool:
 
 def _may_be_long(table: pa.Table, name: str) -> bool:
     """Whether a column of floats may have been whole numbers of more digits than Arrow reads."""
-    if table.column_names.count(name) != 1 or not pa.types.is_floating(table[name].type):
+    if table.column_names.count(name) != 1 or not pa.types.is_floating(
+        table[name].type
+    ):
         return False
-    return bool(pc.any(pc.greater_equal(pc.abs(table[name]), float(LARGEST_EXACT))).as_py())
+    return bool(
+        pc.any(pc.greater_equal(pc.abs(table[name]), float(LARGEST_EXACT))).as_py()
+    )
 
 
 def _has_long(words: pa.ChunkedArray) -> bool:
-    return bool(pc.any(pc.match_substring_regex(words, r"^\s*[+-]?[0-9]{16,}\s*$")).as_py())
+    return bool(
+        pc.any(pc.match_substring_regex(words, r"^\s*[+-]?[0-9]{16,}\s*$")).as_py()
+    )
 
 
-def _of_folder(field: str, folder: Path, own: str, columns: Sequence[str] | None) -> pa.Table:
+def _of_folder(
+    field: str, folder: Path, own: str, columns: Sequence[str] | None
+) -> pa.Table:
     """The rows of all Parquet files of a folder, in the order of their names."""
     files = sorted(_tables_of(folder))
     if not files:
@@ -378,9 +427,7 @@ def _of_folder(field: str, folder: Path, own: str, columns: Sequence[str] | None
     keys = [_keys(file.parent.relative_to(folder)) for file in files]
     for each in keys:
         if each.keys() != keys[0].keys():
-            allowed = (
-                f"a folder whose files all lie in KEY=VALUE of {', '.join(keys[0]) or 'no key'}"
-            )
+            allowed = f"a folder whose files all lie in KEY=VALUE of {', '.join(keys[0]) or 'no key'}"
             raise InputError(field, str(folder), allowed)
     of_keys = {key: _as_numbers([each[key] for each in keys]) for key in keys[0]}
     tables = []
@@ -413,7 +460,10 @@ def _tables_of(folder: Path) -> Iterator[Path]:
 def _keys(folder: Path) -> dict[str, str | None]:
     """The values that the names of folders give, by key."""
     pairs = [part.split("=", 1) for part in folder.parts]
-    return {unquote(key): None if value == NO_VALUE else unquote(value) for key, value in pairs}
+    return {
+        unquote(key): None if value == NO_VALUE else unquote(value)
+        for key, value in pairs
+    }
 
 
 def _as_numbers(words: Sequence[str | None]) -> pa.Array:

@@ -1,9 +1,10 @@
 """A function of one's own as the simulator of a store: candidates walked in worlds that differ.
 
-docs/own-simulator.md has an example. `make_store` fills a store of it, as does `taichi-nmm
-precompute` for a configuration with `simulator = "my_robot.py:robot"`, to the same bytes. A table
-[world] says where the world of the base setting differs from `worlds`, and [families.NAME.world]
-gives each number of a family's worlds, or a range that it is drawn from.
+docs/own-simulator.md has an example. `make_store` fills a store of it, as does
+`taichi-nmm precompute` for a configuration with `simulator = "my_robot.py:robot"`, to
+the same bytes. A table [world] says where the world of the base setting differs from
+`worlds`, and [families.NAME.world] gives each number of a family's worlds, or a range
+that it is drawn from.
 """
 
 import ast
@@ -44,7 +45,11 @@ NAME = checks.that(
     "a name of letters, digits and '_', which begins with no digit",
 )
 
-OURS = ("storage", "study", "taichi_nmm")  # whose version is not that of a user's function
+OURS = (
+    "storage",
+    "study",
+    "taichi_nmm",
+)  # whose version is not that of a user's function
 IMPORTS = (ast.Import, ast.ImportFrom)
 
 CANARY_POINTS = 4  # of two runs each, which have to agree
@@ -69,21 +74,27 @@ class NumberRanges:
         low, high = np.array(list(self.ranges.values())).reshape(-1, 2).T
         generators = [np.random.default_rng(seed) for seed in seeds]
         own = np.array([float(each.integers(LARGEST_SEED)) for each in generators])
-        drawn = np.array([low + (high - low) * each.random(len(low)) for each in generators])
+        drawn = np.array(
+            [low + (high - low) * each.random(len(low)) for each in generators]
+        )
         return dict(zip(self.ranges, drawn.T, strict=True)) | {SEED: own}
 
     def document(self, worlds: DrawnNumbers) -> dict[str, Any]:
         """The ranges, and the numbers that were drawn from them."""
         drawn = {name: values.tolist() for name, values in worlds.items()}
-        return {"world": {name: list(ends) for name, ends in self.ranges.items()}, "drawn": drawn}
+        return {
+            "world": {name: list(ends) for name, ends in self.ranges.items()},
+            "drawn": drawn,
+        }
 
 
 class FunctionSimulator(Simulator):
     """A function that runs a point in a world. It pickles, if the function is one of a module.
 
-    A run that raises, or that returns NaN or infinity, has zeros in all columns and "failed" in
-    the column `run_ended`; it stops no other run. A function that raises at each of a few points
-    (`canary`) is refused before the work, by a line with the error.
+    A run that raises, or that returns NaN or infinity, has zeros in all columns and
+    "failed" in the column `run_ended`; it stops no other run. A function that raises at
+    each of a few points (`canary`) is refused before the work, by a line with the
+    error.
     """
 
     columns: np.dtype[np.void] = np.dtype([])
@@ -100,29 +111,39 @@ class FunctionSimulator(Simulator):
         longest_run_s=checks.optional(checks.number(1e-3)),
     )
     def __init__(
-        self, function: Callable[..., Any], *, parameters: Mapping[str, BaseDistribution],
-        columns: Sequence[str], worlds: Mapping[str, float] | None = None,
-        measures: Mapping[str, tuple[float, float]] | None = None, batch: bool = False,
+        self,
+        function: Callable[..., Any],
+        *,
+        parameters: Mapping[str, BaseDistribution],
+        columns: Sequence[str],
+        worlds: Mapping[str, float] | None = None,
+        measures: Mapping[str, tuple[float, float]] | None = None,
+        batch: bool = False,
         longest_run_s: float | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Checked at once; nothing runs yet.
 
         Args:
-            function: `function(point, world, seconds)` returns the columns of a run by their
-                names. `point` and `world` are dicts of values by name; a world also has a whole
-                number `seed`, for what the run draws. Its result depends on nothing else.
+            function: `function(point, world, seconds)` returns the columns of a run by
+                their names. `point` and `world` are dicts of values by name; a world
+                also has a whole number `seed`, for what the run draws. Its result
+                depends on nothing else.
             parameters: Optuna's distributions by name.
-            columns: names of the numbers that a run returns; "survived_fraction", from 0 to 1, is
-                among them and says how far the run came.
-            worlds: numbers by which worlds differ, with their values in the base setting.
-            measures: columns that tell candidates apart, with the ranges that a search covers.
-            batch: the function takes many runs at a time: `point` has arrays [n, 1], `world` arrays
-                [1, w], and columns are arrays that broadcast to [n, w].
-            longest_run_s: of one run: one that hangs is stopped and has failed. Choose far more
-                than any run takes. It stops Python alone, in processes of this machine.
+            columns: names of the numbers that a run returns; "survived_fraction", from
+                0 to 1, is among them and says how far the run came.
+            worlds: numbers by which worlds differ, with their values in the base
+                setting.
+            measures: columns that tell candidates apart, with the ranges that a search
+                covers.
+            batch: the function takes many runs at a time: `point` has arrays [n, 1],
+                `world` arrays [1, w], and columns are arrays that broadcast to [n, w].
+            longest_run_s: of one run: one that hangs is stopped and has failed. Choose
+                far more than any run takes. It stops Python alone, in processes of this
+                machine.
 
         Raises:
-            InputError: a function that other processes cannot import, a name that is none.
+            InputError: a function that other processes cannot import, a name that is
+                none.
         """
         self._source = source_of(function)
         self._failed = ""  # the last run that raised
@@ -136,15 +157,21 @@ class FunctionSimulator(Simulator):
             allowed = "other names: this column says whether a run failed"
             raise InputError("columns", ENDED, allowed)
         if SURVIVED not in columns or len({*columns}) < len(columns):
-            raise InputError("columns", list(columns), f"{SURVIVED} among them, and each name once")
+            raise InputError(
+                "columns", list(columns), f"{SURVIVED} among them, and each name once"
+            )
         if batch and longest_run_s is not None:
             raise InputError("longest_run_s", longest_run_s, "none with batch=True")
         self.longest_run_s = longest_run_s
         if SEED in self.worlds:
-            raise InputError("worlds", SEED, "another name: each world has a seed of its own")
+            raise InputError(
+                "worlds", SEED, "another name: each world has a seed of its own"
+            )
         for name in (*self.space, *self.worlds):
             NAME("parameters" if name in self.space else "worlds", name)
-        self.parameters = tuple(_coordinate(name, each) for name, each in self.space.items())
+        self.parameters = tuple(
+            _coordinate(name, each) for name, each in self.space.items()
+        )
         self.columns = np.dtype([*((name, "f8") for name in columns), (ENDED, "u1")])
 
     @property
@@ -170,7 +197,10 @@ class FunctionSimulator(Simulator):
 
     def document(self) -> dict[str, Any]:
         """What the base setting's world is, where a table does not say another."""
-        return {"worlds": self.worlds, "measures": {k: list(v) for k, v in self.measures.items()}}
+        return {
+            "worlds": self.worlds,
+            "measures": {k: list(v) for k, v in self.measures.items()},
+        }
 
     def read_worlds(self, table: Table) -> NumberRanges:
         """The table [world]: numbers, and ranges [lowest, highest]; others are as in `worlds`."""
@@ -184,7 +214,11 @@ class FunctionSimulator(Simulator):
         return NumberRanges(ranges)
 
     def run(
-        self, points: NDArray[np.float64], worlds: DrawnNumbers, horizon_s: float, report: Report
+        self,
+        points: NDArray[np.float64],
+        worlds: DrawnNumbers,
+        horizon_s: float,
+        report: Report,
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         """Run every point in every world, [n, w].
 
@@ -206,11 +240,16 @@ class FunctionSimulator(Simulator):
             except InputError:
                 raise
             except Exception as error:
-                raise self._fault(f"a function that runs, not {in_a_line(error)}") from error
+                raise self._fault(
+                    f"a function that runs, not {in_a_line(error)}"
+                ) from error
             self._keep(rows, found)
             return rows, {}
         for place in np.ndindex(rows.shape):
-            point = {name: each[place[0]] for name, each in zip(self.space, values, strict=True)}
+            point = {
+                name: each[place[0]]
+                for name, each in zip(self.space, values, strict=True)
+            }
             world = {name: each[place[1]].item() for name, each in worlds.items()}
             world[SEED] = int(world[SEED])
             try:
@@ -220,11 +259,15 @@ class FunctionSimulator(Simulator):
                 rows[ENDED][place] = 1
                 self._failed = f"{in_a_line(error)}, at {point} in {world}"
             else:
-                self._keep(rows[place[0] : place[0] + 1, place[1] : place[1] + 1], found)
+                self._keep(
+                    rows[place[0] : place[0] + 1, place[1] : place[1] + 1], found
+                )
             report((place[0] + 1) / len(points))
         return rows, {}
 
-    def _compute(self, point: Any, world: Mapping[str, Any], seconds: float) -> Mapping[str, Any]:
+    def _compute(
+        self, point: Any, world: Mapping[str, Any], seconds: float
+    ) -> Mapping[str, Any]:
         """Columns of one run, or with `batch` of all [n, w]: what the function returns."""
         found: Mapping[str, Any] = self.function(point, world, seconds)
         return found
@@ -247,20 +290,28 @@ class FunctionSimulator(Simulator):
             return np.asarray(values)
         kind = np.asarray(distribution.choices).dtype
         is_of_words = all(isinstance(choice, str) for choice in distribution.choices)
-        return np.array(values, dtype=object if kind.kind == "U" and not is_of_words else kind)
+        return np.array(
+            values, dtype=object if kind.kind == "U" and not is_of_words else kind
+        )
 
     def _keep(self, rows: NDArray[np.void], found: Mapping[str, Any]) -> None:
         """Write what the function returned into rows [n, w] of zeros."""
         names = [name for name in self.columns.names or () if name != ENDED]
         if not isinstance(found, Mapping) or set(found) != set(names):
             wrong = list(found) if isinstance(found, Mapping) else type(found).__name__
-            raise self._fault(f"a function that returns {listed(names)} by name, not {wrong}")
+            raise self._fault(
+                f"a function that returns {listed(names)} by name, not {wrong}"
+            )
         for name in names:
             try:
-                rows[name] = np.broadcast_to(checks.numbers(name, found[name]), rows.shape)
+                rows[name] = np.broadcast_to(
+                    checks.numbers(name, found[name]), rows.shape
+                )
             except ValueError:  # of the shape; an `InputError` is one, too
                 shape = list(rows.shape)
-                raise self._fault(f"{name} as numbers that broadcast to {shape}") from None
+                raise self._fault(
+                    f"{name} as numbers that broadcast to {shape}"
+                ) from None
         whole = np.all([np.isfinite(rows[name]) for name in names], axis=0)
         for name in names:
             rows[name][~whole] = 0.0
@@ -288,7 +339,9 @@ class FunctionSimulator(Simulator):
     def _canary(self, count: int, seconds: float) -> NDArray[np.void]:
         """The first points of the canary."""
         unit = (np.arange(CANARY_POINTS)[:, None] + 0.5) / CANARY_POINTS
-        points = within_bounds(np.tile(unit, (1, len(self.parameters))), self.parameters)
+        points = within_bounds(
+            np.tile(unit, (1, len(self.parameters))), self.parameters
+        )
         worlds = self.read_worlds(Table({})).draw([np.random.SeedSequence(0)])
         return self.run(points[:count], worlds, seconds, lambda part: None)[0]
 
@@ -302,7 +355,9 @@ class FunctionSimulator(Simulator):
             allowed = f"a function whose runs repeat; draw random numbers from world[{SEED!r}]"
             raise self._fault(allowed)
         if self.batch and rows[:1].tobytes() != self._canary(1, seconds).tobytes():
-            raise self._fault("a function whose runs do not depend on others of the same call")
+            raise self._fault(
+                "a function whose runs do not depend on others of the same call"
+            )
 
     def _fault(self, allowed: str) -> InputError:
         return InputError("simulator", self.name, allowed)
@@ -355,7 +410,8 @@ def source_of(function: Callable[..., Any]) -> Path:
 def code_of(function: Callable[..., Any]) -> bytes:
     """The content of a function's file, and of the files of its folder that this one imports.
 
-    These are found by the import statements, wherever they stand, and those of the files found.
+    These are found by the import statements, wherever they stand, and those of the
+    files found.
     """
     files = [source_of(function).resolve()]
     for file in files:  # which grows

@@ -21,8 +21,8 @@ START_S = 0.5  # without pushes
 class SensedState:
     """What a controller knows of the n robots that are up.
 
-    Noise of the world is in `qpos` and `qvel` alone. Heights are along z, or along y in a model
-    whose gravity is along y, from the model's origin.
+    Noise of the world is in `qpos` and `qvel` alone. Heights are along z, or along y in
+    a model whose gravity is along y, from the model's origin.
 
     Attributes:
         time_s: since the beginning of the run.
@@ -56,8 +56,8 @@ class Robot:
         root: number of the body that height and tilt are of.
         start_qpos: MuJoCo's positions at the start, [nq]; None: the model's.
         controller: controls [n, nu] of a point, what is sensed, and its memory.
-        is_down: whether runs are over, [n], of what is sensed and the root's height at the
-            start in m.
+        is_down: whether runs are over, [n], of what is sensed and the root's height at
+            the start in m.
         control_step_s: how long controls hold.
         substeps: physics steps in it.
     """
@@ -88,12 +88,18 @@ class Herd:
         self._shape = len(next(iter(points.values()))), len(models)
         many = self._shape[0] * self._shape[1]
         self._world = np.tile(np.arange(len(models)), self._shape[0])  # of each robot
-        self._point = {name: np.repeat(each, len(models)) for name, each in points.items()}
+        self._point = {
+            name: np.repeat(each, len(models)) for name, each in points.items()
+        }
         self._batch = Batch(models[0], many, nthread=1)
         self._batch.set_models([models[k] for k in self._world])
         bind, model = self._batch.bind, robot.model
         self.qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
-        self._place, self._turn, self._forces = bind("xpos"), bind("xmat"), bind("actuator_force")
+        self._place, self._turn, self._forces = (
+            bind("xpos"),
+            bind("xmat"),
+            bind("actuator_force"),
+        )
         self._speeds, self._sensors = bind("actuator_velocity"), bind("sensordata")
         self._torques = bind("qfrc_actuator")
         self._batch.reset()
@@ -105,7 +111,10 @@ class Herd:
             for k in range(model.nsensor)
         ]
         root = robot.root
-        self._place, self._turn = self._place[:, root], self._turn[:, root].reshape(many, 3, 3)
+        self._place, self._turn = (
+            self._place[:, root],
+            self._turn[:, root].reshape(many, 3, 3),
+        )
         self._start = self._place[0].copy()
         self._axis, self._sign = upward(model)
         self._start_m = float(self._sign * self._start[self._axis])
@@ -121,11 +130,14 @@ class Herd:
                 np.repeat(worlds["noise_rate"][:, None], model.nv, axis=1),
             ]
         )
-        self._noisy: NDArray[np.bool_] = np.any(self._noise > 0.0, axis=1)  # of each world
+        self._noisy: NDArray[np.bool_] = np.any(
+            self._noise > 0.0, axis=1
+        )  # of each world
         self._quaternions = quaternions(model)
         self._push = worlds["push_mps"]
         self._rates = push_rates(model, root)
-        # where joints take a part of the actuators' forces only, their work is what joints get
+        # where joints take a part of the actuators' forces only, their work is what
+        # joints get
         self._is_clipped = bool(np.any(model.jnt_actfrclimited))
         self._draws = [
             np.random.default_rng(np.random.SeedSequence(int(seed), spawn_key=(1,)))
@@ -135,7 +147,11 @@ class Herd:
         self._memory: dict[str, Any] = {}
         self._up = np.arange(many)
         self._lasted = np.zeros(many, dtype=np.int64)  # control steps
-        self._energy, self._peak, self._effort = np.zeros(many), np.zeros(many), np.zeros(many)
+        self._energy, self._peak, self._effort = (
+            np.zeros(many),
+            np.zeros(many),
+            np.zeros(many),
+        )
         self._broken = np.zeros(many, dtype=bool)
 
     def advance(self, step: int) -> bool:
@@ -158,10 +174,18 @@ class Herd:
             power = self._torques[up] * self._qvel[up]
         self._energy[up] += np.abs(power).sum(axis=1) * robot.control_step_s
         self._effort[up] += (asked**2).mean(axis=1)
-        self._peak[up] = np.maximum(self._peak[up], np.abs(self._torques[up]).max(axis=1))
-        now = self._seen((step + 1) * robot.control_step_s, self.qpos[up], self._qvel[up])
+        self._peak[up] = np.maximum(
+            self._peak[up], np.abs(self._torques[up]).max(axis=1)
+        )
+        now = self._seen(
+            (step + 1) * robot.control_step_s, self.qpos[up], self._qvel[up]
+        )
         down = robot.is_down(now, self._start_m)
-        stays = np.isfinite(self.qpos[up]).all(axis=1) & ~self._broken[up] & ~np.asarray(down)
+        stays = (
+            np.isfinite(self.qpos[up]).all(axis=1)
+            & ~self._broken[up]
+            & ~np.asarray(down)
+        )
         self._lasted[up[stays]] += 1
         if not stays.all():
             self._up = up[stays]
@@ -175,8 +199,12 @@ class Herd:
         distance = np.nan_to_num(self._place[:, 0] - self._start[0])
         moved = np.maximum(distance, 1e-6)
         weight = self._weight * moved
-        cost = np.full(len(weight), np.nan)  # of a robot without weight, whose column is left out
-        cost = np.minimum(np.divide(self._energy, weight, out=cost, where=weight > 0.0), MOST_COST)
+        cost = np.full(
+            len(weight), np.nan
+        )  # of a robot without weight, whose column is left out
+        cost = np.minimum(
+            np.divide(self._energy, weight, out=cost, where=weight > 0.0), MOST_COST
+        )
         found = {
             SURVIVED: self._lasted / steps,
             "distance_m": distance,
@@ -194,7 +222,9 @@ class Herd:
         """The controller's controls of those that are up, [n, nu]."""
         point = {name: each[self._up] for name, each in self._point.items()}
         shape = (len(self._up), self._ctrl.shape[1])
-        found = np.asarray(self._robot.controller(point, sensed, self._memory), dtype=np.float64)
+        found = np.asarray(
+            self._robot.controller(point, sensed, self._memory), dtype=np.float64
+        )
         if found.shape != shape:
             allowed = f"controls of shape {list(shape)} (robots, controls), not {list(found.shape)}"
             raise InputError("controller", self._robot.name, allowed)
@@ -207,12 +237,21 @@ class Herd:
         qpos, qvel = self.qpos[self._up], self._qvel[self._up]
         if self._noisy.any():
             noise = np.zeros_like(self._noise)
-            for k in np.flatnonzero(self._noisy):  # a world draws what it needs, in any company
-                noise[k] = self._noise[k] * self._draws[k].standard_normal(noise.shape[1])
+            for k in np.flatnonzero(
+                self._noisy
+            ):  # a world draws what it needs, in any company
+                noise[k] = self._noise[k] * self._draws[k].standard_normal(
+                    noise.shape[1]
+                )
             world = self._world[self._up]
             rows = self._noisy[world]
-            turns = {first: _turns(noise[:, first : first + 3]) for first in self._quaternions}
-            for first in turns:  # of a quaternion, three of the four numbers are an angle each
+            turns = {
+                first: _turns(noise[:, first : first + 3])
+                for first in self._quaternions
+            }
+            for (
+                first
+            ) in turns:  # of a quaternion, three of the four numbers are an angle each
                 noise[:, first : first + 4] = 0.0
             qpos[rows] += noise[world[rows], : qpos.shape[1]]
             qvel[rows] += noise[world[rows], qpos.shape[1] :]
@@ -223,7 +262,8 @@ class Herd:
 
     def _seen(self, time_s: float, qpos: Floats, qvel: Floats) -> SensedState:
         place, turn = self._place[self._up], self._turn[self._up]
-        # sums in this order, since the bits of a product of matrices depend on their sizes
+        # sums in this order, since the bits of a product of matrices depend on their
+        # sizes
         up = turn[:, :, 0] * self._upward[0] + turn[:, :, 1] * self._upward[1]
         up = up + turn[:, :, 2] * self._upward[2]
         height = self._sign * place[:, self._axis]
@@ -231,14 +271,18 @@ class Herd:
         data = self._sensors[self._up]
         return SensedState(
             time_s,
-            np.asfortranarray(qpos),  # a column is contiguous, whatever n: the same bits
+            np.asfortranarray(
+                qpos
+            ),  # a column is contiguous, whatever n: the same bits
             np.asfortranarray(qvel),
             place[:, 0] - self._start[0],
             height,
             np.arctan2(up[:, 0], upright),
             np.arccos(np.clip(upright, -1.0, 1.0)),
             {
-                name: data[:, first].copy() if size == 1 else data[:, first : first + size]
+                name: data[:, first].copy()
+                if size == 1
+                else data[:, first : first + size]
                 for name, first, size in self._named
             },
         )
@@ -253,7 +297,9 @@ class Herd:
             for k in np.flatnonzero(self._push):
                 drawn[k] = self._draws[k].random(2)
             first = round(START_S / self._robot.control_step_s) if step == 0 else 0
-            self._pushed_at = step + first + (drawn[:, 0] * (every - first)).astype(np.int64)
+            self._pushed_at = (
+                step + first + (drawn[:, 0] * (every - first)).astype(np.int64)
+            )
             self._push = np.abs(self._push) * np.where(drawn[:, 1] < 0.5, -1.0, 1.0)
         due = self._world[self._up]
         due = np.where(self._pushed_at[due] == step, self._push[due], 0.0)

@@ -1,8 +1,9 @@
 """A MuJoCo model under a controller of one's own as the simulator of a store.
 
-docs/robots.md has an example. Any MJCF does; the worlds of `WORLDS` change it before a run, and the
-columns are `COLUMNS`. All robots of a call stand in one batch of MuJoCo's, which gives each the
-bits of a loop over `mj_step`. A control holds for some physics steps, in which no Python runs.
+docs/robots.md has an example. Any MJCF does; the worlds of `WORLDS` change it before a
+run, and the columns are `COLUMNS`. All robots of a call stand in one batch of MuJoCo's,
+which gives each the bits of a loop over `mj_step`. A control holds for some physics
+steps, in which no Python runs.
 """
 
 import copy
@@ -16,7 +17,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution, CategoricalDistribution, IntDistribution
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    IntDistribution,
+)
 
 from storage.function_simulator import (
     ENDED,
@@ -42,7 +47,9 @@ from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError, listed, one_line, shortened
 
-KNOWN = tomllib.loads(Path(__file__).with_name("mujoco.toml").read_text(encoding="utf-8"))
+KNOWN = tomllib.loads(
+    Path(__file__).with_name("mujoco.toml").read_text(encoding="utf-8")
+)
 WORLDS: dict[str, float] = KNOWN["worlds"]
 COLUMNS: tuple[str, ...] = (SURVIVED, *KNOWN["columns"])
 ALLOWED: dict[str, list[Any]] = KNOWN["allowed"]  # least, most, and these in words
@@ -69,7 +76,8 @@ Rule = Callable[[SensedState], NDArray[np.bool_]]
 def fallen(sensed: SensedState, start_m: float) -> NDArray[np.bool_]:
     """The rule of a fall if the user gives none: below half of the start, or tilted by 1 rad.
 
-    A model of which half of the start's height is no sign of a fall is refused without a rule.
+    A model of which half of the start's height is no sign of a fall is refused without
+    a rule.
 
     Args:
         sensed: of the n robots that are up.
@@ -127,24 +135,28 @@ class MujocoSimulator(FunctionSimulator):
         """Loads the model once, so that it is refused here if anywhere.
 
         Args:
-            model: an MJCF file, or a function that returns an `mujoco.MjSpec`, for sensors that a
-                file lacks.
-            controller: `controller(point, sensed, memory)` returns controls [n, nu]. `point` has
-                the parameters by name, [n]. `memory` is a dict, empty at the start, whose arrays
-                [n, ...] the controller keeps from call to call.
+            model: an MJCF file, or a function that returns an `mujoco.MjSpec`, for
+                sensors that a file lacks.
+            controller: `controller(point, sensed, memory)` returns controls [n, nu].
+                `point` has the parameters by name, [n]. `memory` is a dict, empty at
+                the start, whose arrays [n, ...] the controller keeps from call to call.
             parameters: Optuna's distributions by name.
-            worlds: numbers of the base setting that are not those of `WORLDS`. A number that has
-                no meaning for the model, such as a slope without gravity, is refused.
-            control_step_s: how long controls hold, in whole physics steps; None is one of these.
-            fallen: whether a robot's run is over, [n]; by default `fallen` of this module.
+            worlds: numbers of the base setting that are not those of `WORLDS`. A number
+                that has no meaning for the model, such as a slope without gravity, is
+                refused.
+            control_step_s: how long controls hold, in whole physics steps; None is one
+                of these.
+            fallen: whether a robot's run is over, [n]; by default `fallen` of this
+                module.
             start_qpos: MuJoCo's positions at the start; None is the model's.
-            root: the body that place, height and tilt are of, and that pushes move; None is the
-                first.
-            measures: columns that tell candidates apart, with the ranges that a search covers.
+            root: the body that place, height and tilt are of, and that pushes move;
+                None is the first.
+            measures: columns that tell candidates apart, with the ranges that a search
+                covers.
 
         Raises:
-            InputError: MuJoCo is missing, the model does not load or lacks actuators, a world's
-                number or the default rule of a fall has no meaning for it.
+            InputError: MuJoCo is missing, the model does not load or lacks actuators, a
+                world's number or the default rule of a fall has no meaning for it.
         """
         if find_spec("mujoco") is None or find_spec("mujoco.batch") is None:
             allowed = "MuJoCo 4.0 or newer: pip install 'taichi-nmm[mujoco]'"
@@ -152,14 +164,22 @@ class MujocoSimulator(FunctionSimulator):
         given = dict(worlds or {})
         for name in given:
             if name not in WORLDS:
-                raise InputError(f"worlds.{name}", given[name], f"one of {listed(WORLDS, name)}")
+                raise InputError(
+                    f"worlds.{name}", given[name], f"one of {listed(WORLDS, name)}"
+                )
         self.model = Path(model).resolve() if isinstance(model, str | Path) else model
         self._fallen, self._root_name = fallen, root
-        self._start_qpos = None if start_qpos is None else np.array(start_qpos, dtype=np.float64)
+        self._start_qpos = (
+            None if start_qpos is None else np.array(start_qpos, dtype=np.float64)
+        )
         super().__init__(
             controller,
             parameters=parameters,
-            columns=[name for name in COLUMNS if name != COST or gravity_of(self._plain).any()],
+            columns=[
+                name
+                for name in COLUMNS
+                if name != COST or gravity_of(self._plain).any()
+            ],
             worlds={**WORLDS, **given},
             measures=measures,
             batch=True,
@@ -179,7 +199,9 @@ class MujocoSimulator(FunctionSimulator):
             bodies = [self._plain.body(k).name for k in range(1, self._plain.nbody)]
             names = listed(bodies, root)
             raise InputError("root", root, f"a body of the model: {names}")
-        self._require_worlds({name: np.array([value]) for name, value in self.worlds.items()})
+        self._require_worlds(
+            {name: np.array([value]) for name, value in self.worlds.items()}
+        )
         if fallen is None:
             reason = reason_against_default_fall(self._plain, self._root, self._start)
             if reason:
@@ -235,14 +257,22 @@ class MujocoSimulator(FunctionSimulator):
     def read_worlds(self, table: Table) -> NumberRanges:
         """The table [world], of which each number has a meaning for the model."""
         rule = super().read_worlds(table)
-        self._require_worlds({name: np.array(ends) for name, ends in rule.ranges.items()})
+        self._require_worlds(
+            {name: np.array(ends) for name, ends in rule.ranges.items()}
+        )
         return rule
 
     def __getstate__(self) -> dict[str, Any]:
         """Without the compiled model and what follows from it."""
-        return {key: value for key, value in vars(self).items() if key not in ("_plain", "_start")}
+        return {
+            key: value
+            for key, value in vars(self).items()
+            if key not in ("_plain", "_start")
+        }
 
-    def _compute(self, point: Any, world: Mapping[str, Any], seconds: float) -> Mapping[str, Any]:
+    def _compute(
+        self, point: Any, world: Mapping[str, Any], seconds: float
+    ) -> Mapping[str, Any]:
         """Columns [n, w] of n points [n, 1] in w worlds [1, w]."""
         points = {name: np.asarray(each)[:, 0] for name, each in point.items()}
         worlds = {name: np.asarray(each)[0] for name, each in world.items()}
@@ -272,8 +302,8 @@ class MujocoSimulator(FunctionSimulator):
 
         Args:
             point: the parameters by name.
-            world: numbers of `WORLDS`, and `seed` for what the run draws; others are those of the
-                base setting.
+            world: numbers of `WORLDS`, and `seed` for what the run draws; others are
+                those of the base setting.
             seconds: how long it runs, if it does not fall.
 
         Returns:
@@ -305,7 +335,9 @@ class MujocoSimulator(FunctionSimulator):
         """
         points, worlds = self._alone(point, world)
         models, seen = [self._model_of(_one(worlds, 0))], list[Floats]()
-        self._walk(points, worlds, models, seconds, lambda qpos: seen.append(qpos[0].copy()))
+        self._walk(
+            points, worlds, models, seconds, lambda qpos: seen.append(qpos[0].copy())
+        )
         return models[0], seen
 
     def _alone(
@@ -313,7 +345,9 @@ class MujocoSimulator(FunctionSimulator):
     ) -> tuple[dict[str, NDArray[Any]], DrawnNumbers]:
         """A point and a world as arrays of one."""
         if set(point) != set(self.space):
-            raise InputError("point", list(point), f"the parameters {', '.join(self.space)}")
+            raise InputError(
+                "point", list(point), f"the parameters {', '.join(self.space)}"
+            )
         for name in world:
             if name not in self.worlds and name != SEED:
                 known = ", ".join((*self.worlds, SEED))
@@ -324,7 +358,9 @@ class MujocoSimulator(FunctionSimulator):
         worlds = {name: np.array([float(value)]) for name, value in whole.items()}
         self._require_worlds(worlds)
         values = {name: self._as_stored(name, point[name]) for name in self.space}
-        return {name: self._array(name, [value]) for name, value in values.items()}, worlds
+        return {
+            name: self._array(name, [value]) for name, value in values.items()
+        }, worlds
 
     def _as_stored(self, name: str, value: Any) -> Any:
         """A parameter's value as a store's rows have it."""
@@ -357,7 +393,9 @@ class MujocoSimulator(FunctionSimulator):
             raise InputError("seconds", seconds, allowed)
         herd = Herd(self.robot, points, worlds, models)
         warn = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(lambda text: None)  # no lines, nor a file, on who diverges
+        mujoco.set_mju_user_warning(
+            lambda text: None
+        )  # no lines, nor a file, on who diverges
         try:
             for step in range(steps):
                 watch(herd.qpos)
@@ -439,7 +477,9 @@ class MujocoSimulator(FunctionSimulator):
             return 1
         import mujoco
 
-        return int(mujoco.mj_name2id(self._plain, mujoco.mjtObj.mjOBJ_BODY, self._root_name))
+        return int(
+            mujoco.mj_name2id(self._plain, mujoco.mjtObj.mjOBJ_BODY, self._root_name)
+        )
 
     def _spec(self) -> Any:
         """The model as it came, and what every run of it needs."""
@@ -458,13 +498,19 @@ class MujocoSimulator(FunctionSimulator):
         except ValueError as error:
             raise self._unusable(error) from None
         if not isinstance(spec, mujoco.MjSpec):
-            raise InputError("model", type(spec).__name__, "a function that returns an MjSpec")
-        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # else falls are hidden
+            raise InputError(
+                "model", type(spec).__name__, "a function that returns an MjSpec"
+            )
+        spec.option.disableflags |= (
+            mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        )  # else falls are hidden
         return spec
 
     def _model_of(self, world: Mapping[str, float]) -> Any:
         """The compiled model of a world."""
-        draws = np.random.default_rng(np.random.SeedSequence(int(world[SEED]), spawn_key=(0,)))
+        draws = np.random.default_rng(
+            np.random.SeedSequence(int(world[SEED]), spawn_key=(0,))
+        )
         model = copy.copy(self._plain)
         if world["rough_m"] > 0.0:
             spec = self._spec()

@@ -1,7 +1,8 @@
 """What the numbers of a world change in a MuJoCo model, and which models they cannot change.
 
-A number means the same on any model, or `reason_against` says why it has no meaning on this one.
-docs/robots.md has the table; `tools/try_models.py` measures it on models of others.
+A number means the same on any model, or `reason_against` says why it has no meaning on
+this one. docs/robots.md has the table; `tools/try_models.py` measures it on models of
+others.
 """
 
 import copy
@@ -17,12 +18,14 @@ ROUGH_CELL_M = 0.2
 ROUGH_LENGTH_M, ROUGH_WIDTH_M = 80.0, 20.0  # its middle is below the start
 LEVEL_M = 1.0  # around the start, where rough ground is level
 BASE_M = 1.0  # of rough ground below its lowest place
-FACING = 0.7  # cosine: a plane that faces up or along x by more than this is said to do so
+FACING = (
+    0.7  # cosine: a plane that faces up or along x by more than this is said to do so
+)
 LEAST_REACTION = 1e-15  # by which MuJoCo divides: its mjMINVAL
 EXACT = 1e-6  # of a direction or a height that has to be right
 
-# What a factor scales in a model: fields by name, and which part of each. The first of each was
-# all that version 0.3.0 knew.
+# What a factor scales in a model: fields by name, and which part of each. The first of
+# each was all that version 0.3.0 knew.
 FACTORS: dict[str, dict[str, Any]] = {
     "friction": {  # of sliding; that of turning and rolling is in m
         "geom_friction": np.s_[:, :1],
@@ -85,7 +88,8 @@ def joints_of(model: Any, root: int) -> list[int]:
 def push_rates(model: Any, root: int) -> Floats | None:
     """Velocities [nv] that move the root along x at 1 m/s and do not turn it, or None.
 
-    They are those of a free joint, or of slides that no hinge turns: others lie elsewhere later.
+    They are those of a free joint, or of slides that no hinge turns: others lie
+    elsewhere later.
     """
     import mujoco
 
@@ -129,7 +133,8 @@ def weight_of(model: Any, root: int) -> float:
 def moves_with(model: Any, root: int) -> NDArray[np.bool_]:
     """Which bodies are of the root's tree, [nbody]: not the rail or the table that carries it.
 
-    Nothing moves a fixed root: of such a model these are all bodies that hang on what carries it.
+    Nothing moves a fixed root: of such a model these are all bodies that hang on what
+    carries it.
     """
     if model.body_treeid[root] >= 0:
         return np.asarray(model.body_treeid == model.body_treeid[root])
@@ -147,7 +152,9 @@ def change(model: Any, world: Mapping[str, float], draws: np.random.Generator) -
     for number, fields in FACTORS.items():
         for name, part in fields.items():
             getattr(model, name)[part] *= world[number]
-    model.opt.o_friction[:2] *= world["friction"]  # of all contacts, where a model overrides theirs
+    model.opt.o_friction[:2] *= world[
+        "friction"
+    ]  # of all contacts, where a model overrides theirs
     _strengthen(model, world["strength"])
     _lean(model, world["slope"])
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -156,7 +163,9 @@ def change(model: Any, world: Mapping[str, float], draws: np.random.Generator) -
 def _fix_muscles(model: Any) -> None:
     """Write down forces that MuJoCo derives from masses: a heavier body is no stronger one."""
     for muscle in _derived_muscles(model):
-        reaction = max(model.actuator_acc0[model.actuator_outadr[muscle]], LEAST_REACTION)
+        reaction = max(
+            model.actuator_acc0[model.actuator_outadr[muscle]], LEAST_REACTION
+        )
         for parameters in (model.actuator_gainprm, model.actuator_biasprm):
             parameters[muscle, 2] = parameters[muscle, 3] / reaction
 
@@ -173,17 +182,27 @@ def _derived_muscles(model: Any) -> list[int]:
 def _strengthen(model: Any, strength: float) -> None:
     """Scale what each actuator gives at any control and state, and all limits of it.
 
-    A force is gain x control + bias: both are scaled, so that a servo gets softer as it gets
-    weaker. Of a muscle, numbers 2 and 3 are forces.
+    A force is gain x control + bias: both are scaled, so that a servo gets softer as it
+    gets weaker. Of a muscle, numbers 2 and 3 are forces.
     """
     import mujoco
 
-    gains = model.actuator_gainprm, model.actuator_gaintype == mujoco.mjtGain.mjGAIN_MUSCLE
-    biases = model.actuator_biasprm, model.actuator_biastype == mujoco.mjtBias.mjBIAS_MUSCLE
+    gains = (
+        model.actuator_gainprm,
+        model.actuator_gaintype == mujoco.mjtGain.mjGAIN_MUSCLE,
+    )
+    biases = (
+        model.actuator_biasprm,
+        model.actuator_biastype == mujoco.mjtBias.mjBIAS_MUSCLE,
+    )
     for parameters, is_muscle in (gains, biases):
         parameters[~is_muscle, :3] *= strength
         parameters[is_muscle, 2:4] *= strength
-    for limits in (model.actuator_forcerange, model.jnt_actfrcrange, model.tendon_actfrcrange):
+    for limits in (
+        model.actuator_forcerange,
+        model.jnt_actfrcrange,
+        model.tendon_actfrcrange,
+    ):
         limits[:] *= strength
 
 
@@ -214,7 +233,9 @@ def reason_against(model: Any, root: int, start: Floats, number: str) -> str:
     if number == "inertia" and _drags_by_inertia(model):
         return "its fluid takes the shapes of bodies from their inertias"
     if number == "push_mps" and push_rates(model, root) is None:
-        return f"nothing moves its root, {_name(model, root)}, along x without turning it"
+        return (
+            f"nothing moves its root, {_name(model, root)}, along x without turning it"
+        )
     if number == "rough_m":
         return _against_rough(model, start)
     if number == "slope":
@@ -249,7 +270,11 @@ def numerics_of(model: Any, root: int, start: Floats) -> bytes:
     gravity, rates = gravity_of(model), push_rates(model, root)
     later = [name for fields in FACTORS.values() for name in list(fields)[1:]]
     overrides = model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE
-    limited = model.actuator_forcelimited, model.jnt_actfrclimited, model.tendon_actfrclimited
+    limited = (
+        model.actuator_forcelimited,
+        model.jnt_actfrclimited,
+        model.tendon_actfrclimited,
+    )
     differs = (
         any(np.any(getattr(model, name)) for name in later)
         or any(np.any(each) for each in limited)
@@ -279,8 +304,12 @@ def _against_strength(model: Any) -> str:
             return f"its actuator {name} is a plugin"
         forward = int(model.actuator_ctrlspec[k]) & int(mujoco.mjtCtrlInput.mjINPUT_FF)
         is_pid = model.actuator_gaintype[k] == gain.mjGAIN_PID and not forward
-        is_known = is_pid or np.any(model.actuator_gaintype[k] == np.array(gains, dtype=int))
-        if not is_known or np.all(model.actuator_biastype[k] != np.array(biases, dtype=int)):
+        is_known = is_pid or np.any(
+            model.actuator_gaintype[k] == np.array(gains, dtype=int)
+        )
+        if not is_known or np.all(
+            model.actuator_biastype[k] != np.array(biases, dtype=int)
+        ):
             return f"the force of its actuator {name} cannot be scaled as a whole"
     return ""
 
@@ -355,7 +384,9 @@ def _below(model: Any, start: Floats) -> int:
         passed[pair[~moving[pair]]] = False
     bare.geom_matid[:] = -1
     bare.geom_rgba[:, 3] = np.where(passed, 0.0, 1.0)
-    bare.geom_size[bare.geom_type == mujoco.mjtGeom.mjGEOM_PLANE] = 0.0  # they have no end
+    bare.geom_size[bare.geom_type == mujoco.mjtGeom.mjGEOM_PLANE] = (
+        0.0  # they have no end
+    )
     axis, sign = upward(model)
     down = np.zeros(3)
     down[axis] = -sign
@@ -368,7 +399,9 @@ def _against_rough(model: Any, start: Floats) -> str:
     import mujoco
 
     turns = _posed(model).geom_xmat.reshape(-1, 3, 3)
-    grounds = [geom for geom in range(model.ngeom) if _is_ground(model, geom, turns[geom])]
+    grounds = [
+        geom for geom in range(model.ngeom) if _is_ground(model, geom, turns[geom])
+    ]
     if len(grounds) != 1:
         return f"it has {len(grounds)} planes as its ground, and rough ground replaces one plane"
     (ground,) = grounds
@@ -383,11 +416,14 @@ def _against_rough(model: Any, start: Floats) -> str:
     return ""
 
 
-def roughen(spec: Any, start: Floats, amplitude_m: float, draws: np.random.Generator) -> str:
+def roughen(
+    spec: Any, start: Floats, amplitude_m: float, draws: np.random.Generator
+) -> str:
     """Put a height field in the place of the ground, a plane of the world.
 
     Args:
-        spec: of a model of which `reason_against` has nothing against rough ground; it is changed.
+        spec: of a model of which `reason_against` has nothing against rough ground; it
+            is changed.
         start: place of the root at the start, [3] in m.
         amplitude_m: from the lowest place to the highest.
         draws: of the heights.

@@ -13,8 +13,8 @@ from storage.simulator import Parameter, Uniform
 
 LARGEST_SEQUENCE = 2**30  # SciPy's default of 30 bits a coordinate
 
-# Purposes of random streams. They begin at 100, so that no study has a ground or body of a store. A
-# rule may draw parts of its worlds from the purposes in between.
+# Purposes of random streams. They begin at 100, so that no study has a ground or body
+# of a store. A rule may draw parts of its worlds from the purposes in between.
 SOBOL, BASE_WORLD, FAMILY_WORLD, TRIAL_WORLDS, EVOLUTION = 100, 101, 103, 107, 108
 
 
@@ -63,14 +63,17 @@ def sobol_points(
     Returns:
         [count, p]. Another number of parameters gives another sequence in all of them.
     """
-    from scipy.stats import qmc  # here: its import takes longer than to refuse bad input
+    from scipy.stats import (
+        qmc,
+    )  # here: its import takes longer than to refuse bad input
 
     generator = np.random.default_rng(seed_sequence(seed, SOBOL))
     sequence = qmc.Sobol(d=len(parameters), scramble=True, rng=generator)
     if first:  # SciPy cannot skip zero points
         sequence.fast_forward(first)
     with warnings.catch_warnings():
-        # A shard is a stretch of a longer sequence: its own length need not be a power of two.
+        # A shard is a stretch of a longer sequence: its own length need not be a power
+        # of two.
         warnings.filterwarnings("ignore", message="The balance properties")
         return within_bounds(sequence.random(count), parameters)
 

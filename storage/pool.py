@@ -1,9 +1,10 @@
 """Work spread over an executor: in this process, over processes of this machine, or any other.
 
-A unit of work is a function of an importable module and its arguments, and depends on nothing else.
-Its result is the same on every machine of one *kind*, and the order in which units end decides
-nothing. Bits are the same at any number of threads, but not on any processor. Machines of one kind
-may fill a folder together; two kinds would mix two simulators.
+A unit of work is a function of an importable module and its arguments, and depends on
+nothing else. Its result is the same on every machine of one *kind*, and the order in
+which units end decides nothing. Bits are the same at any number of threads, but not on
+any processor. Machines of one kind may fill a folder together; two kinds would mix two
+simulators.
 """
 
 import hashlib
@@ -30,7 +31,9 @@ Kind = dict[str, str]
 MOST_LOCAL = 256  # processes of this machine
 FORMS = f"local:N with N from 1 to {MOST_LOCAL}, or a scheduler's HOST:PORT, tcp:// or tls://"
 _LOCAL = re.compile(r"local:([1-9]\d{0,2})")
-_SCHEDULER = re.compile(r"(?!local:)((tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[\w.-]+):\d{1,5}", re.ASCII)
+_SCHEDULER = re.compile(
+    r"(?!local:)((tcp|tls)://)?(\[[0-9a-fA-F:.%]+\]|[\w.-]+):\d{1,5}", re.ASCII
+)
 
 DIGEST_LENGTH = 64  # of SHA-256 in hexadecimal digits
 KIND_NAME = "kind.json"  # in a folder: the kind of the workers that fill it
@@ -42,7 +45,9 @@ Result = TypeVar("Result")
 class InProcess(Executor):
     """Runs a unit at once, in this thread: for debuggers, tests, and machines with a GPU."""
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(
+        self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any
+    ) -> Future[Any]:
         """The future of a call that is over; Ctrl-C is not kept in it."""
         future: Future[Any] = Future()
         try:
@@ -118,7 +123,9 @@ class Pool:
                 for future in done:
                     yield running.pop(future), future.result()
         except BrokenExecutor:
-            allowed = "memory for all of them; the same command goes on where it stopped"
+            allowed = (
+                "memory for all of them; the same command goes on where it stopped"
+            )
             raise InputError("workers", "one was killed", allowed) from None
 
 
@@ -129,8 +136,8 @@ IN_PROCESS = Pool(InProcess(), 1)
 def local_pool(workers: int) -> Iterator[Pool]:
     """A pool of this machine: up to so many spawned processes, or, for one, this process itself.
 
-    They are started as units need them, and end when the context does, even in the middle of a
-    unit; see `Processes`.
+    They are started as units need them, and end when the context does, even in the
+    middle of a unit; see `Processes`.
 
     Raises:
         InputError: not a number of processes.
@@ -166,15 +173,20 @@ class Cluster:
             said = shortened(self.address) if "@" not in self.address else "..."
             raise InputError("cluster", said, FORMS)
         if find_spec("distributed") is None:
-            allowed = "an environment with distributed: pip install 'taichi-nmm[cluster]'"
+            allowed = (
+                "an environment with distributed: pip install 'taichi-nmm[cluster]'"
+            )
             raise InputError("cluster", self.address, allowed)
 
     @staticmethod
-    def asked(address: str | None, mixed: bool, workers: int | None = None) -> "Cluster | None":
+    def asked(
+        address: str | None, mixed: bool, workers: int | None = None
+    ) -> "Cluster | None":
         """The cluster of `--cluster` and `--mixed`; None where no address is given.
 
         Raises:
-            InputError: no address, no Dask, --mixed without a cluster, or `--workers` with one.
+            InputError: no address, no Dask, --mixed without a cluster, or `--workers`
+                with one.
         """
         if address is None and mixed:
             raise InputError("mixed", True, "only beside --cluster")
@@ -182,7 +194,9 @@ class Cluster:
             return None
         found = Cluster(address, mixed)
         if workers is not None:
-            raise InputError("workers", workers, "none beside --cluster, which has its own")
+            raise InputError(
+                "workers", workers, "none beside --cluster, which has its own"
+            )
         return found
 
     @property
@@ -201,7 +215,8 @@ def cores() -> int:
 def own_kind(simulator: Simulator, packages: Sequence[str] = ()) -> Kind:
     """The kind of this machine: the digest of a small batch of a simulator, processor, versions.
 
-    The versions are those of the simulator's packages, and of others that decide results.
+    The versions are those of the simulator's packages, and of others that decide
+    results.
     """
     rows = simulator.canary()
     digest = hashlib.sha256()
@@ -211,7 +226,9 @@ def own_kind(simulator: Simulator, packages: Sequence[str] = ()) -> Kind:
     return {
         "canary": digest.hexdigest(),
         "processor": processor(),
-        "taichi-nmm" if simulator.name == WALKER else simulator.name: simulator.code_version,
+        "taichi-nmm"
+        if simulator.name == WALKER
+        else simulator.name: simulator.code_version,
         **{name: version(name) for name in names},
     }
 
@@ -222,7 +239,11 @@ def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
         lines = cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    named = (
+        line.partition(":")[2].strip()
+        for line in lines
+        if line.startswith("model name")
+    )
     return next(named, "") or platform.processor() or platform.machine()
 
 
@@ -230,10 +251,14 @@ def differences(kind: Kind, reference: Kind) -> str:
     """All differences of a kind from another, in a line; empty: none."""
 
     def shown(value: str) -> str:
-        return value[:12] if len(value) == DIGEST_LENGTH else value  # a digest by its beginning
+        return (
+            value[:12] if len(value) == DIGEST_LENGTH else value
+        )  # a digest by its beginning
 
     pairs = [
         (name, kind.get(name, "none"), reference.get(name, "none"))
         for name in dict.fromkeys([*reference, *kind])
     ]
-    return ", ".join(f"{name} {shown(a)}, not {shown(b)}" for name, a, b in pairs if a != b)
+    return ", ".join(
+        f"{name} {shown(a)}, not {shown(b)}" for name, a, b in pairs if a != b
+    )

@@ -107,13 +107,15 @@ def precompute(
 ) -> Summary:
     """Finish the store at `path`, or make it.
 
-    However this ends, it loses the shards in work and no others. The next call goes on, unless it
-    is to start over, `fresh`, and the manifest at the end is that of a run that nothing stopped.
-    Files do not depend on the pool, by which shards are computed; a single one, in this process.
-    Progress is told within a shard by a pool in this process, by others a shard at a time.
+    However this ends, it loses the shards in work and no others. The next call goes on,
+    unless it is to start over, `fresh`, and the manifest at the end is that of a run
+    that nothing stopped. Files do not depend on the pool, by which shards are computed;
+    a single one, in this process. Progress is told within a shard by a pool in this
+    process, by others a shard at a time.
 
     Raises:
-        InputError: see `StoreFolder.claim`; the disk is full, or a process of the pool was killed.
+        InputError: see `StoreFolder.claim`; the disk is full, or a process of the pool
+            was killed.
     """
     layout = specification.layout
     with StoreFolder.claim(path, specification.document, fresh) as folder:
@@ -126,7 +128,9 @@ def precompute(
         _fill(folder, specification, grid, tally, pool)
         if specification.repertoire is not None:
             asked = _asked(specification, pool)
-            points = evolved_points(folder, asked, specification.repertoire, pool, tally.walked)
+            points = evolved_points(
+                folder, asked, specification.repertoire, pool, tally.walked
+            )
             _fill(folder, specification, missing[len(grid) :], tally, pool, points)
         wall_s = time.perf_counter() - start_s
         folder.write_manifest()
@@ -159,13 +163,17 @@ class Tally:
 
 
 def _fill(
-    folder: StoreFolder, specification: Specification, missing: list[int], tally: Tally,
-    pool: Pool, evolved: NDArray[np.float64] | None = None,
-) -> None:  # fmt: skip
+    folder: StoreFolder,
+    specification: Specification,
+    missing: list[int],
+    tally: Tally,
+    pool: Pool,
+    evolved: NDArray[np.float64] | None = None,
+) -> None:
     """Commit the missing shards as they come: those of the grid, or those of `evolved` points.
 
-    These are the points of all rows after the grid's, [candidates, p]. A single shard of the grid
-    is computed in this process, if the simulator has threads of its own.
+    These are the points of all rows after the grid's, [candidates, p]. A single shard
+    of the grid is computed in this process, if the simulator has threads of its own.
     """
     simulator = specification.simulator
     code = {"code_version": simulator.code_version}
@@ -176,20 +184,27 @@ def _fill(
     parts: dict[int, list[pa.Table]] = {number: [] for number in missing}
 
     def score_here(unit: Unit) -> ScoredRows:
-        return _score(unit, lambda part: tally.progress(tally.done + part * len(unit.rows)))
+        return _score(
+            unit, lambda part: tally.progress(tally.done + part * len(unit.rows))
+        )
 
     tally.add(0)
     score = score_here if pool.in_process else _score
     for unit, (table, computed_by) in pool.results(score, units):
         parts[unit.shard].append(table)
         if sum(map(len, parts[unit.shard])) == folder.layout.shard_range(unit.shard)[1]:
-            whole = pa.concat_tables(parts.pop(unit.shard)).sort_by("row").combine_chunks()
+            whole = (
+                pa.concat_tables(parts.pop(unit.shard)).sort_by("row").combine_chunks()
+            )
             folder.write_shard(unit.shard, whole, code | computed_by)
         tally.add(len(table))
 
 
 def _units(
-    asked: Specification, missing: list[int], pool: Pool, evolved: NDArray[np.float64] | None
+    asked: Specification,
+    missing: list[int],
+    pool: Pool,
+    evolved: NDArray[np.float64] | None,
 ) -> deque[Unit]:
     """The shards; those of the last round in parts, two a slot, so that all slots end together.
 
@@ -203,7 +218,11 @@ def _units(
         step = -(-size // cut) if place >= len(missing) - last else size
         for start in range(first, first + size, step):
             rows = range(start, min(start + step, first + size))
-            points = None if evolved is None else evolved[start - layout.samples :][: len(rows)]
+            points = (
+                None
+                if evolved is None
+                else evolved[start - layout.samples :][: len(rows)]
+            )
             units.append(Unit(asked, number, rows, points, pool.mixed))
     return units
 
@@ -227,15 +246,19 @@ def score_rows(
 ) -> ScoredRows:
     """Run the points of rows in the base setting, and those that last in the families' worlds.
 
-    They are points of the grid, or `evolved` ones, [n, p]. A row depends on no other row. `report`
-    is called with the fraction that is done.
+    They are points of the grid, or `evolved` ones, [n, p]. A row depends on no other
+    row. `report` is called with the fraction that is done.
     """
     simulator, horizon_s = specification.simulator, specification.horizon_s
     points = evolved
     if points is None:
-        points = sobol_points(specification.seed, rows.start, len(rows), simulator.parameters)
+        points = sobol_points(
+            specification.seed, rows.start, len(rows), simulator.parameters
+        )
     parts = progress_parts(specification, report)
-    run, computed_by = run_points(simulator, points, specification.worlds, 1, horizon_s, parts[0])
+    run, computed_by = run_points(
+        simulator, points, specification.worlds, 1, horizon_s, parts[0]
+    )
     base = run[:, 0]
     columns: dict[str, NDArray[Any]] = {}
     for family, part in zip(specification.families, parts[1:], strict=True):
@@ -246,7 +269,9 @@ def score_rows(
         columns |= score_family(specification, family, points, chosen, part)
         part(1.0)
     origin = SOBOL_ROW if evolved is None else EVOLVED_ROW
-    table = shard_table(specification.schema, simulator, rows.start, points, base, columns, origin)
+    table = shard_table(
+        specification.schema, simulator, rows.start, points, base, columns, origin
+    )
     return table, dict(computed_by)
 
 
@@ -259,22 +284,32 @@ def score_family(
 ) -> dict[str, NDArray[Any]]:
     """Mean and spread of every score over the worlds of a family, and the outcomes in each.
 
-    Of what runs that failed did not give, they are over the others; NaN where all failed.
-    Of the points [n, p] those `chosen`, [n], are run; the others get zeros. Columns are by name,
-    [n] each; outcomes are [n, w], NaN for what a run that failed did not give.
+    Of what runs that failed did not give, they are over the others; NaN where all
+    failed. Of the points [n, p] those `chosen`, [n], are run; the others get zeros.
+    Columns are by name, [n] each; outcomes are [n, w], NaN for what a run that failed
+    did not give.
     """
     simulator = specification.simulator
-    outcomes = {name: outcome_name(family.name, name) for name in specification.outcomes}
+    outcomes = {
+        name: outcome_name(family.name, name) for name in specification.outcomes
+    }
     columns: dict[str, NDArray[Any]] = {evaluated_name(family.name): chosen}
     names = [family_names(family.name, score) for score in simulator.scores]
     columns |= {name: np.zeros(len(points)) for pair in names for name in pair}
     shape = len(points), family.settings
-    columns |= {name: np.zeros(shape, simulator.outcome_type) for name in outcomes.values()}
+    columns |= {
+        name: np.zeros(shape, simulator.outcome_type) for name in outcomes.values()
+    }
     place = np.flatnonzero(chosen)
     if not len(place):
         return columns
     rows, _ = run_points(
-        simulator, points[place], family.worlds, family.settings, family.horizon_s, report
+        simulator,
+        points[place],
+        family.worlds,
+        family.settings,
+        family.horizon_s,
+        report,
     )
     failed = failed_runs(simulator, rows)
     for score, (mean, spread) in zip(simulator.scores, names, strict=True):
@@ -289,7 +324,9 @@ def score_family(
     for score, name in outcomes.items():
         with np.errstate(over="ignore"):
             values = rows[score].astype(simulator.outcome_type)
-        values[np.isinf(values) & np.isfinite(rows[score])] = np.nan  # no infinity, a best or worst
+        values[np.isinf(values) & np.isfinite(rows[score])] = (
+            np.nan
+        )  # no infinity, a best or worst
         if score != simulator.survived:
             values[failed] = np.nan  # no number, which a zero would be
         columns[name][place] = values
@@ -317,7 +354,9 @@ def _summary(
     store, rows = open_store(path), specification.layout.rows
     survived = specification.simulator.survived
     alive = np.count_nonzero(store.numpy([survived])[survived] >= 1.0)
-    names = {family.name: evaluated_name(family.name) for family in specification.families}
+    names = {
+        family.name: evaluated_name(family.name) for family in specification.families
+    }
     run = store.numpy(names.values())
     return Summary(
         path=str(path),
@@ -329,7 +368,9 @@ def _summary(
         alive_fraction=float(alive / rows),
         evaluated={family: int(run[name].sum()) for family, name in names.items()},
         wall_s=round(wall_s, 3),
-        walkers_per_s=round((computed + walks) / wall_s, 1) if computed + walks else 0.0,
+        walkers_per_s=round((computed + walks) / wall_s, 1)
+        if computed + walks
+        else 0.0,
         specification_hash=specification.hash,
         cautions=cautions(store, survived),
     )
@@ -342,25 +383,29 @@ def _summary(
     fresh=checks.flag,
 )
 def make_store(
-    simulator: Simulator, out: str | Path, *, workers: int | None = None, fresh: bool = False,
+    simulator: Simulator,
+    out: str | Path,
+    *,
+    workers: int | None = None,
+    fresh: bool = False,
     **configuration: Any,
-) -> Store:  # fmt: skip
+) -> Store:
     """Fill the store of a simulator, or go on, and open it.
 
-    A script that calls this with several workers does so below `if __name__ == "__main__":`, since
-    each worker imports it.
+    A script that calls this with several workers does so below `if __name__ ==
+    "__main__":`, since each worker imports it.
 
     Args:
         simulator: such as a `FunctionSimulator`.
         out: folder of the store.
         workers: processes; None is one a core.
         fresh: start over.
-        **configuration: what a configuration of `taichi-nmm precompute` has: samples, seed,
-            simulation, world, families, repertoire, ...
+        **configuration: what a configuration of `taichi-nmm precompute` has: samples,
+            seed, simulation, world, families, repertoire, ...
 
     Raises:
-        InputError: a value out of range, a folder of another store, a simulator that does not keep
-            what it promises.
+        InputError: a value out of range, a folder of another store, a simulator that
+            does not keep what it promises.
 
     Warns:
         UserWarning: no row came to the end of the base setting, or of a family.
@@ -371,5 +416,7 @@ def make_store(
     with local_pool(workers) as pool:
         summary = precompute(specification, Path(out), fresh, pool=pool)
     for line in summary.cautions:
-        warnings.warn(line, stacklevel=3)  # of the caller, beyond the check of arguments
+        warnings.warn(
+            line, stacklevel=3
+        )  # of the caller, beyond the check of arguments
     return open_store(out)

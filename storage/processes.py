@@ -1,10 +1,10 @@
 """Spawned processes as an executor: a killed one is noticed, and none outlives this process.
 
-Why not `concurrent.futures.ProcessPoolExecutor`? Its processes share two queues, so a process that
-is killed in the middle of a result blocks all for ever (before Python 3.11.5, also one killed while
-the next call is being written; CPython issue 94777). And before Python 3.14 it cannot end a process
-in the middle of a call, while Taichi compiles for half a minute without listening. Here every
-process has a pipe of its own.
+Why not `concurrent.futures.ProcessPoolExecutor`? Its processes share two queues, so a
+process that is killed in the middle of a result blocks all for ever (before Python
+3.11.5, also one killed while the next call is being written; CPython issue 94777). And
+before Python 3.14 it cannot end a process in the middle of a call, while Taichi
+compiles for half a minute without listening. Here every process has a pipe of its own.
 """
 
 import multiprocessing
@@ -26,7 +26,9 @@ from queue import SimpleQueue
 from typing import Any
 
 # For the processes that are started: their BLAS reads it when NumPy is imported.
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
 
 END = b""  # told to a process: to end
 END_S = 10.0  # that an idle one may take
@@ -35,8 +37,8 @@ END_S = 10.0  # that an idle one may take
 class Processes(Executor):
     """Processes of this machine, each started when a call finds no other idle.
 
-    They leave Ctrl-C to this process, use one thread for linear algebra, and end when this process
-    is gone, even in the middle of a call. `most` of them run at a time.
+    They leave Ctrl-C to this process, use one thread for linear algebra, and end when
+    this process is gone, even in the middle of a call. `most` of them run at a time.
     """
 
     def __init__(self, most: int) -> None:
@@ -48,10 +50,13 @@ class Processes(Executor):
         self._over = False
         resource_tracker.ensure_running()  # it would unblock SIGINT within `_quiet_child`
 
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(
+        self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any
+    ) -> Future[Any]:
         """Call a function of an importable module elsewhere.
 
-        The future's error is the call's, or `BrokenExecutor` where its process was killed.
+        The future's error is the call's, or `BrokenExecutor` where its process was
+        killed.
         """
         return self._threads.submit(self._call, (fn, args, kwargs))
 
@@ -89,7 +94,9 @@ class Processes(Executor):
         return result
 
     def _start(self) -> Connection:
-        context = multiprocessing.get_context("spawn")  # a fork does not survive Taichi's threads
+        context = multiprocessing.get_context(
+            "spawn"
+        )  # a fork does not survive Taichi's threads
         ours, theirs = context.Pipe()
         with self._lock, _quiet_child():
             if self._over:
@@ -117,8 +124,8 @@ def _serve(pipe: Connection) -> None:
     with suppress(OSError):
         while call := calls.get():
             pipe.send_bytes(_answer(call))
-    # A parent that ends first, as a worker of a cluster does, terminates its processes; but Taichi
-    # writes compiled kernels at the very end of this one.
+    # A parent that ends first, as a worker of a cluster does, terminates its processes;
+    # but Taichi writes compiled kernels at the very end of this one.
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
@@ -136,14 +143,16 @@ def _answer(words: bytes) -> bytes:
 def _quiet_child() -> Iterator[None]:
     """Have the process that is started now use one thread, and Ctrl-C not reach it.
 
-    It takes over our paths, and finds this package first: a worker of Dask has a folder `storage`
-    among its paths, which would be taken for an editable install's.
+    It takes over our paths, and finds this package first: a worker of Dask has a folder
+    `storage` among its paths, which would be taken for an editable install's.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     paths = sys.path[:]
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which a process inherits
+    mask = signal.pthread_sigmask(
+        signal.SIG_BLOCK, {signal.SIGINT}
+    )  # which a process inherits
     try:
         yield
     finally:

@@ -1,8 +1,9 @@
 """The search for candidates that survive a family: quality-diversity by CMA-ME.
 
 Fontaine, Togelius, Nikolaidis & Hoover 2020, Covariance matrix adaptation for the rapid
-illumination of behavior space; archive and emitters are those of pyribs. Every family has a search
-of its own, so one goes on while another waits; each generation is a file until the search is over.
+illumination of behavior space; archive and emitters are those of pyribs. Every family
+has a search of its own, so one goes on while another waits; each generation is a file
+until the search is over.
 """
 
 from collections import deque
@@ -17,7 +18,14 @@ from storage.folder import remove
 from storage.points import in_unit_cube, within_bounds
 from storage.pool import Pool
 from storage.simulator import Simulator, judge_rows, run_points
-from storage.specification import BATCH, EMITTERS, STARTS, Family, Repertoire, Specification
+from storage.specification import (
+    BATCH,
+    EMITTERS,
+    STARTS,
+    Family,
+    Repertoire,
+    Specification,
+)
 from storage.store import evaluated_name, family_names
 from storage.store_folder import GENERATION_PATTERN, StoreFolder, Tried
 from taichi_nmm.errors import InputError
@@ -41,7 +49,8 @@ class Generation(NamedTuple):
     Attributes:
         points: [n, p], within the bounds, in units of the parameters.
         objective: of each, over the worlds of the search, the larger the better, [n].
-        measures: of each, over the same worlds, in the order of the simulator's, [n, m].
+        measures: of each, over the same worlds, in the order of the simulator's, [n,
+            m].
     """
 
     points: NDArray[np.float64]
@@ -53,7 +62,11 @@ class Generation(NamedTuple):
         """Columns of a generation's file."""
         # Measures are in other worlds than a row's columns of the same names.
         tried = (f"tried_{name}" for name in simulator.measures)
-        return [*(each.name for each in simulator.parameters), simulator.objective, *tried]
+        return [
+            *(each.name for each in simulator.parameters),
+            simulator.objective,
+            *tried,
+        ]
 
     def columns(self, simulator: Simulator) -> Tried:
         """The generation by column."""
@@ -87,11 +100,16 @@ class Unit:
 
 
 def evolved_points(
-    folder: StoreFolder, asked: Specification, repertoire: Repertoire, pool: Pool, walked: Walked
+    folder: StoreFolder,
+    asked: Specification,
+    repertoire: Repertoire,
+    pool: Pool,
+    walked: Walked,
 ) -> NDArray[np.float64]:
     """The points of all rows after the grid's, [candidates, p]: kept ones, or found by a search.
 
-    The grid of the folder is complete. The specification is as units of work are to be run.
+    The grid of the folder is complete. The specification is as units of work are to be
+    run.
 
     Raises:
         InputError: no point of the grid was run on a family, to start from.
@@ -101,19 +119,27 @@ def evolved_points(
         found = _search(folder, asked, repertoire, pool, walked)
         lengths = {name: len(generations) - 1 for name, generations in found.items()}
         chosen = choose(found, shares(repertoire.candidates, lengths), asked.simulator)
-        columns = {name: [g.columns(asked.simulator) for g in found[name]] for name in found}
+        columns = {
+            name: [g.columns(asked.simulator) for g in found[name]] for name in found
+        }
         folder.write_repertoire(columns, chosen)
         kept = folder.read_repertoire()
     else:
         walked(repertoire.walks, False)
     remove(folder.path, GENERATION_PATTERN)  # the repertoire holds all of them
     if kept is None:
-        raise InputError("out", str(folder.path), "a folder whose files stay as they were written")
+        raise InputError(
+            "out", str(folder.path), "a folder whose files stay as they were written"
+        )
     return kept
 
 
 def _search(
-    folder: StoreFolder, asked: Specification, repertoire: Repertoire, pool: Pool, walked: Walked
+    folder: StoreFolder,
+    asked: Specification,
+    repertoire: Repertoire,
+    pool: Pool,
+    walked: Walked,
 ) -> dict[str, list[Generation]]:
     """All generations of all families, those of earlier calls included."""
     starts = _grid_starts(folder, asked, repertoire)
@@ -129,7 +155,9 @@ def _search(
             del searches[family.name]
             return
         done[family.name] = {}
-        count = min(len(points), -(-pool.slots // len(searches)))  # more where fewer go on
+        count = min(
+            len(points), -(-pool.slots // len(searches))
+        )  # more where fewer go on
         for part, piece in enumerate(np.array_split(points, count)):
             units.append(Unit(asked.simulator, family, part, count, piece))
 
@@ -137,7 +165,9 @@ def _search(
         own = found[family.name] = []
         evolution = Evolution(asked.simulator, repertoire.stream(family.name))
         start, length = starts[family.name]
-        searches[family.name] = _search_for(family, folder, evolution, start, length, own, walked)
+        searches[family.name] = _search_for(
+            family, folder, evolution, start, length, own, walked
+        )
     for family in repertoire.trials:
         go_on(family, None)
     for unit, tried in pool.results(try_points, units):
@@ -145,7 +175,10 @@ def _search(
         parts[unit.part] = tried
         if len(parts) == unit.parts:
             ordered = (parts[part] for part in range(unit.parts))
-            go_on(unit.family, Generation(*map(np.concatenate, zip(*ordered, strict=True))))
+            go_on(
+                unit.family,
+                Generation(*map(np.concatenate, zip(*ordered, strict=True))),
+            )
     return found
 
 
@@ -160,15 +193,17 @@ def _search_for(
 ) -> Search:
     """The search for one family, with worlds of the search's own; `found` gets its generations.
 
-    The first one has the points of the grid, [n, p]; `length` generations of the evolution follow.
-    A generation that a file keeps is taken from there. On another machine the search may ask for
-    other points, in their last bits: then a file is not of this generation, and it and later ones
-    are tried again.
+    The first one has the points of the grid, [n, p]; `length` generations of the
+    evolution follow. A generation that a file keeps is taken from there. On another
+    machine the search may ask for other points, in their last bits: then a file is not
+    of this generation, and it and later ones are tried again.
     """
     simulator = evolution.simulator
     for number in range(1 + length):
         points = evolution.ask() if number else start
-        columns = folder.read_generation(family.name, number, Generation.names(simulator))
+        columns = folder.read_generation(
+            family.name, number, Generation.names(simulator)
+        )
         kept = None if columns is None else Generation.of(columns, simulator)
         if kept is None or not np.array_equal(kept.points, points):
             tried: Generation = yield points
@@ -201,7 +236,10 @@ def _grid_starts(
             raise InputError("samples", specification.samples, allowed)
         fraction = table[column].to_numpy()[run]
         best = np.argsort(-fraction, kind="stable")[:STARTS]
-        starts[name], falls[name] = points[run[best]], 1.0 - float(fraction[best].mean())
+        starts[name], falls[name] = (
+            points[run[best]],
+            1.0 - float(fraction[best].mean()),
+        )
     generations = shares(repertoire.generations, falls)
     return {name: (starts[name], generations[name]) for name in families}
 
@@ -209,21 +247,25 @@ def _grid_starts(
 def try_points(unit: Unit) -> Generation:
     """The points of a unit with their results."""
     simulator, family = unit.simulator, unit.family
-    rows, _ = run_points(simulator, unit.points, family.worlds, family.settings, family.horizon_s)
+    rows, _ = run_points(
+        simulator, unit.points, family.worlds, family.settings, family.horizon_s
+    )
     return Generation(unit.points, *judge_rows(simulator, rows, family.horizon_s))
 
 
 class Evolution:
     """An archive of candidates, and the evolution strategies (CMA-ES) that fill it.
 
-    The parameters of the simulator are searched, and the archive covers its measures. The points
-    depend on the seed and on the generations told, on nothing else. The library works on the unit
-    cube.
+    The parameters of the simulator are searched, and the archive covers its measures.
+    The points depend on the seed and on the generations told, on nothing else. The
+    library works on the unit cube.
     """
 
     def __init__(self, simulator: Simulator, seed: np.random.SeedSequence) -> None:
         """Nothing is known yet."""
-        from ribs.archives import GridArchive  # here: it compiles, and most stores do without
+        from ribs.archives import (
+            GridArchive,
+        )  # here: it compiles, and most stores do without
 
         self.simulator = simulator
         own, *self._seeds = map(int, seed.generate_state(1 + EMITTERS))
@@ -271,7 +313,8 @@ class Evolution:
 def folded(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points beyond the unit cube's faces, reflected into it.
 
-    The library would draw until all are inside, for ever where a wide strategy sits in a corner.
+    The library would draw until all are inside, for ever where a wide strategy sits in
+    a corner.
 
     Args:
         points: [n, p]; inside is 0 to 1.
@@ -284,17 +327,20 @@ def choose(
 ) -> dict[str, NDArray[np.int64]]:
     """Candidates of each family that become rows of the store.
 
-    Half of a family's are the best of a cell each, which keeps ways to succeed apart; the others
-    the best of all, however alike: of two that do the same in the search's worlds, one may survive
-    in a world where the other fails. The grid's own points, the first generation, are rows already.
+    Half of a family's are the best of a cell each, which keeps ways to succeed apart;
+    the others the best of all, however alike: of two that do the same in the search's
+    worlds, one may survive in a world where the other fails. The grid's own points, the
+    first generation, are rows already.
 
     Args:
-        found: generations of each family, by its name; the first has points of the grid.
+        found: generations of each family, by its name; the first has points of the
+            grid.
         shares: how many candidates each family gets.
         simulator: whose measures make the cells.
 
     Returns:
-        By family, numbers of points, counted through its generations; the best come first.
+        By family, numbers of points, counted through its generations; the best come
+            first.
     """
     chosen = {}
     for family, generations in found.items():
@@ -315,14 +361,19 @@ def _cells(measured: NDArray[np.float64], simulator: Simulator) -> NDArray[np.in
     low, high = np.transpose(list(simulator.measures.values()))
     place = (measured - low) / (high - low) * CELLS
     inside = np.clip(place.astype(np.int64), 0, CELLS - 1)
-    return np.asarray(np.ravel_multi_index(tuple(inside.T), (CELLS,) * len(low)), dtype=np.int64)
+    return np.asarray(
+        np.ravel_multi_index(tuple(inside.T), (CELLS,) * len(low)), dtype=np.int64
+    )
 
 
 def shares(whole: int, weights: dict[str, float] | dict[str, int]) -> dict[str, int]:
     """Parts of a whole in proportion to weights, each at least 1; the largest remainders go up."""
     total, rest = sum(weights.values()), whole - len(weights)
     equal = 1.0 / len(weights)
-    exact = {key: rest * (value / total if total else equal) for key, value in weights.items()}
+    exact = {
+        key: rest * (value / total if total else equal)
+        for key, value in weights.items()
+    }
     parts = {key: 1 + int(value) for key, value in exact.items()}
     left = whole - sum(parts.values())
     for key in sorted(exact, key=lambda key: int(exact[key]) - exact[key])[:left]:

@@ -1,10 +1,10 @@
 """The seam: all that a store knows of the simulator whose scores it keeps.
 
-A simulator has parameters, a rule that draws worlds from seeds, and `run`, which gives a row of
-columns for every point in every world. Nothing else in this package depends on what is simulated.
-CONTRIBUTING.md has a class of one's own, with all that has no default. A class that has every
-member, such as the walker, need not be a child of `Simulator`. A plain function is enough, too:
-`storage.function_simulator`.
+A simulator has parameters, a rule that draws worlds from seeds, and `run`, which gives
+a row of columns for every point in every world. Nothing else in this package depends on
+what is simulated. CONTRIBUTING.md has a class of one's own, with all that has no
+default. A class that has every member, such as the walker, need not be a child of
+`Simulator`. A plain function is enough, too: `storage.function_simulator`.
 """
 
 import sys
@@ -23,8 +23,12 @@ from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError, listed, one_line, shortened
 
 WALKER = "walker"
-SIMULATORS = {WALKER: "taichi_nmm.walker_simulator:Walker"}  # imported when a store needs one
-SIMULATOR_KEY = "simulator"  # of a specification; stores of the walker are older and lack it
+SIMULATORS = {
+    WALKER: "taichi_nmm.walker_simulator:Walker"
+}  # imported when a store needs one
+SIMULATOR_KEY = (
+    "simulator"  # of a specification; stores of the walker are older and lack it
+)
 SURVIVED = "survived_fraction"
 FAILED = "failed"  # among the words of a column: the run gave no numbers, and has zeros
 
@@ -140,7 +144,11 @@ class Simulator(Protocol):
 
     @abstractmethod
     def run(
-        self, points: NDArray[np.float64], worlds: Worlds, horizon_s: float, report: Report
+        self,
+        points: NDArray[np.float64],
+        worlds: Worlds,
+        horizon_s: float,
+        report: Report,
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         """Run every point in every world.
 
@@ -151,8 +159,10 @@ class Simulator(Protocol):
             report: to be called with the fraction that is done, now and then or never.
 
         Returns:
-            Rows of `columns`, [n, w], each of which depends on its point, its world and the horizon
-            alone; and what computed them, such as versions of libraries, as JSON values.
+            Rows of `columns`, [n, w], each of which depends on its point, its world and
+                the horizon
+            alone; and what computed them, such as versions of libraries, as JSON
+                values.
         """
 
     @property
@@ -177,9 +187,12 @@ class Simulator(Protocol):
     def scores(self) -> tuple[str, ...]:
         """Columns of which a store keeps mean and spread over the worlds of a family.
 
-        They are finite, and `survived` is among them. Default: all columns but those of words.
+        They are finite, and `survived` is among them. Default: all columns but those of
+        words.
         """
-        return tuple(name for name in self.columns.names or () if name not in self.words)
+        return tuple(
+            name for name in self.columns.names or () if name not in self.words
+        )
 
     @property
     def outcomes(self) -> tuple[str, ...]:
@@ -201,15 +214,17 @@ class Simulator(Protocol):
 
         Args:
             table: the whole configuration; a key that is not read is refused. The table
-                [simulator] is for the simulator's own settings; of [simulation], `duration_s` is
-                the store's.
+                [simulator] is for the simulator's own settings; of [simulation],
+                `duration_s` is the store's.
             arch: hardware that computes, where the command line names it.
 
         Raises:
             InputError: a value out of range.
         """
         if arch is not None:
-            raise InputError("arch", arch, f"no architecture: {cls.__name__} reads none")
+            raise InputError(
+                "arch", arch, f"no architecture: {cls.__name__} reads none"
+            )
         return cls()
 
     def document(self) -> dict[str, Any]:
@@ -217,8 +232,12 @@ class Simulator(Protocol):
 
         Keys of a table "simulation" join the store's own.
         """
-        names: list[str] = [each.name for each in fields(self)] if is_dataclass(self) else []
-        return {"settings": {name: getattr(self, name) for name in names}} if names else {}
+        names: list[str] = (
+            [each.name for each in fields(self)] if is_dataclass(self) else []
+        )
+        return (
+            {"settings": {name: getattr(self, name) for name in names}} if names else {}
+        )
 
     def versions(self) -> dict[str, str]:
         """Versions that a specification names beside `code_version`, by key.
@@ -258,7 +277,9 @@ class Simulator(Protocol):
             horizon_s: of these runs.
         """
         means = [rows[name].astype(np.float64).mean(axis=1) for name in self.measures]
-        return rows[self.survived].astype(np.float64).mean(axis=1), np.column_stack(means)
+        return rows[self.survived].astype(np.float64).mean(axis=1), np.column_stack(
+            means
+        )
 
     @property
     def packages(self) -> tuple[str, ...]:
@@ -297,13 +318,15 @@ class Simulator(Protocol):
 def find_simulator(name: str, folder: Path = Path()) -> type[Simulator]:
     """The simulator of this name, or "module:Class", or "file.py:Class" of a folder.
 
-    The module is an installed one or, where there is none, a file of the working directory. A
-    `FunctionSimulator` has the place of a class.
+    The module is an installed one or, where there is none, a file of the working
+    directory. A `FunctionSimulator` has the place of a class.
 
     Raises:
         InputError: there is none, or a class that is no simulator.
     """
-    allowed = f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
+    allowed = (
+        f"{' or '.join(SIMULATORS)}, or a class that can be imported: module:Class"
+    )
     field, path = f"{SIMULATOR_KEY}.name", SIMULATORS.get(name, name)
     found: type[Simulator] = import_object(field, path, folder, allowed)
     if missing := _missing(found):
@@ -333,13 +356,17 @@ def import_object(field: str, name: str, folder: Path, allowed: str) -> Any:
         raise InputError(field, name, f"{allowed} ({reason})") from None
     taken = Path(str(imported.__file__)).resolve()
     if file not in (None, taken):
-        raise InputError(field, name, f"a file whose name is not that of another module ({taken})")
+        raise InputError(
+            field, name, f"a file whose name is not that of another module ({taken})"
+        )
     return found
 
 
 def _missing(found: Any) -> list[str]:
     """Members of a simulator that a class or an object lacks."""
-    missing = {each for each in vars(Simulator) if not each.startswith("_")} - set(dir(found))
+    missing = {each for each in vars(Simulator) if not each.startswith("_")} - set(
+        dir(found)
+    )
     return sorted(missing | getattr(found, "__abstractmethods__", frozenset()))
 
 
@@ -383,20 +410,30 @@ def check_simulator(simulator: Simulator) -> None:
             raise _fault(simulator, f"scores that are numbers; {name!r} is none")
     if not simulator.parameters:
         raise _fault(simulator, "one parameter at least")
-    for name, low, high in ((each.name, each.low, each.high) for each in simulator.parameters):
+    for name, low, high in (
+        (each.name, each.low, each.high) for each in simulator.parameters
+    ):
         if not (np.isfinite([low, high]).all() and low < high):
-            raise _fault(simulator, f"parameters with low < high; {name} has {low}, {high}")
+            raise _fault(
+                simulator, f"parameters with low < high; {name} has {low}, {high}"
+            )
     every = ["row", *(each.name for each in simulator.parameters), *names]
     for name in every:
         if every.count(name) > 1:
-            allowed = "other names than 'row' for parameters and columns, each once, not "
+            allowed = (
+                "other names than 'row' for parameters and columns, each once, not "
+            )
             raise _fault(simulator, f"{allowed}{name!r}")
 
 
 def run_points(
-    simulator: Simulator, points: NDArray[np.float64], worlds: Worlds, count: int,
-    horizon_s: float, report: Report = lambda part: None,
-) -> tuple[NDArray[np.void], dict[str, Any]]:  # fmt: skip
+    simulator: Simulator,
+    points: NDArray[np.float64],
+    worlds: Worlds,
+    count: int,
+    horizon_s: float,
+    report: Report = lambda part: None,
+) -> tuple[NDArray[np.void], dict[str, Any]]:
     """`Simulator.run`, and a check of what it returns.
 
     Args:
@@ -408,13 +445,20 @@ def run_points(
         report: called with the fraction that is done, 0 to 1.
 
     Raises:
-        InputError: a simulator that does not keep what `Simulator` promises, naming the column.
+        InputError: a simulator that does not keep what `Simulator` promises, naming the
+            column.
     """
     rows, computed_by = simulator.run(points, worlds, horizon_s, report)
     if not isinstance(rows, np.ndarray) or rows.dtype != simulator.columns:
-        wrong = rows.dtype.names or rows.dtype if isinstance(rows, np.ndarray) else type(rows)
+        wrong = (
+            rows.dtype.names or rows.dtype
+            if isinstance(rows, np.ndarray)
+            else type(rows)
+        )
         names = listed(simulator.columns.names or ())
-        raise _fault(simulator, f"a run with columns {names} of their types, not {wrong}")
+        raise _fault(
+            simulator, f"a run with columns {names} of their types, not {wrong}"
+        )
     if rows.shape != (len(points), count):
         shape = f"[{len(points)} points, {count} worlds]"
         raise _fault(simulator, f"a run with rows {shape}, not {list(rows.shape)}")
@@ -428,10 +472,15 @@ def run_points(
         lasted = rows[simulator.survived]
         lasted[rounded] = 1.0
     for outside in lasted[~((lasted >= 0.0) & (lasted <= 1.0))]:
-        raise _fault(simulator, f"a run with {simulator.survived} from 0 to 1, not {outside:g}")
+        raise _fault(
+            simulator, f"a run with {simulator.survived} from 0 to 1, not {outside:g}"
+        )
     for name, words in simulator.words.items():
         for outside in rows[name][~((rows[name] >= 0) & (rows[name] < len(words)))]:
-            raise _fault(simulator, f"a run with {name} from 0 to {len(words) - 1}, not {outside}")
+            raise _fault(
+                simulator,
+                f"a run with {name} from 0 to {len(words) - 1}, not {outside}",
+            )
     return rows, computed_by
 
 
@@ -461,7 +510,9 @@ def judge_rows(
     shapes = (len(rows),), (len(rows), len(simulator.measures))
     finite = np.isfinite(objective).all() and np.isfinite(measures).all()
     if not finite or (np.shape(objective), np.shape(measures)) != shapes:
-        allowed = f"an objective {list(shapes[0])} and measures {list(shapes[1])}, all finite"
+        allowed = (
+            f"an objective {list(shapes[0])} and measures {list(shapes[1])}, all finite"
+        )
         raise _fault(simulator, allowed)
     return objective, measures
 

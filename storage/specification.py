@@ -1,8 +1,9 @@
 """The specification of a store: everything that decides its numbers, and nothing else.
 
-Points of a simulator's parameters are run in one world, the *base setting*. Those that last are run
-in the worlds of *families*; a *repertoire* adds candidates that a search bred for families.
-Architecture and threads are no part of it, so another machine can finish a store.
+Points of a simulator's parameters are run in one world, the *base setting*. Those that
+last are run in the worlds of *families*; a *repertoire* adds candidates that a search
+bred for families. Architecture and threads are no part of it, so another machine can
+finish a store.
 """
 
 import json
@@ -38,45 +39,70 @@ from taichi_nmm.errors import InputError, listed
 
 HORIZONS_S = 1e-9, 1e12  # shortest and longest run: of a circuit, of a forest
 WALKS_S = 0.1, 1000.0  # of the walker
-LEAST_WALK_S, LEAST_LASTED_S = 8.0, 3.0  # its defaults for families; of others they are shares
-LEAST_SHARE = 0.6  # of the base setting's horizon, that a family's points have lasted by default
+LEAST_WALK_S, LEAST_LASTED_S = (
+    8.0,
+    3.0,
+)  # its defaults for families; of others they are shares
+LEAST_SHARE = (
+    0.6  # of the base setting's horizon, that a family's points have lasted by default
+)
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
-CANDIDATE_SHARD_ROWS = 64  # at most: nearly all candidates run to the end of every family
+CANDIDATE_SHARD_ROWS = (
+    64  # at most: nearly all candidates run to the end of every family
+)
 
 ROBUST = "robust"  # the family that has a table of its own
 NAME_PATTERN = r"[a-z][a-z0-9_]*"
 MOST_WORLDS = 64  # of a family
-MOST_OUTCOMES_B = 2**31  # of a store, unless the configuration says which columns worlds keep
+MOST_OUTCOMES_B = (
+    2**31
+)  # of a store, unless the configuration says which columns worlds keep
 
 LIBRARY = "ribs"  # of quality-diversity optimisation
 EMITTERS = 4  # evolution strategies of a search, each begun elsewhere
-BATCH = 24  # points of an emitter in a generation: twice what CMA-ES takes in 16 dimensions
+BATCH = (
+    24  # points of an emitter in a generation: twice what CMA-ES takes in 16 dimensions
+)
 GENERATION = EMITTERS * BATCH  # points that a search tries at a time
 STARTS = 2 * GENERATION  # points of the grid that a search may begin with
-SEARCH_WORLDS = 8  # of a family, for a candidate: fewer find gaits for these worlds alone
+SEARCH_WORLDS = (
+    8  # of a family, for a candidate: fewer find gaits for these worlds alone
+)
 LARGEST_NUMBER = 2**30  # of runs, or of candidates
 
 # Keys of a specification that no simulator's document may have.
-RESERVED = frozenset({
-    "format", "code_version", SIMULATOR_KEY, "samples", "shard_rows", "seed", "gains", "simulation",
-    "robust", "families", "repertoire", "columns",
-})  # fmt: skip
+RESERVED = frozenset(
+    {
+        "format",
+        "code_version",
+        SIMULATOR_KEY,
+        "samples",
+        "shard_rows",
+        "seed",
+        "gains",
+        "simulation",
+        "robust",
+        "families",
+        "repertoire",
+        "columns",
+    }
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Family:
     """Worlds in which every point that lasts `min_survival_s` is run for `horizon_s`.
 
-    A family that comes after another one is for the few that survive that: more worlds, longer.
-    All points share the worlds.
+    A family that comes after another one is for the few that survive that: more worlds,
+    longer. All points share the worlds.
 
     Attributes:
         name: at the beginning of its columns.
         settings: number of worlds, w.
         min_survival_s: how long a point must last in the base setting.
         after: another family that a point must have survived; "": none.
-        min_survived_fraction: how much of that family's horizon, 0 to 1, on average over
-            its worlds.
+        min_survived_fraction: how much of that family's horizon, 0 to 1, on average
+            over its worlds.
         horizon_s: of every run.
         seed: of the worlds.
         rule: by which worlds are drawn.
@@ -95,12 +121,17 @@ class Family:
     def worlds(self) -> Worlds:
         """Its worlds, drawn."""
         numbers = range(self.settings)
-        return self.rule.draw([seed_sequence(self.seed, points.FAMILY_WORLD, k) for k in numbers])
+        return self.rule.draw(
+            [seed_sequence(self.seed, points.FAMILY_WORLD, k) for k in numbers]
+        )
 
     @property
     def document(self) -> dict[str, Any]:
         """The family without its name, as JSON values."""
-        stage = {"after": self.after, "min_survived_fraction": self.min_survived_fraction}
+        stage = {
+            "after": self.after,
+            "min_survived_fraction": self.min_survived_fraction,
+        }
         own = {
             "settings": self.settings,
             "min_survival_s": self.min_survival_s,
@@ -135,12 +166,17 @@ class Repertoire:
     def trials(self) -> tuple[Family, ...]:
         """The families with worlds of the search's own, [f].
 
-        A candidate is chosen for what it does in these, and measured in the family's own.
+        A candidate is chosen for what it does in these, and measured in the family's
+        own.
         """
-        streams = [self.stream(each.name, points.TRIAL_WORLDS) for each in self.families]
+        streams = [
+            self.stream(each.name, points.TRIAL_WORLDS) for each in self.families
+        ]
         seeds = [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
         pairs = zip(self.families, seeds, strict=True)
-        return tuple(replace(each, settings=self.settings, seed=seed) for each, seed in pairs)
+        return tuple(
+            replace(each, settings=self.settings, seed=seed) for each, seed in pairs
+        )
 
     @property
     def generations(self) -> int:
@@ -151,9 +187,13 @@ class Repertoire:
     @property
     def walks(self) -> int:
         """Runs of the whole search; fewer than were asked for: generations are whole."""
-        return (STARTS * len(self.families) + self.generations * GENERATION) * self.settings
+        return (
+            STARTS * len(self.families) + self.generations * GENERATION
+        ) * self.settings
 
-    def stream(self, family: str, purpose: int = points.EVOLUTION) -> np.random.SeedSequence:
+    def stream(
+        self, family: str, purpose: int = points.EVOLUTION
+    ) -> np.random.SeedSequence:
         """A random stream of the search for a family, whatever the other families are."""
         return seed_sequence(self.seed, purpose, crc32(family.encode()))
 
@@ -276,8 +316,8 @@ class Specification:
     def document(self) -> dict[str, Any]:
         """The specification as JSON values, for specification.json and the footers.
 
-        Its hash depends on the order of keys. Keys that are newer than many stores appear only
-        where they are needed, so that these stores can be finished.
+        Its hash depends on the order of keys. Keys that are newer than many stores
+        appear only where they are needed, so that these stores can be finished.
         """
         simulator, own = self.simulator, self.simulator.document()
         simulation = {"duration_s": self.horizon_s, **own.pop("simulation", {})}
@@ -304,7 +344,9 @@ class Specification:
         try:
             json.dumps(document, allow_nan=False)
         except (TypeError, ValueError) as error:
-            raise InputError(SIMULATOR_KEY, simulator.name, f"JSON values ({error})") from None
+            raise InputError(
+                SIMULATOR_KEY, simulator.name, f"JSON values ({error})"
+            ) from None
         return document
 
     @cached_property
@@ -324,8 +366,8 @@ def require_parameters(store: Store, simulator: Simulator) -> None:
     """Refuse a store whose points mean something else to a simulator.
 
     Raises:
-        InputError: parameters of other names or in another order, other choices, whole numbers in
-            one of the two alone, or bounds beyond the simulator's.
+        InputError: parameters of other names or in another order, other choices, whole
+            numbers in one of the two alone, or bounds beyond the simulator's.
     """
     own = {each.name: _ends(each) for each in simulator.parameters}
     stored = store.specification["gains"]
@@ -333,7 +375,9 @@ def require_parameters(store: Store, simulator: Simulator) -> None:
         words = f"{simulator.name}, with the parameters {listed(own)}"
         raise InputError("store", str(store.path), f"a store of {words}")
     for name, ends in own.items():
-        is_within = ends["low"] <= stored[name]["low"] and stored[name]["high"] <= ends["high"]
+        is_within = (
+            ends["low"] <= stored[name]["low"] and stored[name]["high"] <= ends["high"]
+        )
         if _kind(stored[name]) != _kind(ends) or not is_within:
             allowed = f"{ends}, as {simulator.name} has it"
             raise InputError(f"store.gains.{name}", stored[name], allowed)
@@ -341,21 +385,25 @@ def require_parameters(store: Store, simulator: Simulator) -> None:
 
 def _kind(ends: dict[str, Any]) -> tuple[str, Any]:
     """What numbers of a parameter stand for: the name of its distribution, and its choices."""
-    distribution = ends.get("distribution", {"name": "FloatDistribution", "attributes": {}})
+    distribution = ends.get(
+        "distribution", {"name": "FloatDistribution", "attributes": {}}
+    )
     return distribution["name"], distribution["attributes"].get("choices")
 
 
 def read_specification(
-    table: Table, samples: int | None = None, arch: str | None = None,
+    table: Table,
+    samples: int | None = None,
+    arch: str | None = None,
     simulator: Simulator | None = None,
-) -> Specification:  # fmt: skip
+) -> Specification:
     """The specification in a configuration; `samples` and `arch` override the file's.
 
     `simulator` stands for the one that the configuration would name.
 
     Raises:
-        InputError: an unknown key, a wrong type or a value out of range; a family or a search that
-            the others, or the simulator, do not allow.
+        InputError: an unknown key, a wrong type or a value out of range; a family or a
+            search that the others, or the simulator, do not allow.
     """
     configured = table.integer("samples", low=1, high=LARGEST_SEQUENCE)
     if samples is not None:
@@ -387,7 +435,9 @@ def read_specification(
     )
     table.done()
     names = specification.schema.names
-    for name in names:  # as of a column "origin", or of families of which one begins the other
+    for (
+        name
+    ) in names:  # as of a column "origin", or of families of which one begins the other
         if names.count(name) > 1:
             allowed = "names of columns and families that give each column of a store another name"
             raise InputError(SIMULATOR_KEY, name, allowed)
@@ -421,7 +471,9 @@ def _other_keys(document: dict[str, Any], taken: Set[str]) -> dict[str, Any]:
     return document
 
 
-def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tuple[Family, ...]:
+def _read_families(
+    table: Table, simulator: Simulator, horizon_s: float
+) -> tuple[Family, ...]:
     """The tables [robust] and [families.<name>] of a store: robust first, the others by name.
 
     Families that come after another one are last.
@@ -429,7 +481,10 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
     others, families = table.table("families"), list[Family]()
     lasted_s, walked_s = LEAST_SHARE * horizon_s, horizon_s
     if simulator.name == WALKER:  # of which stores without these keys have been begun
-        lasted_s, walked_s = min(LEAST_LASTED_S, horizon_s), max(LEAST_WALK_S, horizon_s)
+        lasted_s, walked_s = (
+            min(LEAST_LASTED_S, horizon_s),
+            max(LEAST_WALK_S, horizon_s),
+        )
     shortest_s, longest_s = run_lengths_s(simulator)
     named = {name: others.table(name) for name in sorted(others.unread)}
     for name in named:
@@ -437,8 +492,12 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
             allowed = "lower-case letters, digits and '_', first a letter"
             raise InputError("families", name, allowed)
         if name == ROBUST:
-            raise InputError("families", name, "another name; this family is the table [robust]")
-        for column in arrow_schema(simulator).names:  # else its columns could be taken for others
+            raise InputError(
+                "families", name, "another name; this family is the table [robust]"
+            )
+        for column in arrow_schema(
+            simulator
+        ).names:  # else its columns could be taken for others
             if f"{column}_".startswith(f"{name}_"):
                 allowed = f"a name that does not begin a column's ({column})"
                 raise InputError("families", name, allowed)
@@ -446,7 +505,9 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
         default, least = (0, 0) if name == ROBUST else (REQUIRED, 1)
         if count := own.integer("settings", default, least, MOST_WORLDS):
             after = own.text("after", "") if name != ROBUST else ""
-            last = own.number("min_survived_fraction", low=0.0, high=1.0) if after else 0.0
+            last = (
+                own.number("min_survived_fraction", low=0.0, high=1.0) if after else 0.0
+            )
             family = Family(
                 name=name,
                 settings=count,
@@ -463,9 +524,7 @@ def _read_families(table: Table, simulator: Simulator, horizon_s: float) -> tupl
     later = [family for family in families if family.after]
     for family in later:
         if family.after not in (names := [each.name for each in first]):
-            allowed = (
-                f"a family that comes after none: {listed(names, family.after) or 'there is none'}"
-            )
+            allowed = f"a family that comes after none: {listed(names, family.after) or 'there is none'}"
             raise InputError(f"families.{family.name}.after", family.after, allowed)
     return (*first, *later)
 
@@ -481,7 +540,12 @@ def _read_kept(
         named = table.texts("kept", tuple(simulator.scores))
         return tuple(dict.fromkeys((simulator.survived, *named)))
     worlds = sum(family.settings for family in families)
-    size_b = rows * worlds * len(simulator.outcomes) * np.dtype(simulator.outcome_type).itemsize
+    size_b = (
+        rows
+        * worlds
+        * len(simulator.outcomes)
+        * np.dtype(simulator.outcome_type).itemsize
+    )
     if size_b > MOST_OUTCOMES_B and simulator.name != WALKER:
         allowed = f"a list of the columns that costs read: all would take {size_b / 1e9:.0f} GB"
         raise InputError("kept", "missing", allowed)
@@ -504,17 +568,25 @@ def _read_repertoire(
             allowed = f"families that come after none: {listed(first, name) or 'there is none'}"
             raise InputError(own.path("families"), name, allowed)
     if not first:
-        raise InputError("repertoire", "no family", "a store with [families.<name>] or [robust]")
+        raise InputError(
+            "repertoire", "no family", "a store with [families.<name>] or [robust]"
+        )
     if any(f"{ORIGIN}_".startswith(f"{family.name}_") for family in families):
-        raise InputError("families", ORIGIN, "another name; it is a column of this store")
+        raise InputError(
+            "families", ORIGIN, "another name; it is a column of this store"
+        )
     evaluations = own.integer("evaluations", 100_000, 1, LARGEST_NUMBER)
     candidates = own.integer("candidates", 2000, 1, LARGEST_NUMBER)
     settings = own.integer("settings", SEARCH_WORLDS, 1, MOST_WORLDS)
     bred = tuple(first[name] for name in sorted(names))
-    repertoire = Repertoire(evaluations, candidates, own.integer("seed", 0), settings, bred)
+    repertoire = Repertoire(
+        evaluations, candidates, own.integer("seed", 0), settings, bred
+    )
     own.done()
     if candidates < len(bred):
-        raise InputError("repertoire.candidates", candidates, f"at least {len(bred)}, one a family")
+        raise InputError(
+            "repertoire.candidates", candidates, f"at least {len(bred)}, one a family"
+        )
     # A search keeps no more than half of what it tries.
     generations = max(len(bred), -(-2 * candidates // GENERATION))
     least = (STARTS * len(bred) + generations * GENERATION) * settings

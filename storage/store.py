@@ -11,8 +11,21 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.commit import commit_json
-from storage.simulator import SIMULATOR_KEY, SIMULATORS, WALKER, Simulator, known_simulator
-from storage.tables import FORMAT, document_hash, file_hash, read_about, read_columns, write_table
+from storage.simulator import (
+    SIMULATOR_KEY,
+    SIMULATORS,
+    WALKER,
+    Simulator,
+    known_simulator,
+)
+from storage.tables import (
+    FORMAT,
+    document_hash,
+    file_hash,
+    read_about,
+    read_columns,
+    write_table,
+)
 from taichi_nmm import checks
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError, listed
@@ -116,19 +129,28 @@ def shard_table(
     columns: dict[str, NDArray[np.generic]] = {
         "row": np.arange(first_row, first_row + len(points)),
         ORIGIN: np.full(len(points), origin),
-        **{each.name: values for each, values in zip(simulator.parameters, points.T, strict=True)},
+        **{
+            each.name: values
+            for each, values in zip(simulator.parameters, points.T, strict=True)
+        },
         **{name: rows[name] for name in simulator.columns.names or ()},
-        **{name: np.array(words)[rows[name]] for name, words in simulator.words.items()},
+        **{
+            name: np.array(words)[rows[name]] for name, words in simulator.words.items()
+        },
         **families,
     }
-    arrays = [_array(np.ascontiguousarray(columns[each.name]), each.type) for each in schema]
+    arrays = [
+        _array(np.ascontiguousarray(columns[each.name]), each.type) for each in schema
+    ]
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def _array(values: NDArray[np.generic], kind: pa.DataType) -> pa.Array:
     if values.ndim == 1:
         return pa.array(values, kind)
-    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel(), kind.value_type), type=kind)
+    return pa.FixedSizeListArray.from_arrays(
+        pa.array(values.ravel(), kind.value_type), type=kind
+    )
 
 
 @dataclass(frozen=True)
@@ -151,7 +173,9 @@ class Manifest:
             "format": FORMAT,
             "specification_hash": document_hash(self.specification),
             "rows": self.rows,
-            "shards": [{"file": name, "sha256": value} for name, value in self.hashes.items()],
+            "shards": [
+                {"file": name, "sha256": value} for name, value in self.hashes.items()
+            ],
             "specification": self.specification,
         }
         commit_json(folder / MANIFEST_NAME, document)
@@ -164,7 +188,9 @@ class Manifest:
             InputError: there is none (the store is not finished), or it is damaged.
         """
         path = folder / MANIFEST_NAME
-        allowed = "a finished store, which has an undamaged manifest: run precompute.py again"
+        allowed = (
+            "a finished store, which has an undamaged manifest: run precompute.py again"
+        )
         document = json_document("store", path, allowed)
         with reading("store", path, allowed):
             if document["format"] != FORMAT:
@@ -176,8 +202,13 @@ class Manifest:
             names = [shard_name(number) for number in range(len(hashes))]
             if not hashes or list(hashes) != names:
                 first = shard_name(0)
-                raise ValueError(f"its shards are not {first} and so on, in the same folder")
-            if not all(type(value) is str for value in hashes.values()) or type(rows) is not int:
+                raise ValueError(
+                    f"its shards are not {first} and so on, in the same folder"
+                )
+            if (
+                not all(type(value) is str for value in hashes.values())
+                or type(rows) is not int
+            ):
                 raise ValueError("rows or hashes that are none")
         return Manifest(specification, rows, hashes)
 
@@ -240,11 +271,17 @@ class Store:
         for name, kind in zip(table.column_names, table.schema.types, strict=True):
             column = table[name].combine_chunks()
             if pa.types.is_fixed_size_list(kind):
-                arrays[name] = _plain(column.flatten()).reshape(len(table), kind.list_size)
+                arrays[name] = _plain(column.flatten()).reshape(
+                    len(table), kind.list_size
+                )
             else:
                 values = _plain(column)
-                arrays[name] = values.astype(np.str_) if values.dtype == object else values
-        kinds = [(name, values.dtype, values.shape[1:]) for name, values in arrays.items()]
+                arrays[name] = (
+                    values.astype(np.str_) if values.dtype == object else values
+                )
+        kinds = [
+            (name, values.dtype, values.shape[1:]) for name, values in arrays.items()
+        ]
         rows = np.empty(len(table), kinds)
         for name, values in arrays.items():
             rows[name] = values
@@ -272,14 +309,17 @@ class Store:
             InputError: not one of `families`.
         """
         checks.word(*self.families)("family", family)
-        known = self.specification if family == "robust" else self.specification["families"]
+        known = (
+            self.specification if family == "robust" else self.specification["families"]
+        )
         return dict(known[family])
 
     @checks.checked(family=checks.text, column=checks.text)
     def outcomes(self, family: str, column: str) -> NDArray[np.floating[Any]]:
         """What each row gave in each world of a family, [n, w].
 
-        NaN where it was not run, or where the run failed; how far a failed run came is zero.
+        NaN where it was not run, or where the run failed; how far a failed run came is
+        zero.
 
         Args:
             family: one of `families`.
@@ -299,7 +339,9 @@ class Store:
         """
         checks.word(*self.families)("family", family)
         start = self.columns.index(evaluated_name(family)) + 1
-        own = takewhile(lambda name: not name.endswith(EVALUATED_END), self.columns[start:])
+        own = takewhile(
+            lambda name: not name.endswith(EVALUATED_END), self.columns[start:]
+        )
         return tuple(
             name.removeprefix(f"{family}_").removesuffix(WORLDS_END)
             for name in own
@@ -316,11 +358,15 @@ class Store:
             column: one of `kept` of all these families.
             families: some of `families`.
         """
-        names = {family: (outcome_name(family, column), evaluated_name(family))
-                 for family in families}  # fmt: skip
+        names = {
+            family: (outcome_name(family, column), evaluated_name(family))
+            for family in families
+        }
         rows = self.numpy(name for both in names.values() for name in both)
         return {
-            family: np.where(rows[ran][:, None], rows[name], rows[name].dtype.type(np.nan))
+            family: np.where(
+                rows[ran][:, None], rows[name], rows[name].dtype.type(np.nan)
+            )
             for family, (name, ran) in names.items()
         }
 
@@ -338,7 +384,8 @@ class Store:
     def require_bounds(self) -> None:
         """Refuse a store whose points were drawn from other bounds than those of this version.
 
-        A simulator of somebody else's has the bounds that its store names: no code of it is run.
+        A simulator of somebody else's has the bounds that its store names: no code of
+        it is run.
 
         Raises:
             InputError: naming the parameter.
@@ -347,7 +394,9 @@ class Store:
             return
         stored = self.specification["gains"]
         parameters = known_simulator(self.specification).parameters_of(tuple(stored))
-        current = {each.name: {"low": each.low, "high": each.high} for each in parameters}
+        current = {
+            each.name: {"low": each.low, "high": each.high} for each in parameters
+        }
         for name in dict.fromkeys([*current, *stored]):
             if stored.get(name) != current.get(name):
                 allowed = f"{current.get(name)}, the bounds of this version; compute a new store"
@@ -357,7 +406,8 @@ class Store:
 def _plain(column: pa.Array) -> NDArray[Any]:
     """A column as an array, [n].
 
-    By DLPack where that does: `to_numpy` loads pandas, which takes longer than to read a store.
+    By DLPack where that does: `to_numpy` loads pandas, which takes longer than to read
+    a store.
     """
     if pa.types.is_boolean(column.type) and not column.null_count:
         return _plain(column.cast(pa.uint8())).astype(np.bool_)
@@ -367,15 +417,18 @@ def _plain(column: pa.Array) -> NDArray[Any]:
 
 
 @checks.checked(path=checks.path, verify=checks.flag, unfinished=checks.flag)
-def open_store(path: str | Path, verify: bool = False, unfinished: bool = False) -> Store:
+def open_store(
+    path: str | Path, verify: bool = False, unfinished: bool = False
+) -> Store:
     """Open a store's folder, a single shard, or a merged file.
 
     Args:
         path: the folder or the file.
-        verify: also compare every file with its SHA-256 in the manifest beside it. Whenever
-            columns are read, pages are compared with their checksums; a merged file, or a shard
-            out of its folder, has only these.
-        unfinished: of a folder that is still being filled, take the shards that are there.
+        verify: also compare every file with its SHA-256 in the manifest beside it.
+            Whenever columns are read, pages are compared with their checksums; a merged
+            file, or a shard out of its folder, has only these.
+        unfinished: of a folder that is still being filled, take the shards that are
+            there.
 
     Raises:
         InputError: missing, unfinished, truncated, damaged, or not a store.
@@ -398,7 +451,9 @@ def open_store(path: str | Path, verify: bool = False, unfinished: bool = False)
                 raise InputError("store", str(file), f"shard {number} of this store")
         rows = sum(footer["rows"] for footer in footers)
         if rows != manifest.rows:
-            raise InputError("store", f"{rows} rows", f"{manifest.rows} rows, as the manifest says")
+            raise InputError(
+                "store", f"{rows} rows", f"{manifest.rows} rows, as the manifest says"
+            )
     elif len({footer["specification_hash"] for footer in footers}) > 1:
         raise InputError("store", str(path), "a folder of shards of one store")
     specification = footers[0]["specification"]
@@ -419,9 +474,13 @@ def merge(source: str | Path, target: str | Path) -> Store:
     """
     store, target = open_store(source, verify=True), Path(target)
     footer = {}
-    for key in store.footers[0]:  # a value that all footers share, or the list of all values
+    for key in store.footers[
+        0
+    ]:  # a value that all footers share, or the list of all values
         values = [each[key] for each in store.footers]
-        footer[key] = values[0] if all(value == values[0] for value in values) else values
+        footer[key] = (
+            values[0] if all(value == values[0] for value in values) else values
+        )
     write_table(target, store.table(), footer | {"rows": len(store)})
     return open_store(target)
 
@@ -434,7 +493,9 @@ def _verify(file: Path) -> None:
     if expected is None:
         read_columns(file)
     elif file_hash(file) != expected:
-        raise InputError("store", str(file), f"a file of SHA-256 {expected}; compute it again")
+        raise InputError(
+            "store", str(file), f"a file of SHA-256 {expected}; compute it again"
+        )
 
 
 def _checked_footer(file: Path) -> dict[str, Any]:
@@ -443,9 +504,13 @@ def _checked_footer(file: Path) -> dict[str, Any]:
     specification = footer["specification"]
     check_specification(specification, str(file))
     if document_hash(specification) != footer["specification_hash"]:
-        raise InputError("store", str(file), "a footer whose specification has its hash")
+        raise InputError(
+            "store", str(file), "a footer whose specification has its hash"
+        )
     if columns_of(schema) != specification["columns"]:
-        raise InputError("store", str(file), "a file with the columns of its specification")
+        raise InputError(
+            "store", str(file), "a file with the columns of its specification"
+        )
     return footer
 
 
@@ -457,11 +522,17 @@ def read_footer(path: Path) -> tuple[dict[str, Any], pa.Schema]:
     """
     footer, schema, rows = read_about(path)
     if footer is None or not footer.keys() >= FOOTER_NEEDS:
-        raise InputError("store", str(path), "a file whose footer has a store's specification")
+        raise InputError(
+            "store", str(path), "a file whose footer has a store's specification"
+        )
     if footer["format"] != FORMAT:
-        raise InputError("store", str(path), f"format {FORMAT}, not {footer['format']!r}")
+        raise InputError(
+            "store", str(path), f"format {FORMAT}, not {footer['format']!r}"
+        )
     if footer["rows"] != rows:
-        raise InputError("store", str(path), f"a file of {footer['rows']!r} rows, not {rows}")
+        raise InputError(
+            "store", str(path), f"a file of {footer['rows']!r} rows, not {rows}"
+        )
     footer["rows"] = rows  # a whole number, which 1.0 or true are not
     return footer, schema
 
@@ -478,7 +549,9 @@ def check_specification(specification: Any, where: str) -> None:
     columns = [column.rpartition(":")[0] for column in table.texts("columns")]
     gains = table.table("gains")
     if not gains.unread or not set(gains.unread) <= set(columns):
-        raise InputError(f"{where}.gains", list(gains.unread), "names of columns, one at least")
+        raise InputError(
+            f"{where}.gains", list(gains.unread), "names of columns, one at least"
+        )
     for name in gains.unread:
         ends = gains.table(name)
         ends.number("low", high=ends.number("high"))

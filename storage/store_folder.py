@@ -22,7 +22,14 @@ from storage import store
 from storage.folder import Folder, remove
 from storage.pool import KIND_NAME
 from storage.specification import Layout
-from storage.tables import FORMAT, document_hash, file_hash, read_about, read_columns, write_table
+from storage.tables import (
+    FORMAT,
+    document_hash,
+    file_hash,
+    read_about,
+    read_columns,
+    write_table,
+)
 from taichi_nmm.errors import InputError
 
 SPECIFICATION_NAME = "specification.json"
@@ -43,8 +50,13 @@ class StoreFolder(Folder):
     KIND = "a store"
     FIRST = SPECIFICATION_NAME
     REMEDY = "another --out; or --fresh, which starts over"
-    FILES = (store.MANIFEST_NAME, store.SHARD_PATTERN, GENERATION_PATTERN, REPERTOIRE_NAME,
-             KIND_NAME)  # fmt: skip
+    FILES = (
+        store.MANIFEST_NAME,
+        store.SHARD_PATTERN,
+        GENERATION_PATTERN,
+        REPERTOIRE_NAME,
+        KIND_NAME,
+    )
 
     @cached_property
     def layout(self) -> Layout:
@@ -57,11 +69,19 @@ class StoreFolder(Folder):
             known = store.Manifest.read(self.path).hashes  # of an earlier run
         except InputError:
             known = {}
-        return [number for number in range(self.layout.shards) if not self._is_done(number, known)]
+        return [
+            number
+            for number in range(self.layout.shards)
+            if not self._is_done(number, known)
+        ]
 
-    def write_shard(self, number: int, table: pa.Table, computed_by: dict[str, Any]) -> None:
+    def write_shard(
+        self, number: int, table: pa.Table, computed_by: dict[str, Any]
+    ) -> None:
         """Commit one shard; `computed_by` names code, engine and architecture."""
-        remove(self.path, store.MANIFEST_NAME)  # it would list the shard that this one replaces
+        remove(
+            self.path, store.MANIFEST_NAME
+        )  # it would list the shard that this one replaces
         footer = self._expected_footer(number) | {
             **computed_by,
             "seed": self.document["seed"],
@@ -77,7 +97,10 @@ class StoreFolder(Folder):
 
     def read_grid(self, columns: list[str]) -> pa.Table:
         """Columns of all shards of the grid, which is complete."""
-        files = (self.path / store.shard_name(number) for number in range(self.layout.grid_shards))
+        files = (
+            self.path / store.shard_name(number)
+            for number in range(self.layout.grid_shards)
+        )
         return pa.concat_tables(read_columns(file, columns) for file in files)
 
     def write_generation(self, family: str, number: int, tried: Tried) -> None:
@@ -86,7 +109,9 @@ class StoreFolder(Folder):
         name, footer = self._generation(family, number)
         write_table(self.path / name, table, footer)
 
-    def read_generation(self, family: str, number: int, columns: Sequence[str]) -> Tried | None:
+    def read_generation(
+        self, family: str, number: int, columns: Sequence[str]
+    ) -> Tried | None:
         """These columns of a generation; None where there is none, or a damaged one."""
         return self._read(*self._generation(family, number), columns)
 
@@ -106,7 +131,9 @@ class StoreFolder(Folder):
                 ROW: rows,
             }
             names = generations[0]
-            columns |= {n: np.concatenate([tried[n] for tried in generations]) for n in names}
+            columns |= {
+                n: np.concatenate([tried[n] for tried in generations]) for n in names
+            }
             tables.append(pa.table(columns))
         write_table(self.path / REPERTOIRE_NAME, pa.concat_tables(tables), self._footer)
 
@@ -130,7 +157,9 @@ class StoreFolder(Folder):
         footer = self._footer | {"family": family, "generation": number}
         return f"search-{family}-{number:05d}.parquet", footer
 
-    def _read(self, name: str, footer: dict[str, Any], columns: Sequence[str]) -> Tried | None:
+    def _read(
+        self, name: str, footer: dict[str, Any], columns: Sequence[str]
+    ) -> Tried | None:
         """Columns of a file with this footer; None where there is none, or a damaged one."""
         path = self.path / name
         try:
@@ -146,7 +175,8 @@ class StoreFolder(Folder):
         footer = self._footer | {"shard": number, "rows": rows}
         if number < self.layout.grid_shards:
             return footer
-        # Its points are those of one search; a search on another machine may have found others.
+        # Its points are those of one search; a search on another machine may have found
+        # others.
         path = self.path / REPERTOIRE_NAME
         return footer | {"repertoire": file_hash(path) if path.exists() else None}
 
@@ -158,6 +188,12 @@ class StoreFolder(Folder):
         except InputError:
             return False
         expected = self._expected_footer(number).items() <= footer.items()
-        expected &= document_hash(footer["specification"]) == self._footer["specification_hash"]
+        expected &= (
+            document_hash(footer["specification"]) == self._footer["specification_hash"]
+        )
         same_columns = store.columns_of(schema) == self.document["columns"]
-        return expected and same_columns and known_hashes.get(path.name) in (None, file_hash(path))
+        return (
+            expected
+            and same_columns
+            and known_hashes.get(path.name) in (None, file_hash(path))
+        )

@@ -1,9 +1,10 @@
 """Parquet files with a footer of ours: written whole, checked when read; documents of folders.
 
-A document is of JSON values: hashed, compared, agreed upon. The footer of a *stamped* table has the
-document of its folder and a digest of its content. Both are checked when the table is read again,
-so that a file of another folder, or one that was edited, is refused. They find mistakes, not
-malice: anybody who edits a table can make its digest too.
+A document is of JSON values: hashed, compared, agreed upon. The footer of a *stamped*
+table has the document of its folder and a digest of its content. Both are checked when
+the table is read again, so that a file of another folder, or one that was edited, is
+refused. They find mistakes, not malice: anybody who edits a table can make its digest
+too.
 """
 
 import hashlib
@@ -22,7 +23,9 @@ from taichi_nmm.reading import json_document, parse_json, reading
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 FOOTER_KEY = b"taichi_nmm"
-DIGEST_KEY = "content_sha256"  # in a stamped table's footer; files older than the key have none
+DIGEST_KEY = (
+    "content_sha256"  # in a stamped table's footer; files older than the key have none
+)
 MOST_ROWS = 10**8  # 0.8 GB a column; a hundred times the largest store of docs/
 
 
@@ -30,7 +33,8 @@ def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
     """Commit a table with its footer; the same table and footer give the same bytes.
 
     Raises:
-        InputError: the folder cannot be written or the disk is full; nothing is left behind.
+        InputError: the folder cannot be written or the disk is full; nothing is left
+            behind.
     """
     stamped = table.replace_schema_metadata({FOOTER_KEY: json.dumps(footer)})
     words = [field.name for field in table.schema if pa.types.is_string(field.type)]
@@ -60,24 +64,34 @@ def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
         return None
 
 
-def read_any(file: Path | pa.BufferReader, columns: Sequence[str] | None = None) -> pa.Table:
+def read_any(
+    file: Path | pa.BufferReader, columns: Sequence[str] | None = None
+) -> pa.Table:
     """Columns of anybody's Parquet file; pages that have a checksum are checked against it.
 
     Raises:
-        ValueError: more than `MOST_ROWS`: a value repeated for ever takes a few bytes of a file.
+        ValueError: more than `MOST_ROWS`: a value repeated for ever takes a few bytes
+            of a file.
     """
-    with pq.ParquetFile(file, page_checksum_verification=True) as whole:  # faster than `read_table`
+    with pq.ParquetFile(
+        file, page_checksum_verification=True
+    ) as whole:  # faster than `read_table`
         rows = whole.metadata.num_rows
         if rows > MOST_ROWS:
             raise ValueError(f"it has {rows:,} rows, and {MOST_ROWS:,} are allowed")
-        return whole.read() if columns is None else whole.read(list(columns)).select(list(columns))
+        return (
+            whole.read()
+            if columns is None
+            else whole.read(list(columns)).select(list(columns))
+        )
 
 
 def read_columns(path: Path, columns: list[str] | None = None) -> pa.Table:
     """Columns of a file, every page checked against its checksum.
 
     Raises:
-        InputError: the file cannot be read, is damaged, or has gaps, which no store has.
+        InputError: the file cannot be read, is damaged, or has gaps, which no store
+            has.
     """
     with reading("store", path, "an undamaged Parquet file") as file:
         table = read_any(file, columns)
@@ -96,7 +110,11 @@ def read_about(path: Path) -> tuple[dict[str, Any] | None, pa.Schema, int]:
     allowed = "a Parquet file that is whole"
     with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
         file.schema_arrow.names  # noqa: B018  # refuses those that are no text
-        return footer_of(file), file.schema_arrow.remove_metadata(), file.metadata.num_rows
+        return (
+            footer_of(file),
+            file.schema_arrow.remove_metadata(),
+            file.metadata.num_rows,
+        )
 
 
 def file_hash(path: Path) -> str:
@@ -105,7 +123,10 @@ def file_hash(path: Path) -> str:
     Raises:
         InputError: the file cannot be read.
     """
-    with reading("store", path, "a file that can be read") as whole, whole.open("rb") as file:
+    with (
+        reading("store", path, "a file that can be read") as whole,
+        whole.open("rb") as file,
+    ):
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -113,12 +134,15 @@ def write_stamped(path: Path, table: pa.Table, document: dict[str, Any]) -> None
     """Commit a table with the document of its folder.
 
     Raises:
-        InputError: the folder cannot be written or the disk is full; nothing is left behind.
+        InputError: the folder cannot be written or the disk is full; nothing is left
+            behind.
     """
     write_table(path, table, document | {DIGEST_KEY: table_digest(table)})
 
 
-def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] = ()) -> pa.Table:
+def read_stamped(
+    path: Path, document: dict[str, Any], growing: tuple[str, ...] = ()
+) -> pa.Table:
     """The table of a file of this folder that is as it was written.
 
     Of `growing` dictionaries of the folder's document, the file may have fewer entries.
@@ -138,7 +162,9 @@ def read_stamped(path: Path, document: dict[str, Any], growing: tuple[str, ...] 
             found = ("document", "", "damaged")
     if found:
         name, ours, theirs = found
-        allowed = f"a file of this folder, whose {name} is {ours!r}; in the file's footer: "
+        allowed = (
+            f"a file of this folder, whose {name} is {ours!r}; in the file's footer: "
+        )
         raise InputError("out", str(path), f"{allowed}{theirs!r}")
     with reading("out", path, "columns of strings, numbers and flags, none missing"):
         own = table_digest(table)
@@ -163,10 +189,14 @@ def table_digest(table: pa.Table) -> str:
 
 def document_hash(document: dict[str, Any]) -> str:
     """SHA-256 of a document, whatever its layout in a file."""
-    return hashlib.sha256(json.dumps(document, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(document, separators=(",", ":")).encode()
+    ).hexdigest()
 
 
-def difference(document: Any, other: Any, name: str = "") -> tuple[str, Any, Any] | None:
+def difference(
+    document: Any, other: Any, name: str = ""
+) -> tuple[str, Any, Any] | None:
     """The first field in which two documents differ, as (dotted name, value, other value)."""
     if isinstance(document, list) and isinstance(other, list):
         document, other = dict(enumerate(document)), dict(enumerate(other))
@@ -199,15 +229,16 @@ def agree(
 ) -> dict[str, Any]:
     """Write the document into the file of a new folder; in an old one, check that it is the same.
 
-    Calls add to `growing` dictionaries of the document; where missing in the file, they are empty.
-    Without `write` the file is neither made nor does it get what this call adds.
+    Calls add to `growing` dictionaries of the document; where missing in the file, they
+    are empty. Without `write` the file is neither made nor does it get what this call
+    adds.
 
     Returns:
         The document that is then in the file, or would be.
 
     Raises:
-        InputError: the file cannot be read or written, or has another document; the `remedy`, such
-            as "another --out", ends the line.
+        InputError: the file cannot be read or written, or has another document; the
+            `remedy`, such as "another --out", ends the line.
     """
     known: dict[str, Any] = {}
     if path.exists():
@@ -217,8 +248,13 @@ def agree(
             found = differs(document, known, growing)
         if found:
             name, here, there = found
-            raise InputError(name or path.stem, here, f"{there!r}, as {path} says; or {remedy}")
-    grown = {key: dict(sorted((known.get(key, {}) | document[key]).items())) for key in growing}
+            raise InputError(
+                name or path.stem, here, f"{there!r}, as {path} says; or {remedy}"
+            )
+    grown = {
+        key: dict(sorted((known.get(key, {}) | document[key]).items()))
+        for key in growing
+    }
     whole = document | grown
     if write and (not path.exists() or (growing and whole != known)):
         commit_json(path, whole)

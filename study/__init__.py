@@ -1,6 +1,7 @@
 """Studies of expensive things in Optuna: feature-kernel samplers, and experiments with the walker.
 
-Importing this package imports neither Taichi nor matplotlib, and the names below when first used.
+Importing this package imports neither Taichi nor matplotlib, and the names below when
+first used.
 """
 
 from importlib import import_module

@@ -1,8 +1,9 @@
 """The command line: `taichi-nmm COMMAND`, the guard that ends every command in one line, progress.
 
 `main` finds the command, reads its options (`study/options.py`) and runs `main` of
-`study/commands/COMMAND.py`, all inside the guard: a mistake of the user ends in one line on
-standard error and an exit code. This file imports little at its top, where nothing is guarded.
+`study/commands/COMMAND.py`, all inside the guard: a mistake of the user ends in one
+line on standard error and an exit code. This file imports little at its top, where
+nothing is guarded.
 
 | exit code | meaning |
 |---|---|
@@ -37,14 +38,18 @@ EXIT_NO_READER = 141  # 128 + SIGPIPE
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 OURS = ("study", "storage", "taichi_nmm")
 
-LEAST_ADDRESSES_B = 4 << 30  # `study` on two cores takes 3.6e9; OpenBLAS waits for ever for 0.4e9
+LEAST_ADDRESSES_B = (
+    4 << 30
+)  # `study` on two cores takes 3.6e9; OpenBLAS waits for ever for 0.4e9
 
 # Errors by which a machine may refuse resources at any place, and the remedy.
 SPACE = "space for files and for what is printed"
 MEMORY = "more memory, threads and processes (ulimit -v, -u)"
 REFUSALS = {
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), SPACE),
-    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "more open files at a time (ulimit -n)"),
+    **dict.fromkeys(
+        (errno.EMFILE, errno.ENFILE), "more open files at a time (ulimit -n)"
+    ),
     **dict.fromkeys((errno.ENOMEM, errno.EAGAIN), MEMORY),
 }
 
@@ -77,8 +82,9 @@ def run_command(work: Callable[[], None]) -> None:
 def guarded_imports() -> Iterator[None]:
     """Guard imports: as `run_command`, but Ctrl-C ends the process at once.
 
-    Some packages swallow an exception that is raised during their import, or replace it. A handler
-    of SIGINT that is not Python's own (in a shell's background, SIGINT is ignored) stays in place.
+    Some packages swallow an exception that is raised during their import, or replace
+    it. A handler of SIGINT that is not Python's own (in a shell's background, SIGINT is
+    ignored) stays in place.
     """
     with _one_line():
         _require_posix()
@@ -108,7 +114,9 @@ def _one_line() -> Iterator[None]:
         _silence(STDOUT)
         try:
             sys.stderr.flush()
-        except OSError:  # `2>&1 | head`: Python would try again at its end, and exit with 120
+        except (
+            OSError
+        ):  # `2>&1 | head`: Python would try again at its end, and exit with 120
             _silence(STDERR)
         sys.exit(EXIT_NO_READER)
     except InputError as error:
@@ -125,7 +133,9 @@ def _one_line() -> Iterator[None]:
         _leave_refused(os.strerror(errno.ENOMEM), MEMORY)
     except OSError as error:
         if error.errno == errno.EACCES and error.filename is not None:
-            refused = InputError("file", str(error.filename), "a file that this user may use")
+            refused = InputError(
+                "file", str(error.filename), "a file that this user may use"
+            )
             _leave(f"error: {refused}", EXIT_BAD_INPUT)
         if error.errno not in REFUSALS:
             raise  # a mistake of ours
@@ -145,7 +155,9 @@ def what_is_missing(error: ImportError) -> str | None:
     if not name or name in OURS:
         return None
     if isinstance(error, ModuleNotFoundError):
-        return f"package: {name!r} is not installed; allowed: an environment that has it"
+        return (
+            f"package: {name!r} is not installed; allowed: an environment that has it"
+        )
     if error.path is None or not error.path.endswith(tuple(EXTENSION_SUFFIXES)):
         return None
     allowed = f"a machine with the libraries that {name} needs (README.md)"
@@ -154,11 +166,15 @@ def what_is_missing(error: ImportError) -> str | None:
 
 def _open_closed() -> None:
     """Open closed standard files; otherwise the next opened file gets the output."""
-    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+    for number, (name, mode) in enumerate(
+        (("stdin", "r"), ("stdout", "w"), ("stderr", "w"))
+    ):
         try:
             os.fstat(number)
         except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest free number
+            os.set_inheritable(
+                os.open(os.devnull, os.O_RDWR), True
+            )  # the lowest free number
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, mode, closefd=False))
 
@@ -175,7 +191,9 @@ def _require_posix() -> None:
     try:
         import_module("fcntl")
     except ImportError:
-        raise InputError("machine", sys.platform, "Linux; on Windows, its WSL") from None
+        raise InputError(
+            "machine", sys.platform, "Linux; on Windows, its WSL"
+        ) from None
 
 
 def _require_addresses() -> None:
@@ -200,7 +218,10 @@ def _end(_number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def _leave_refused(refusal: str, allowed: str) -> NoReturn:
-    _leave(f"error: machine: {refusal!r} cannot be used; allowed: {allowed}", EXIT_BAD_INPUT)
+    _leave(
+        f"error: machine: {refusal!r} cannot be used; allowed: {allowed}",
+        EXIT_BAD_INPUT,
+    )
 
 
 def _leave(line: str, code: int) -> NoReturn:
@@ -214,8 +235,8 @@ def _leave(line: str, code: int) -> NoReturn:
 class ProgressBar:
     """A bar on standard error: units a second, and the time left.
 
-    It is shown from the first step on, which tells how much earlier runs have done: that is no part
-    of the rate.
+    It is shown from the first step on, which tells how much earlier runs have done:
+    that is no part of the rate.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,9 @@
 """The options of every command, in a file that is quick to load: `taichi-nmm COMMAND --help`.
 
-`options.toml` has them, and all of a command's description but its first line, which is that of the
-docstring of its file in `study/commands`. Whole numbers are checked against the bounds of
-configurations. An option that cannot be used is an `InputError`: one line, as for all other input.
+`options.toml` has them, and all of a command's description but its first line, which is
+that of the docstring of its file in `study/commands`. Whole numbers are checked against
+the bounds of configurations. An option that cannot be used is an `InputError`: one
+line, as for all other input.
 """
 
 import argparse
@@ -33,8 +34,15 @@ LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
 NEGATIVE = re.compile(
     r"-[.,]?\d"
 )  # the begin of a number, which is no option; also of -1e5 and -0,5
-ARGUMENT = re.compile(r"\Aargument --([\w-]+)\S*: ")  # as argparse begins a line, with all names
-UNPRINTABLE = ("Cc", "Cs", "Zl", "Zp")  # Unicode's control characters, half characters, line ends
+ARGUMENT = re.compile(
+    r"\Aargument --([\w-]+)\S*: "
+)  # as argparse begins a line, with all names
+UNPRINTABLE = (
+    "Cc",
+    "Cs",
+    "Zl",
+    "Zp",
+)  # Unicode's control characters, half characters, line ends
 OTHERS = "--COLUMN"  # stands for options of names that a file gives
 BOTH_ENGINES = "both"
 WALKED_ENGINES = (*ENGINES, BOTH_ENGINES)
@@ -65,11 +73,13 @@ class _Once(argparse.Namespace):
 class Options(argparse.ArgumentParser):
     """The parser of the command in a file, which is called `prog`; by default, as this process was.
 
-    The file's docstring is the description, and `more` follows. It is read from the source, since
-    `python -OO` drops docstrings.
+    The file's docstring is the description, and `more` follows. It is read from the
+    source, since `python -OO` drops docstrings.
     """
 
-    def __init__(self, file: str | Path, prog: str | None = None, more: str = "") -> None:
+    def __init__(
+        self, file: str | Path, prog: str | None = None, more: str = ""
+    ) -> None:
         raw = argparse.RawDescriptionHelpFormatter
         about = f"{documentation(Path(file))}\n\n{more}".strip()
         super().__init__(prog, description=about, formatter_class=raw)
@@ -80,11 +90,13 @@ class Options(argparse.ArgumentParser):
     def parse_args(self, words: Sequence[str] | None = None) -> argparse.Namespace:  # type: ignore[override]
         """The options of a command line; by default that of this process.
 
-        `given` of them has those that may be missing and are not: `require_used` refuses some.
+        `given` of them has those that may be missing and are not: `require_used`
+        refuses some.
 
         Raises:
-            InputError: a number out of its bounds, a word that is not text of one line, a path
-                that no file can have, or an option that is given twice where it must not be.
+            InputError: a number out of its bounds, a word that is not text of one line,
+                a path that no file can have, or an option that is given twice where it
+                must not be.
         """
         words = list(sys.argv[1:] if words is None else words)
         others = self._others(words) if self.takes_others else {}
@@ -92,11 +104,14 @@ class Options(argparse.ArgumentParser):
             flag, _, value = word.partition("=")
             if flag.startswith("--") and value == "--":  # argparse makes a list of it
                 raise InputError(flag.removeprefix("--"), value, "a value")
-        # Options of a file's names enter numbers; of others the last one counts, as in shells.
+        # Options of a file's names enter numbers; of others the last one counts, as in
+        # shells.
         kind = _Once if self.takes_others else argparse.Namespace
         blank = kind(**dict.fromkeys(action.dest for action in self._actions))
         given = vars(super().parse_args(words, blank))
-        may_be_missing = {action.dest for action in self._actions if not action.required}
+        may_be_missing = {
+            action.dest for action in self._actions if not action.required
+        }
         found = super().parse_args(words)
         for name, value in vars(found).items():
             field = name.replace("_", "-")
@@ -122,7 +137,9 @@ class Options(argparse.ArgumentParser):
         while place < len(words):
             flag, equals, value = words[place].partition("=")
             is_other = (
-                flag.startswith("--") and flag != "--" and flag not in self._option_string_actions
+                flag.startswith("--")
+                and flag != "--"
+                and flag not in self._option_string_actions
             )
             if not is_other or (not equals and place + 1 == len(words)):
                 place += 1
@@ -196,8 +213,8 @@ def require_used(args: argparse.Namespace, used: Sequence[str], by: str) -> None
 
     Args:
         args: of `Options.parse_args`.
-        used: the options that count, as a person writes them: `--seconds`; `WHAT` for one without
-            a name; `--COLUMN` for those of names that a file gives.
+        used: the options that count, as a person writes them: `--seconds`; `WHAT` for
+            one without a name; `--COLUMN` for those of names that a file gives.
         by: what uses these, such as an action of the command.
 
     Raises:
@@ -243,12 +260,14 @@ def documentation(file: Path) -> str:
 def config_path(name: str | Path) -> Path:
     """The shipped configuration of this name; or else the file itself.
 
-    A name is a word, such as rough8; anything with a folder or a suffix is a file. The name of a
-    variant, such as ramp-up-gentle, stands for a file that `taichi_nmm.config.read_toml` finds in
-    ramp-up.toml.
+    A name is a word, such as rough8; anything with a folder or a suffix is a file. The
+    name of a variant, such as ramp-up-gentle, stands for a file that
+    `taichi_nmm.config.read_toml` finds in ramp-up.toml.
     """
     word = str(name)
-    for shipped in CONFIGS.glob("*.toml"):  # no file is looked up by a name that was given
+    for shipped in CONFIGS.glob(
+        "*.toml"
+    ):  # no file is looked up by a name that was given
         if word == shipped.stem:
             return shipped
         if word.startswith(f"{shipped.stem}-") and word in _described(shipped):
@@ -283,7 +302,8 @@ def _described(file: Path) -> dict[str, str]:
     tables = tomllib.loads(text)
     first = text.partition("\n")[0].lstrip("# ")
     variants = {
-        f"{file.stem}-{name}": table["about"] for name, table in tables.get("variants", {}).items()
+        f"{file.stem}-{name}": table["about"]
+        for name, table in tables.get("variants", {}).items()
     }
     return variants if tables.get("only_variants") else {file.stem: first} | variants
 
@@ -293,7 +313,9 @@ def _check_word(field: str, word: object) -> None:
     if not isinstance(word, str | Path):
         return
     if not is_printable(str(word)):
-        raise InputError(field, str(word), "text of one line, without control characters")
+        raise InputError(
+            field, str(word), "text of one line, without control characters"
+        )
     if isinstance(word, Path):
         longest = max((len(os.fsencode(part)) for part in word.parts), default=0)
         if longest > LONGEST_NAME_BYTES or len(os.fsencode(word)) > LONGEST_PATH_BYTES:

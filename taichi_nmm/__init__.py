@@ -1,7 +1,7 @@
 """taichi-nmm: thousands of neuromuscular bipeds at once.
 
-Importing the package is cheap: names are loaded when they are first used, and Taichi with the
-first simulation.
+Importing the package is cheap: names are loaded when they are first used, and Taichi
+with the first simulation.
 """
 
 from importlib import import_module
@@ -37,27 +37,61 @@ if TYPE_CHECKING:
 __version__ = "0.4.0"
 
 __all__ = [
-    "END_REASONS", "GAINS", "GAIN_NAMES", "LOW_LEVEL_GAINS", "MUSCLES", "PUBLISHED_GAINS", "Bodies",
-    "Controller", "Exoskeleton", "InputError", "Muscles", "Observation", "Prosthesis", "Result",
-    "Settings", "Switch", "Terrain", "Trajectory", "WorldRanges", "Worlds", "forward_dynamics",
-    "load_all_gains", "load_gains", "simulate", "smooth_cost", "walking_cost",
-]  # fmt: skip
+    "END_REASONS",
+    "GAINS",
+    "GAIN_NAMES",
+    "LOW_LEVEL_GAINS",
+    "MUSCLES",
+    "PUBLISHED_GAINS",
+    "Bodies",
+    "Controller",
+    "Exoskeleton",
+    "InputError",
+    "Muscles",
+    "Observation",
+    "Prosthesis",
+    "Result",
+    "Settings",
+    "Switch",
+    "Terrain",
+    "Trajectory",
+    "WorldRanges",
+    "Worlds",
+    "forward_dynamics",
+    "load_all_gains",
+    "load_gains",
+    "simulate",
+    "smooth_cost",
+    "walking_cost",
+]
 
 _PLACES = {
     "body": ("Bodies",),
     "controller": ("Controller", "Muscles"),
     "errors": ("InputError",),
     "parameters": (
-        "GAINS", "GAIN_NAMES", "PUBLISHED_GAINS", "LOW_LEVEL_GAINS", "load_all_gains", "load_gains",
+        "GAINS",
+        "GAIN_NAMES",
+        "PUBLISHED_GAINS",
+        "LOW_LEVEL_GAINS",
+        "load_all_gains",
+        "load_gains",
     ),
-    "result": ("END_REASONS", "MUSCLES", "Result", "Trajectory", "smooth_cost", "walking_cost"),
+    "result": (
+        "END_REASONS",
+        "MUSCLES",
+        "Result",
+        "Trajectory",
+        "smooth_cost",
+        "walking_cost",
+    ),
     "observation": ("Observation",),
     "settings": ("Settings",),
     "simulator": ("forward_dynamics", "simulate"),
     "terrain": ("Terrain",),
     "walkers": ("Switch",),
     "world": ("Exoskeleton", "Prosthesis", "WorldRanges", "Worlds"),
-}  # fmt: skip
+}
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 

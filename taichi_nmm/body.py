@@ -1,6 +1,7 @@
 """The seven rigid segments: masses, inertias and centres of mass, nominal and disturbed.
 
-Source: Geyer & Herr 2010, as in the walker T (80 kg, 1.80 m); disturbances: Antonova et al. 2016.
+Source: Geyer & Herr 2010, as in the walker T (80 kg, 1.80 m); disturbances: Antonova et
+al. 2016.
 """
 
 import math
@@ -49,14 +50,22 @@ FOOT = Segment("foot", 1.25, 0.005, 0.20, 0.02)
 
 SEGMENTS: tuple[Segment, ...] = (HAT, THIGH, SHANK, FOOT, THIGH, SHANK, FOOT)
 SEGMENT_NAMES: tuple[str, ...] = (
-    "hat", "thigh_l", "shank_l", "foot_l", "thigh_r", "shank_r", "foot_r",
-)  # fmt: skip
+    "hat",
+    "thigh_l",
+    "shank_l",
+    "foot_l",
+    "thigh_r",
+    "shank_r",
+    "foot_r",
+)
 
 SIDES = ("left", "right")
 OF_A_LEG = ("thigh", "shank", "foot")
 FACTOR_NAMES = ("hat", *(f"{name}_{side}" for side in SIDES for name in OF_A_LEG))
 
-LARGEST_DISTURBANCE = 0.15  # of mass and inertia; of half the length for the centre of mass
+LARGEST_DISTURBANCE = (
+    0.15  # of mass and inertia; of half the length for the centre of mass
+)
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 FACTORS = (0.05, 20.0)  # of a configuration, of masses and inertias
 AS_NOMINAL = (1.0,) * len(SEGMENTS)
@@ -81,9 +90,16 @@ class Rows:
     def stacked(cls, worlds: Iterable[Self]) -> Self:
         """Several batches as one; they may be of bodies as well."""
         parts = checks.each(checks.instance(cls), least=1)(cls.__name__.lower(), worlds)
-        return cls(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
+        return cls(
+            *map(
+                np.concatenate,
+                zip(*(vars(part).values() for part in parts), strict=True),
+            )
+        )
 
-    def _check_shapes(self, one: str, of_a_row: Callable[[str], tuple[int, ...]]) -> None:
+    def _check_shapes(
+        self, one: str, of_a_row: Callable[[str], tuple[int, ...]]
+    ) -> None:
         """Take the arrays as float64; `one` is a row, and `of_a_row` the shape of a field's row."""
         name = type(self).__name__.lower()
         for key, given in vars(self).items():
@@ -93,7 +109,9 @@ class Rows:
                 raise InputError(f"{name}.{key}.shape", values.shape, allowed)
             object.__setattr__(self, key, values)
         if len({len(values) for values in vars(self).values()}) != 1:
-            raise InputError(name, "arrays of different length", f"one row a {one} in each")
+            raise InputError(
+                name, "arrays of different length", f"one row a {one} in each"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +133,9 @@ class Bodies(Rows):
         for name, values in vars(self).items():
             checks.finite(f"bodies.{name}", values)
             if name != "com_m" and not np.all(values > 0):
-                raise InputError(f"bodies.{name}", float(values.min()), "positive numbers")
+                raise InputError(
+                    f"bodies.{name}", float(values.min()), "positive numbers"
+                )
 
     @staticmethod
     @checks.checked(count=checks.whole(0, checks.MOST_ROWS))
@@ -123,14 +143,17 @@ class Bodies(Rows):
         """`count` undisturbed bodies."""
 
         def column(attribute: str) -> NDArray[np.float64]:
-            return np.tile([getattr(segment, attribute) for segment in SEGMENTS], (count, 1))
+            return np.tile(
+                [getattr(segment, attribute) for segment in SEGMENTS], (count, 1)
+            )
 
         return Bodies(column("mass_kg"), column("inertia_kgm2"), column("com_m"))
 
     @staticmethod
     @checks.checked(seeds=checks.each(checks.seed))
     def disturbed(
-        seeds: Iterable[int | np.random.SeedSequence], fraction: float = LARGEST_DISTURBANCE
+        seeds: Iterable[int | np.random.SeedSequence],
+        fraction: float = LARGEST_DISTURBANCE,
     ) -> "Bodies":
         """One body a seed: m, I times 1 + U(-f, f); centre of mass moved by U(-f, f) L/2.
 
@@ -143,7 +166,10 @@ class Bodies(Rows):
         below_one = checks.number(0.0, math.nextafter(1.0, 0.0), "0 or more, below 1")
         fraction = below_one("body.disturbance", fraction)
         draws = np.array(
-            [np.random.default_rng(seed).uniform(-fraction, fraction, (3, 7)) for seed in seeds]
+            [
+                np.random.default_rng(seed).uniform(-fraction, fraction, (3, 7))
+                for seed in seeds
+            ]
         ).reshape(-1, 3, len(SEGMENTS))
         nominal = Bodies.nominal(len(draws))
         half_length = 0.5 * np.array([segment.length_m for segment in SEGMENTS])
@@ -176,7 +202,9 @@ class Build:
             seeds: one a body, n of them.
         """
         drawn = Bodies.disturbed(seeds, self.disturbance)
-        return Bodies(drawn.mass_kg * self.mass, drawn.inertia_kgm2 * self.inertia, drawn.com_m)
+        return Bodies(
+            drawn.mass_kg * self.mass, drawn.inertia_kgm2 * self.inertia, drawn.com_m
+        )
 
     def document(self) -> dict[str, Any]:
         """The table [body]; factors only where they are not those that are read without them."""
@@ -191,9 +219,9 @@ class Build:
 def read_body(table: Table) -> Build:
     """The table [body]: `disturbance` (0.15 in the paper), and factors of masses and inertias.
 
-    [body.mass] and [body.inertia] have them by segment (`hat`, `thigh`, `shank`, `foot`), by
-    segment and side (`shank_left`), or for `all`. An inertia that is not named grows with its mass.
-    Lengths are those of the model. Reads every key.
+    [body.mass] and [body.inertia] have them by segment (`hat`, `thigh`, `shank`,
+    `foot`), by segment and side (`shank_left`), or for `all`. An inertia that is not
+    named grows with its mass. Lengths are those of the model. Reads every key.
 
     Raises:
         InputError: naming the key.
@@ -212,6 +240,10 @@ def _read_factors(table: Table, otherwise: tuple[float, ...]) -> tuple[float, ..
     table.done()
     factors = []
     for name, factor in zip(FACTOR_NAMES, otherwise, strict=True):
-        wider = (name, name.partition("_")[0], "all")  # the narrowest that is named counts
+        wider = (
+            name,
+            name.partition("_")[0],
+            "all",
+        )  # the narrowest that is named counts
         factors.append(next((named[each] for each in wider if each in given), factor))
     return tuple(factors)

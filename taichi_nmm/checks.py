@@ -1,7 +1,8 @@
 """Checks of what a caller gives, and `checked`, which applies them to a function's arguments.
 
-A check takes the field's name and the value, and returns the value to go on with; a value that
-cannot be used is an `InputError`. Configurations (`config`) are checked by the same functions.
+A check takes the field's name and the value, and returns the value to go on with; a
+value that cannot be used is an `InputError`. Configurations (`config`) are checked by
+the same functions.
 """
 
 import math
@@ -27,7 +28,9 @@ LARGEST_SEED = 2**128 - 1  # of those that NumPy takes from the machine
 MOST_ROWS = 10_000_000  # of a batch that is made from its size alone
 
 
-def checked(prefix: str = "", /, **checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def checked(
+    prefix: str = "", /, **checks: Check
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Check arguments of these names; errors name them with `prefix` before.
 
     A default is not checked. A wrong number of arguments stays Python's own TypeError.
@@ -40,7 +43,9 @@ def checked(prefix: str = "", /, **checks: Check) -> Callable[[Callable[P, R]], 
         def door(*args: P.args, **kwargs: P.kwargs) -> R:
             given = known.bind(*args, **kwargs)
             for name in checks.keys() & given.arguments.keys():
-                given.arguments[name] = checks[name](prefix + name, given.arguments[name])
+                given.arguments[name] = checks[name](
+                    prefix + name, given.arguments[name]
+                )
             return function(*given.args, **given.kwargs)
 
         return door
@@ -81,7 +86,9 @@ def number(low: float = -math.inf, high: float = math.inf, allowed: str = "") ->
 
 def is_number(value: Any) -> bool:
     """Whether it is a number that a float can hold: infinity and NaN are, flags are not."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+    if isinstance(value, bool) or not isinstance(
+        value, int | float | np.integer | np.floating
+    ):
         return False
     try:
         float(value)
@@ -116,7 +123,9 @@ def seed(field: str, value: Any) -> Any:
 
 
 def _names_a_file(value: Any) -> bool:
-    return isinstance(value, str | os.PathLike) and not isinstance(os.fspath(value), bytes)
+    return isinstance(value, str | os.PathLike) and not isinstance(
+        os.fspath(value), bytes
+    )
 
 
 text = that(lambda value: isinstance(value, str), "a string")
@@ -129,7 +138,9 @@ anything = that(lambda value: True, "")
 
 def word(*choices: str) -> Check:
     """One of some words."""
-    return that(lambda value: isinstance(value, str) and value in choices, " or ".join(choices))
+    return that(
+        lambda value: isinstance(value, str) and value in choices, " or ".join(choices)
+    )
 
 
 def instance(*kinds: type) -> Check:
@@ -148,12 +159,18 @@ def each(check: Check, least: int = 0) -> Check:
 
     def check_all(field: str, values: Any) -> Any:
         try:
-            listed = None if isinstance(values, str | bytes | Mapping) else tuple(values)
+            listed = (
+                None if isinstance(values, str | bytes | Mapping) else tuple(values)
+            )
         except TypeError:
             listed = None
         if listed is None or len(listed) < least:
-            raise InputError(field, values, f"a list{f' of {least} or more' if least else ''}")
-        return tuple(check(f"{field}[{place}]", value) for place, value in enumerate(listed))
+            raise InputError(
+                field, values, f"a list{f' of {least} or more' if least else ''}"
+            )
+        return tuple(
+            check(f"{field}[{place}]", value) for place, value in enumerate(listed)
+        )
 
     return check_all
 
@@ -162,8 +179,12 @@ def by_name(check: Check) -> Check:
     """A mapping of names to values, each of which passes the check; as a new dictionary."""
 
     def check_all(field: str, values: Any) -> Any:
-        if not isinstance(values, Mapping) or not all(isinstance(name, str) for name in values):
-            raise InputError(field, values, "values by name: a dictionary whose keys are strings")
+        if not isinstance(values, Mapping) or not all(
+            isinstance(name, str) for name in values
+        ):
+            raise InputError(
+                field, values, "values by name: a dictionary whose keys are strings"
+            )
         return {name: check(f"{field}.{name}", value) for name, value in values.items()}
 
     return check_all
@@ -210,7 +231,9 @@ def first_that_is_no_number(field: str, values: Any) -> tuple[str, Any]:
     is_time = getattr(values, "dtype", array.dtype).kind in "mM"
     for place in np.ndindex(array.shape):
         value = array[place]
-        if is_time or not (value is None or isinstance(value, bool) or is_number(value)):
+        if is_time or not (
+            value is None or isinstance(value, bool) or is_number(value)
+        ):
             shown = str(np.asarray(values)[place]) if is_time else value
             return f"{field}[{', '.join(map(str, place))}]", shown
     return field, values
@@ -221,11 +244,15 @@ def unmasked(values: Any) -> Any:
 
     `np.asarray` would show the values that the mask hides.
     """
-    if isinstance(values, list | tuple) and any(np.ma.is_masked(each) for each in values):
+    if isinstance(values, list | tuple) and any(
+        np.ma.is_masked(each) for each in values
+    ):
         return [unmasked(each) for each in values]
     if not np.ma.is_masked(values):
         return values
-    return np.ma.filled(values.astype(np.float64), np.nan)  # pandas has filled its own by now
+    return np.ma.filled(
+        values.astype(np.float64), np.nan
+    )  # pandas has filled its own by now
 
 
 def finite(field: str, values: Any) -> NDArray[np.float64]:
@@ -244,7 +271,9 @@ def row_numbers(field: str, values: Any, count: int) -> NDArray[Any]:
     except ValueError:  # lists of different lengths
         raise InputError(field, values, "whole numbers, [k]") from None
     if rows.shape == (0,):
-        rows = rows.astype(np.intp)  # of nothing, NumPy makes numbers that are not whole
+        rows = rows.astype(
+            np.intp
+        )  # of nothing, NumPy makes numbers that are not whole
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
         raise InputError(field, values, "whole numbers, [k]")
     outside = rows[(rows < 0) | (rows >= count)]

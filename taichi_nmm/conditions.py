@@ -54,7 +54,9 @@ def read_conditions(table: Table, arch: str | None = None) -> Conditions:
         InputError: an unknown key, a wrong type or a value out of range.
     """
     simulation = table.table("simulation")
-    duration_s = simulation.number("duration_s", TRIAL_S, SHORTEST_TRIAL_S, LONGEST_TRIAL_S)
+    duration_s = simulation.number(
+        "duration_s", TRIAL_S, SHORTEST_TRIAL_S, LONGEST_TRIAL_S
+    )
     settings = read_settings(simulation, arch)
     simulation.done()
     return Conditions(
@@ -74,7 +76,9 @@ def read_settings(table: Table, arch: str | None = None) -> Settings:
     if engine == "mujoco":
         mujoco = table.table("mujoco")
         own["mujoco"] = MujocoSettings(
-            time_constant_s=mujoco.number("time_constant_s", default.mujoco.time_constant_s),
+            time_constant_s=mujoco.number(
+                "time_constant_s", default.mujoco.time_constant_s
+            ),
             damping_ratio=mujoco.number("damping_ratio", default.mujoco.damping_ratio),
             limits=mujoco.text("limits", default.mujoco.limits),
         )

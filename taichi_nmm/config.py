@@ -19,15 +19,22 @@ class Table:
     """One table of a configuration; every read names the key, and `done` refuses other keys."""
 
     def __init__(
-        self, data: dict[str, Any], name: str = "", folder: Path = Path(),
+        self,
+        data: dict[str, Any],
+        name: str = "",
+        folder: Path = Path(),
         mistakes: Collection[str] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.folder = folder  # that names of files start from
-        self._mistakes = mistakes  # fields whose values were taken out: see `read_whole`
+        self._mistakes = (
+            mistakes  # fields whose values were taken out: see `read_whole`
+        )
         self._data = dict(data)
         self._name = name
         self._known: list[str] = []
-        self._has_all_keys = True  # else a mistaken word, such as a kind, tells which there are
+        self._has_all_keys = (
+            True  # else a mistaken word, such as a kind, tells which there are
+        )
         self._tables: dict[str, Table] = {}
 
     def path(self, key: str) -> str:
@@ -35,7 +42,11 @@ class Table:
         return f"{self._name}.{key}" if self._name else key
 
     def number(
-        self, key: str, default: Any = REQUIRED, low: float = -math.inf, high: float = math.inf
+        self,
+        key: str,
+        default: Any = REQUIRED,
+        low: float = -math.inf,
+        high: float = math.inf,
     ) -> float:
         """A finite number within [low, high]."""
         check = checks.number(low, high, f"a number from {low:g} to {high:g}")
@@ -49,7 +60,9 @@ class Table:
         try:
             lowest, highest = checks.interval(low, high)(self.path(key), value)
         except InputError:
-            allowed = f"[lowest, highest], two numbers from {low:g} to {high:g} in this order"
+            allowed = (
+                f"[lowest, highest], two numbers from {low:g} to {high:g} in this order"
+            )
             raise InputError(self.path(key), value, allowed) from None
         return float(lowest), float(highest)
 
@@ -57,9 +70,13 @@ class Table:
         self, key: str, default: Any = REQUIRED, low: int = 0, high: int = 2**63 - 1
     ) -> int:
         """A whole number within [low, high]."""
-        return int(self._read(key, default, checks.whole(low, high), min(max(1, low), high)))
+        return int(
+            self._read(key, default, checks.whole(low, high), min(max(1, low), high))
+        )
 
-    def text(self, key: str, default: Any = REQUIRED, choices: tuple[str, ...] = ()) -> str:
+    def text(
+        self, key: str, default: Any = REQUIRED, choices: tuple[str, ...] = ()
+    ) -> str:
         """A string, one of `choices` where they are given."""
         check = checks.word(*choices) if choices else checks.text
         self._has_all_keys &= not (choices and self.mistaken(key))
@@ -67,14 +84,18 @@ class Table:
 
     def boolean(self, key: str, default: Any = REQUIRED) -> bool:
         """true or false."""
-        true_or_false = checks.that(lambda value: isinstance(value, bool), "true or false")
+        true_or_false = checks.that(
+            lambda value: isinstance(value, bool), "true or false"
+        )
         return bool(self._read(key, default, true_or_false))
 
     def texts(self, key: str, choices: tuple[str, ...] = ()) -> tuple[str, ...]:
         """An array of strings, each once, of `choices` where they are given; empty if missing."""
         values = self._take(key, [])
         allowed = f"a list of {', '.join(choices) or 'names'}, each once"
-        if not isinstance(values, list) or len({str(value) for value in values}) != len(values):
+        if not isinstance(values, list) or len({str(value) for value in values}) != len(
+            values
+        ):
             raise InputError(self.path(key), values, allowed)
         for value in values:
             if not isinstance(value, str) or (choices and value not in choices):
@@ -86,7 +107,9 @@ class Table:
         if key not in self._tables:
             is_table = checks.that(lambda value: isinstance(value, dict), "a table")
             value = self._read(key, {}, is_table)
-            self._tables[key] = Table(value, self.path(key), self.folder, self._mistakes)
+            self._tables[key] = Table(
+                value, self.path(key), self.folder, self._mistakes
+            )
         return self._tables[key]
 
     @property
@@ -97,14 +120,18 @@ class Table:
     def done(self) -> None:
         """Refuse keys that nothing has read."""
         for key, value in self._data.items() if self._has_all_keys else ():
-            raise InputError(self.path(key), value, f"only the keys {listed(self._known, key)}")
+            raise InputError(
+                self.path(key), value, f"only the keys {listed(self._known, key)}"
+            )
 
     def mistaken(self, key: str = "") -> bool:
         """Whether a mistake was found at a key or below it; "": anywhere in this table."""
         here = self.path(key) if key else self._name
         return any(f"{field}.".startswith(f"{here}.") for field in self._mistakes)
 
-    def _read(self, key: str, default: Any, check: checks.Check, stand_in: Any = False) -> Any:
+    def _read(
+        self, key: str, default: Any, check: checks.Check, stand_in: Any = False
+    ) -> Any:
         """A value that passes; `stand_in` for a required one that was taken out."""
         if default is REQUIRED and self.path(key) in self._mistakes:
             default = stand_in
@@ -122,8 +149,8 @@ class Table:
 def read_whole(table: Table, reader: Callable[[Table], R]) -> R:
     """What a reader makes of a whole configuration.
 
-    After an error it reads again, without the value that the error names. This ends when nothing is
-    left to refuse, or when an error comes again.
+    After an error it reads again, without the value that the error names. This ends
+    when nothing is left to refuse, or when an error comes again.
 
     Raises:
         InputError: the mistakes, a line each.
@@ -141,7 +168,11 @@ def read_whole(table: Table, reader: Callable[[Table], R]) -> R:
                 return found
             break
     # An error of a table of which a value was taken out follows from that.
-    shown = [e for e in errors.values() if not any(f.startswith(f"{e.field}.") for f in errors)]
+    shown = [
+        e
+        for e in errors.values()
+        if not any(f.startswith(f"{e.field}.") for f in errors)
+    ]
     shown[0].args = ("\n".join(map(str, shown)),)
     raise shown[0]
 
@@ -157,10 +188,11 @@ def _without(data: dict[str, Any], path: list[str]) -> dict[str, Any]:
 def read_toml(path: str | Path) -> Table:
     """The top table of a TOML file, or of a variant of it.
 
-    FILE-VARIANT.toml, if there is no such file, is FILE.toml with its table [variants.VARIANT] laid
-    over it (`laid_over`); `about` in that table is a line for readers, and `name` is followed by
-    the variant's. A file with `only_variants = true` is used as one of its variants. A table with
-    `like = "other"` is laid over the table `other` beside it.
+    FILE-VARIANT.toml, if there is no such file, is FILE.toml with its table
+    [variants.VARIANT] laid over it (`laid_over`); `about` in that table is a line for
+    readers, and `name` is followed by the variant's. A file with `only_variants = true`
+    is used as one of its variants. A table with `like = "other"` is laid over the table
+    `other` beside it.
 
     Raises:
         InputError: no such file, one that cannot be read, or no such variant.
@@ -168,7 +200,9 @@ def read_toml(path: str | Path) -> Table:
     file, name = _file_and_variant(Path(path))
     data = _completed(toml_document("config", file, READABLE))
     variants = data.pop("variants", {})
-    if not isinstance(variants, dict) or not all(isinstance(v, dict) for v in variants.values()):
+    if not isinstance(variants, dict) or not all(
+        isinstance(v, dict) for v in variants.values()
+    ):
         raise InputError("variants", variants, "tables by name")
     allowed = f"a variant of {file}: {listed(variants, name)}"
     if data.pop("only_variants", False) and not name:
@@ -203,7 +237,9 @@ def _file_and_variant(path: Path) -> tuple[Path, str]:
     """The file that is there, and the name of its variant; "" for the file itself."""
     if not is_file(path):
         for cut in reversed(range(1, len(path.stem))):
-            base = path.parent / (path.stem[:cut] + path.suffix)  # of any text: it may be ".."
+            base = path.parent / (
+                path.stem[:cut] + path.suffix
+            )  # of any text: it may be ".."
             if path.stem[cut] == "-" and is_file(base):
                 return base, path.stem[cut + 1 :]
     return path, ""
@@ -218,9 +254,14 @@ def _completed(data: dict[str, Any]) -> dict[str, Any]:
             return done.setdefault(key, data[key])
         table = dict(data[key])
         if "like" in table:
-            other, beside = table.pop("like"), [name for name in data if name not in asked_by]
+            other, beside = (
+                table.pop("like"),
+                [name for name in data if name not in asked_by],
+            )
             if other not in beside or not isinstance(data[other], dict):
-                raise InputError(f"{key}.like", other, "a table beside it that is not like it")
+                raise InputError(
+                    f"{key}.like", other, "a table beside it that is not like it"
+                )
             table = laid_over(complete(other, (*asked_by, other)), table)
         done[key] = _completed(table)
         return done[key]

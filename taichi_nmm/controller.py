@@ -1,7 +1,8 @@
 """`Controller`: muscles, delays, reflexes and swing-leg placement, for a body anywhere.
 
-The body may be one of any simulator, or a robot. Every physics step, `Controller.step` takes its
-`Observation` and returns the torques of its six joints. docs/controller.md has an example.
+The body may be one of any simulator, or a robot. Every physics step, `Controller.step`
+takes its `Observation` and returns the torques of its six joints. docs/controller.md
+has an example.
 """
 
 from dataclasses import dataclass
@@ -56,14 +57,16 @@ class Muscles:
 class Controller:
     """A batch of n neuromuscular controllers, each for a body that another simulator moves.
 
-    Call `step` once a physics step (`settings.physics_step_s`); new orders go to the muscles every
-    1 ms. The first call begins the walk: muscles are relaxed, and nerves feel that moment.
+    Call `step` once a physics step (`settings.physics_step_s`); new orders go to the
+    muscles every 1 ms. The first call begins the walk: muscles are relaxed, and nerves
+    feel that moment.
 
     Args:
         gains: [n, gain] or [gain], in the order of `parameters.GAINS`.
-        bodies: whose weights the controllers assume, one for all or n; None is the nominal 80 kg.
-            Loads are felt relative to the trunk's weight.
-        low_level_gains: [n, gain] or [gain], in the order of `parameters.LOW_LEVEL_GAINS`.
+        bodies: whose weights the controllers assume, one for all or n; None is the
+            nominal 80 kg. Loads are felt relative to the trunk's weight.
+        low_level_gains: [n, gain] or [gain], in the order of
+            `parameters.LOW_LEVEL_GAINS`.
         settings: precision and physics step; contact and engine are not used.
 
     Raises:
@@ -91,16 +94,19 @@ class Controller:
     def step(self, observation: Observation) -> NDArray[np.float64]:
         """Joint torques for the coming physics step, N m, [n, 6], in the order of `joint_rad`.
 
-        They are those of muscles and swing control; stops of the joints are the body's own.
+        They are those of muscles and swing control; stops of the joints are the body's
+        own.
 
         Args:
             observation: what the n bodies sense at the beginning of the step.
 
         Raises:
-            InputError: an array of another shape, or one with NaN or infinity. Nothing has then
-                happened: the step may be repeated.
+            InputError: an array of another shape, or one with NaN or infinity. Nothing
+                has then happened: the step may be repeated.
         """
-        arrays = checks.instance(Observation)("observation", observation).checked(len(self))
+        arrays = checks.instance(Observation)("observation", observation).checked(
+            len(self)
+        )
         backend.start(self._settings)
         packs = self._packs or self._bind(_first_rows(arrays))
         tick, within = divmod(self._step, self._settings.substeps)
@@ -136,7 +142,12 @@ class Controller:
         rows = self._packs.unfold(self._packs.rows)[:, FIRST_FIBRE:].astype(np.float64)
         activation, stimulation, length, force = (
             rows[:, first : first + MUSCLE_COUNT]
-            for first in (Muscle.activation, Muscle.stimulation, Muscle.length, Muscle.force)
+            for first in (
+                Muscle.activation,
+                Muscle.stimulation,
+                Muscle.length,
+                Muscle.force,
+            )
         )
         return Muscles(activation, stimulation, length, force * np.tile(FMAX_N, LEGS))
 
@@ -147,21 +158,32 @@ class Controller:
         self._senses = np.zeros((len(packs.rows), Sense.count, packs.lanes), dtype=real)
         self._torques = np.zeros((len(packs.rows), JOINTS, packs.lanes), dtype=real)
         self._kernel = backend.BoundKernel(
-            actuate, backend.lanes_a_turn(), packs.rows, packs.constants,
-            muscle_table(step_s).astype(real), self._senses, self._torques, 0, 1, *blends(step_s),
-        )  # fmt: skip
+            actuate,
+            backend.lanes_a_turn(),
+            packs.rows,
+            packs.constants,
+            muscle_table(step_s).astype(real),
+            self._senses,
+            self._torques,
+            0,
+            1,
+            *blends(step_s),
+        )
         return packs
 
 
 def _first_rows(observation: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     """The controllers at the start: relaxed muscles, nerves that feel the first moment."""
     rows = np.zeros((len(observation["trunk_rad"]), WALKER_ROWS))
-    rows[:, State.leg_angle_filter : State.leg_angle_filter + LEGS] = observation["leg_angle_rad"]
+    rows[:, State.leg_angle_filter : State.leg_angle_filter + LEGS] = observation[
+        "leg_angle_rad"
+    ]
     rows[:, State.stance_before : State.stance_before + LEGS] = observation["contact"]
     rows[:, State.swing_phase : State.swing_phase + LEGS] = HOLD
     rows[:, State.active] = 1.0
     joints, rates = (
-        observation[name].reshape(-1, LEGS, 3) for name in ("joint_rad", "joint_rate_radps")
+        observation[name].reshape(-1, LEGS, 3)
+        for name in ("joint_rad", "joint_rate_radps")
     )
     for n, row in enumerate(rows):
         trunk = observation["trunk_rad"][n], observation["trunk_rate_radps"][n]

@@ -10,8 +10,9 @@ LONGEST_ALLOWED = 1200  # characters of `allowed`, which may list all names
 class InputError(ValueError):
     """Input that cannot be used: one line with the field, the value and the allowed values.
 
-    Commands print the line and exit with code 2. Whatever the value is, the line is printable. The
-    first mistake of a file has the lines of the others below its own (`config.read_whole`).
+    Commands print the line and exit with code 2. Whatever the value is, the line is
+    printable. The first mistake of a file has the lines of the others below its own
+    (`config.read_whole`).
     """
 
     def __init__(self, field: str, value: object, allowed: str) -> None:

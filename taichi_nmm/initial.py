@@ -1,6 +1,7 @@
 """The state in which every walk starts: left leg in stance, right leg in swing, 1.3 m/s.
 
-Source: the walker T; the stance leg additionally pivots about its foot instead of skidding.
+Source: the walker T; the stance leg additionally pivots about its foot instead of
+skidding.
 """
 
 import numpy as np
@@ -19,15 +20,23 @@ from taichi_nmm.kernel.layout import (
     State,
 )
 from taichi_nmm.kernel.muscle import ACTIVATION_FLOOR
-from taichi_nmm.kernel.muscle_table import OPTIMAL_LENGTH_M, SLACK_LENGTH_M, unit_lengths
+from taichi_nmm.kernel.muscle_table import (
+    OPTIMAL_LENGTH_M,
+    SLACK_LENGTH_M,
+    unit_lengths,
+)
 from taichi_nmm.kernel.nerves import TA_LENGTH_OFFSET
 from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
 
 SPEED_MPS = 1.3  # of the hip
-STANCE_LEG_RATE_RADPS = 1.3  # of thigh and shank: the leg, 1 m long, pivots about its foot
+STANCE_LEG_RATE_RADPS = (
+    1.3  # of thigh and shank: the leg, 1 m long, pivots about its foot
+)
 PENETRATION_M = 0.005  # depth of the stance foot's lowest point in the ground
-JOINTS_RAD = np.deg2rad([[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]])  # hip, knee, ankle; left, right
+JOINTS_RAD = np.deg2rad(
+    [[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]]
+)  # hip, knee, ankle; left, right
 
 
 def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
@@ -42,12 +51,17 @@ def initial_rows(terrain: Terrain) -> NDArray[np.float64]:
     return np.concatenate([state, fibres, delay, events])
 
 
-def _feet(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _feet(
+    angles: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Ankles, [leg, xz], and heel and ball of both feet, [leg, point, xz], relative to the hip."""
     legs = angles[1:].reshape(LEGS, 3)
     lengths = np.array([THIGH_LENGTH_M, SHANK_LENGTH_M])
     ankle = -np.stack(
-        [(lengths * np.sin(legs[:, :2])).sum(axis=1), (lengths * np.cos(legs[:, :2])).sum(axis=1)],
+        [
+            (lengths * np.sin(legs[:, :2])).sum(axis=1),
+            (lengths * np.cos(legs[:, :2])).sum(axis=1),
+        ],
         axis=1,
     )
     forward = np.stack([np.cos(legs[:, 2]), -np.sin(legs[:, 2])], axis=1)
@@ -57,9 +71,13 @@ def _feet(angles: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
 
 def _state(terrain: Terrain) -> NDArray[np.float64]:
     """Rows of `State`: the stance foot just in the ground, both feet's flags as they touch."""
-    angles = np.concatenate([[0.0], np.cumsum(JOINTS_RAD, axis=1).ravel()])  # HAT, then both legs
+    angles = np.concatenate(
+        [[0.0], np.cumsum(JOINTS_RAD, axis=1).ravel()]
+    )  # HAT, then both legs
     ankle, points = _feet(angles)
-    depth = terrain.height(points[0, :, 0]) - points[0, :, 1]  # with the hip at height zero
+    depth = (
+        terrain.height(points[0, :, 0]) - points[0, :, 1]
+    )  # with the hip at height zero
     state = np.zeros(State.count)
     state[State.q + 1] = depth.max() - PENETRATION_M
     state[State.q + 2 : State.q + 9] = angles
@@ -104,5 +122,7 @@ def muscles_and_nerves(
     signals[Signal.knee_rate : Signal.knee_rate + LEGS] = knee_rates_radps
     signals[Signal.stance : Signal.stance + LEGS] = stance
     signals[[Signal.trunk, Signal.trunk_rate]] = trunk
-    rings = [np.repeat(signals[first : first + n], ticks) for first, n, ticks, _row in RINGS]
+    rings = [
+        np.repeat(signals[first : first + n], ticks) for first, n, ticks, _row in RINGS
+    ]
     return fibres, signals, np.concatenate(rings)

@@ -1,9 +1,9 @@
 """The environment that Taichi runs in: a place for compiled kernels, and none of its variables.
 
-Taichi checks neither. Without a home it aborts the process, and where the folder cannot be written
-it compiles for half a minute at every start. TI_ARCH and its like override the arguments of
-`ti.init`, or abort the process where they are misspelt. Python 3.14 has no Taichi but its fork,
-Quadrants, which does the same under other names.
+Taichi checks neither. Without a home it aborts the process, and where the folder cannot
+be written it compiles for half a minute at every start. TI_ARCH and its like override
+the arguments of `ti.init`, or abort the process where they are misspelt. Python 3.14
+has no Taichi but its fork, Quadrants, which does the same under other names.
 """
 
 import os
@@ -15,7 +15,9 @@ from pathlib import Path
 
 from taichi_nmm.errors import InputError
 
-COMPILER = "quadrants" if sys.version_info >= (3, 14) else "taichi"  # as in pyproject.toml
+COMPILER = (
+    "quadrants" if sys.version_info >= (3, 14) else "taichi"
+)  # as in pyproject.toml
 PREFIX = {"taichi": "TI_", "quadrants": "QD_"}[COMPILER]  # of its variables
 CACHE_VARIABLE = f"{PREFIX}OFFLINE_CACHE_FILE_PATH"  # the compiler's own
 DEFAULT_CACHE = Path(".cache") / COMPILER  # of the home
@@ -41,14 +43,22 @@ def require_kernel_cache() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        allowed = f"a folder that can be written, for compiled kernels ({error.strerror})"
-        raise InputError(CACHE_VARIABLE if named else "HOME", str(folder), allowed) from None
+        allowed = (
+            f"a folder that can be written, for compiled kernels ({error.strerror})"
+        )
+        raise InputError(
+            CACHE_VARIABLE if named else "HOME", str(folder), allowed
+        ) from None
 
 
 @contextmanager
 def settled_environment() -> Iterator[None]:
     """Hide all variables of Taichi but the cache's, and set a locale that Python has."""
-    hidden = [name for name in os.environ if name.startswith(PREFIX) and name != CACHE_VARIABLE]
+    hidden = [
+        name
+        for name in os.environ
+        if name.startswith(PREFIX) and name != CACHE_VARIABLE
+    ]
     kept = {name: os.environ.pop(name, None) for name in {*hidden, *SETTLED}}
     os.environ.update(SETTLED)
     try:
@@ -56,4 +66,6 @@ def settled_environment() -> Iterator[None]:
     finally:
         for name in SETTLED:
             del os.environ[name]
-        os.environ.update({name: value for name, value in kept.items() if value is not None})
+        os.environ.update(
+            {name: value for name, value in kept.items() if value is not None}
+        )

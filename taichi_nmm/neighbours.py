@@ -1,7 +1,8 @@
 """The packages installed beside this one: a file of a user may hide them.
 
-`study` and `storage` are common names: where the working directory comes first on Python's path, a
-`study.py` in it is imported in place of the package, and the error that follows explains nothing.
+`study` and `storage` are common names: where the working directory comes first on
+Python's path, a `study.py` in it is imported in place of the package, and the error
+that follows explains nothing.
 """
 
 from importlib.util import find_spec
@@ -20,8 +21,14 @@ def require_neighbours(*names: str) -> None:
     """
     for name in names:
         spec = find_spec(name)
-        places = [] if spec is None else [spec.origin, *(spec.submodule_search_locations or ())]
+        places = (
+            []
+            if spec is None
+            else [spec.origin, *(spec.submodule_search_locations or ())]
+        )
         found = next((Path(place).resolve() for place in places if place), None)
         if found not in (None, BESIDE / name / "__init__.py"):
-            allowed = f"another name, or working directory: it hides {name} of taichi-nmm"
+            allowed = (
+                f"another name, or working directory: it hides {name} of taichi-nmm"
+            )
             raise InputError(name, str(found), allowed)

@@ -11,7 +11,8 @@ from taichi_nmm.kernel.layout import LEGS, Sense
 
 JOINTS = 3 * LEGS
 
-# Beyond, sines are of rounding errors, and squares leave float32: torques would be noise, or NaN.
+# Beyond, sines are of rounding errors, and squares leave float32: torques would be
+# noise, or NaN.
 LARGEST_ANGLE_RAD = 100.0  # 16 turns
 LARGEST_SENSE = 1e6  # of any other number, in its unit
 
@@ -20,21 +21,25 @@ LARGEST_SENSE = 1e6  # of any other number, in its unit
 class Observation:
     """The senses of n bodies at the beginning of a physics step, left leg first.
 
-    Forward is +x, up +z; a segment's angle is zero upright and positive clockwise, seen with +x to
-    the right: a trunk that leans forward, a leg whose foot is behind the hip.
+    Forward is +x, up +z; a segment's angle is zero upright and positive clockwise, seen
+    with +x to the right: a trunk that leans forward, a leg whose foot is behind the
+    hip.
 
     Attributes:
-        joint_rad: hip, knee, ankle of the left leg, then the right, [n, 6]: segment below less
-            segment above, so extension, flexion and plantarflexion are positive. Zero is standing
-            straight with the feet flat.
+        joint_rad: hip, knee, ankle of the left leg, then the right, [n, 6]: segment
+            below less segment above, so extension, flexion and plantarflexion are
+            positive. Zero is standing straight with the feet flat.
         joint_rate_radps: their rates, [n, 6].
         trunk_rad: lean of the trunk, forward positive, [n].
         trunk_rate_radps: its rate, [n].
         contact: whether a foot is on the ground, [n, 2].
-        load_n: vertical ground force on each foot, [n, 2]: of the last physics step, 0 at first.
+        load_n: vertical ground force on each foot, [n, 2]: of the last physics step, 0
+            at first.
         leg_length_m: from hip to ankle, [n, 2].
-        leg_angle_rad: of the line hip - ankle, [n, 2]; pi/2 is vertical, less is a foot in front.
-        com_ahead_m: horizontal distance of the body's centre of mass ahead of each ankle, [n, 2].
+        leg_angle_rad: of the line hip - ankle, [n, 2]; pi/2 is vertical, less is a foot
+            in front.
+        com_ahead_m: horizontal distance of the body's centre of mass ahead of each
+            ankle, [n, 2].
         com_speed_mps: its forward velocity, [n].
     """
 
@@ -53,8 +58,8 @@ class Observation:
         """The arrays by name.
 
         Raises:
-            InputError: an array of another shape, one with NaN, infinity or a number beyond all
-                bodies, or a contact that is neither 0 nor 1.
+            InputError: an array of another shape, one with NaN, infinity or a number
+                beyond all bodies, or a contact that is neither 0 nor 1.
         """
         checks.whole(0)("count", count)
         arrays = {}
@@ -69,7 +74,9 @@ class Observation:
         if not np.all((contact == 0) | (contact == 1)):
             other = contact[(contact != 0) & (contact != 1)][0].item()
             raise InputError(
-                "observation.contact", other, "0 or 1: whether, not how many or how much"
+                "observation.contact",
+                other,
+                "0 or 1: whether, not how many or how much",
             )
         return arrays
 
@@ -87,14 +94,24 @@ def require_within(field: str, values: NDArray[np.float64], largest: float) -> N
 
 
 WIDTHS = {
-    "joint_rad": JOINTS, "joint_rate_radps": JOINTS, "trunk_rad": 0, "trunk_rate_radps": 0,
-    "contact": LEGS, "load_n": LEGS, "leg_length_m": LEGS, "leg_angle_rad": LEGS,
-    "com_ahead_m": LEGS, "com_speed_mps": 0,
-}  # of `Observation`'s arrays; 0: [n]  # fmt: skip
+    "joint_rad": JOINTS,
+    "joint_rate_radps": JOINTS,
+    "trunk_rad": 0,
+    "trunk_rate_radps": 0,
+    "contact": LEGS,
+    "load_n": LEGS,
+    "leg_length_m": LEGS,
+    "leg_angle_rad": LEGS,
+    "com_ahead_m": LEGS,
+    "com_speed_mps": 0,
+}  # of `Observation`'s arrays; 0: [n]
 AS_SENSED = {
-    "contact": Sense.contact, "load_n": Sense.load, "leg_length_m": Sense.leg_length,
-    "leg_angle_rad": Sense.leg_angle, "com_ahead_m": Sense.com_ahead,
-}  # rows of two legs  # fmt: skip
+    "contact": Sense.contact,
+    "load_n": Sense.load,
+    "leg_length_m": Sense.leg_length,
+    "leg_angle_rad": Sense.leg_angle,
+    "com_ahead_m": Sense.com_ahead,
+}  # rows of two legs
 
 
 def sense_rows(arrays: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -106,7 +123,9 @@ def sense_rows(arrays: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
     ):
         rows[:, first] = arrays[trunk]
         legs = np.cumsum(arrays[joints].reshape(-1, LEGS, 3), axis=2)
-        rows[:, first + 1 : first + 1 + JOINTS] = legs.reshape(-1, JOINTS) + rows[:, first, None]
+        rows[:, first + 1 : first + 1 + JOINTS] = (
+            legs.reshape(-1, JOINTS) + rows[:, first, None]
+        )
     for name, first in AS_SENSED.items():
         rows[:, first : first + LEGS] = arrays[name]
     rows[:, Sense.com_speed] = arrays["com_speed_mps"]

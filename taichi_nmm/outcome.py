@@ -25,7 +25,12 @@ from taichi_nmm.kernel.layout import (
     State,
     Sums,
 )
-from taichi_nmm.kernel.muscle_table import FMAX_N, OPTIMAL_LENGTH_M, TORQUES_NM, VMAX_PER_S
+from taichi_nmm.kernel.muscle_table import (
+    FMAX_N,
+    OPTIMAL_LENGTH_M,
+    TORQUES_NM,
+    VMAX_PER_S,
+)
 from taichi_nmm.packs import Packs
 from taichi_nmm.result import (
     COLUMNS,
@@ -61,7 +66,9 @@ def result_rows(
     # A diverged walker's last numbers may be NaN; finite sums are kept.
     sums = np.nan_to_num(sums, nan=0.0, posinf=0.0, neginf=0.0)
     rows["end_reason"] = final[:, State.end_reason].astype(np.uint8)
-    rows["duration_s"] = np.round(final[:, State.end_tick].astype(np.float64)) * CONTROL_TICK_S
+    rows["duration_s"] = (
+        np.round(final[:, State.end_tick].astype(np.float64)) * CONTROL_TICK_S
+    )
     rows["hip_x_m"] = final[:, State.end_x]
     rows["hip_z_m"] = final[:, State.end_z]
     rows["distance_m"] = rows["hip_x_m"]
@@ -90,7 +97,9 @@ def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
     for name, of in COLUMNS["moments"].items():
         row, count = getattr(Sums, name), sums[:, getattr(Sums, of["over"])]
         mean = _quotient(sums[:, row], count)
-        square = _quotient(sums[:, row + 1], count)  # the row after a sum holds its squares
+        square = _quotient(
+            sums[:, row + 1], count
+        )  # the row after a sum holds its squares
         rows[of["sd"]] = np.sqrt(np.maximum(square - mean**2, 0.0))
         if "mean" in of:
             rows[of["mean"]] = mean
@@ -99,15 +108,22 @@ def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
     vertical = sums[:, Sums.impulse + 1] + sums[:, Sums.impulse + 3]
     rows["grf_vertical_mean_bw"] = _quotient(vertical, weight_n * rows["duration_s"])
     for m, muscle in enumerate(MUSCLES):
-        rows[f"activation_{muscle.lower()}_mean"] = _quotient(sums[:, Sums.activation + m], ticks)
-    for name, number in (("step_length", "strikes"), ("step_duration", "step_durations")):
+        rows[f"activation_{muscle.lower()}_mean"] = _quotient(
+            sums[:, Sums.activation + m], ticks
+        )
+    for name, number in (
+        ("step_length", "strikes"),
+        ("step_duration", "step_durations"),
+    ):
         (total, count), (left, lefts) = (
             (sums[:, getattr(Sums, side + name)], sums[:, getattr(Sums, side + number)])
             for side in ("", "left_")
         )
         left, right = _quotient(left, lefts), _quotient(total - left, count - lefts)
         rows[f"{name}_asymmetry"] = _quotient(left - right, left + right)
-    deviations = [(rows[name] - mean) / sd for name, (mean, sd) in COLUMNS["human"].items()]
+    deviations = [
+        (rows[name] - mean) / sd for name, (mean, sd) in COLUMNS["human"].items()
+    ]
     rows["human_deviation"] = np.sqrt(np.mean(np.square(deviations), axis=0))
 
 
@@ -124,12 +140,18 @@ class Recorder:
     def __init__(
         self, walkers: Sequence[int], rate_hz: float, worlds: Worlds, settings: Settings
     ) -> None:
-        self._walkers = tuple(checks.row_numbers("record", walkers, len(worlds)).tolist())
+        self._walkers = tuple(
+            checks.row_numbers("record", walkers, len(worlds)).tolist()
+        )
         self._settings, self._worlds = settings, worlds
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
-            raise InputError("record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}")
+            raise InputError(
+                "record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}"
+            )
         self._interval = round(TICKS_PER_SECOND / rate_hz)
-        self._samples: dict[int, dict[int, Array]] = {walker: {} for walker in self._walkers}
+        self._samples: dict[int, dict[int, Array]] = {
+            walker: {} for walker in self._walkers
+        }
 
     def parts(self, tick: int, ticks: int) -> Iterator[int]:
         """Lengths into which a chunk that starts at `tick` is cut."""
@@ -162,13 +184,22 @@ class Recorder:
         samples = self._samples[walker]
         rows = np.array(list(samples.values())).reshape(-1, WALKER_ROWS)
         q, fibres = rows[:, State.q : State.q + COORDINATES], rows[:, FIRST_FIBRE:]
-        touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(-1, LEGS, 2)
+        touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(
+            -1, LEGS, 2
+        )
         activation, length, velocity, force = (
             fibres[:, first : first + MUSCLE_COUNT]
-            for first in (Muscle.activation, Muscle.length, Muscle.velocity, Muscle.force)
+            for first in (
+                Muscle.activation,
+                Muscle.length,
+                Muscle.velocity,
+                Muscle.force,
+            )
         )
         swing = [
-            row + side for side in range(LEGS) for row in (State.hip_torque, State.knee_torque)
+            row + side
+            for side in range(LEGS)
+            for row in (State.hip_torque, State.knee_torque)
         ]
         optimal_m = OPTIMAL_M * self._worlds.optimal_length[walker]
         return Trajectory(
@@ -180,7 +211,9 @@ class Recorder:
             activation=activation,
             muscle_force_n=force * np.tile(FMAX_N, LEGS),
             ground_force_n=_mean_forces(rows, self._interval),
-            joint_torque_nm=_joint_torques(rows, self._settings, self._worlds.prosthesis[walker]),
+            joint_torque_nm=_joint_torques(
+                rows, self._settings, self._worlds.prosthesis[walker]
+            ),
             swing_torque_nm=rows[:, swing],
             device_torque_nm=rows[:, State.device_torque :][:, : 3 * LEGS],
             fibre_length_m=length * optimal_m,
@@ -212,8 +245,11 @@ def _mean_forces(rows: Array, interval: int) -> Array:
     return (impulse - before) / (interval * CONTROL_TICK_S)
 
 
-# Of hip, knee and ankle: where the stops begin, how fast they give way, which are implicit.
-LOWEST_RAD = np.array([-np.inf, stops.KNEE_STRAIGHTEST_RAD, stops.ANKLE_DORSIFLEXION_LIMIT_RAD])
+# Of hip, knee and ankle: where the stops begin, how fast they give way, which are
+# implicit.
+LOWEST_RAD = np.array(
+    [-np.inf, stops.KNEE_STRAIGHTEST_RAD, stops.ANKLE_DORSIFLEXION_LIMIT_RAD]
+)
 HIGHEST_RAD = np.array(
     [stops.HIP_EXTENSION_LIMIT_RAD, np.inf, stops.ANKLE_PLANTARFLEXION_LIMIT_RAD]
 )
@@ -228,7 +264,9 @@ def _joint_torques(rows: Array, settings: Settings, prosthesis: Array) -> Array:
     """
     q, rates = (rows[:, first : first + COORDINATES] for first in (State.q, State.qdot))
     links, step_s = [[2, 3, 4, 5], [2, 6, 7, 8]], settings.physics_step_s
-    angle, rate = (np.diff(each[:, links]) for each in (q - step_s * rates, rates))  # [t, leg, 3]
+    angle, rate = (
+        np.diff(each[:, links]) for each in (q - step_s * rates, rates)
+    )  # [t, leg, 3]
     first = FIRST_FIBRE + Muscle.force
     force = rows[:, first : first + MUSCLE_COUNT].reshape(-1, LEGS, len(MUSCLES))
     hip, *rest = np.moveaxis(force @ TORQUES_NM, -1, 0)
@@ -241,7 +279,10 @@ def _joint_torques(rows: Array, settings: Settings, prosthesis: Array) -> Array:
         for first in (State.stance_weight, State.hip_torque, State.knee_torque)
     )
     stiffness, damping, rest_rad = prosthesis.T
-    ankle += stiffness * (rest_rad - angle[..., stops.ANKLE]) - damping * rate[..., stops.ANKLE]
+    ankle += (
+        stiffness * (rest_rad - angle[..., stops.ANKLE])
+        - damping * rate[..., stops.ANKLE]
+    )
     torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle], -1)
     torque += rows[:, State.device_torque :][:, : 3 * LEGS].reshape(torque.shape)
     if settings.engine == OWN_ENGINE:
@@ -257,5 +298,7 @@ def _events(rows: Array) -> NDArray[np.void]:
     for kind, row in enumerate((Gait.tick_strike, Gait.tick_takeoff)):
         for side in range(LEGS):
             remembered = np.unique(rows[:, FIRST_EVENT + row + side])
-            events += [(tick * CONTROL_TICK_S, side, kind) for tick in remembered if tick > 0]
+            events += [
+                (tick * CONTROL_TICK_S, side, kind) for tick in remembered if tick > 0
+            ]
     return np.sort(np.array(events, dtype=EVENT_DTYPE), order="time_s")

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import FIRST_SUM, State, Sums
 
-PACKS_A_COPY = 16  # no second copy of all rows, and what is turned round stays in the cache
+PACKS_A_COPY = (
+    16  # no second copy of all rows, and what is turned round stays in the cache
+)
 
 
 class Packs:
@@ -30,14 +32,17 @@ class Packs:
             rows: [n, row]; or of fewer walkers, if many start alike.
             constants: [n, row].
             terrains: row of the table of heights, [n]; None is 0.
-            starts: for each walker, which of `rows` it starts with, [n]; None is its own.
+            starts: for each walker, which of `rows` it starts with, [n]; None is its
+                own.
         """
         self.lanes = backend.lanes()  # walkers a pack
         real, count = backend.real_dtype(), len(constants)
         grounds = np.zeros(count, dtype=np.int32) if terrains is None else terrains
         # Batch row of each occupied lane; the last pack's rest are idle copies.
         self.walkers = np.arange(count)
-        self.rows = self.fold(rows.astype(real), starts)  # [pack, row, lane], the kernel's
+        self.rows = self.fold(
+            rows.astype(real), starts
+        )  # [pack, row, lane], the kernel's
         self.constants = self.fold(constants.astype(real))  # [pack, row, lane]
         self.terrains = self.fold(grounds[:, None])[:, 0, :].copy()  # [pack, lane]
         self._final = np.zeros((count, State.count), dtype=real)
@@ -92,7 +97,9 @@ class Packs:
         for folded in (self.rows, self.constants, self.terrains):
             folded[pack, ..., lane] = folded[from_pack, ..., from_lane]
 
-    def fold(self, flat: NDArray[Any], which: NDArray[Any] | None = None) -> NDArray[Any]:
+    def fold(
+        self, flat: NDArray[Any], which: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
         """[n, row] to [pack, row, lane]; the last pack is filled up with its last walker.
 
         Args:

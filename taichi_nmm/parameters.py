@@ -1,8 +1,8 @@
 """The searched gains and the fixed ones: names, units, bounds, meaning and source.
 
-Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker of the same group
-(``IntactModel``), whose published rough-ground optimum gives `PUBLISHED_GAINS` and the
-fixed gains.
+Sources: P = Antonova, Rai, Atkeson 2016; T = the transfemoral-prosthesis walker of the
+same group (``IntactModel``), whose published rough-ground optimum gives
+`PUBLISHED_GAINS` and the fixed gains.
 """
 
 import csv
@@ -48,9 +48,13 @@ class Parameter:
 def _group(name: str) -> tuple[Parameter, ...]:
     """The parameters of a group, from parameters.csv."""
     with Path(__file__).with_suffix(".csv").open(encoding="utf-8", newline="") as file:
-        rows: list[Any] = [row for row in csv.DictReader(file) if row.pop("group") == name]
+        rows: list[Any] = [
+            row for row in csv.DictReader(file) if row.pop("group") == name
+        ]
     numbers = ("low", "high", "default")
-    return tuple(Parameter(**row | {key: _number(row[key]) for key in numbers}) for row in rows)
+    return tuple(
+        Parameter(**row | {key: _number(row[key]) for key in numbers}) for row in rows
+    )
 
 
 def _number(text: str) -> float:
@@ -59,8 +63,8 @@ def _number(text: str) -> float:
     return float(np.deg2rad(float(number))) if unit == "deg" else float(number)
 
 
-# Force gains multiply F/Fmax. Bounds: wide enough that about 6 % of uniform draws walk 100 s on
-# flat ground. Defaults: PUBLISHED_GAINS, T's published rough-ground optimum.
+# Force gains multiply F/Fmax. Bounds: wide enough that about 6 % of uniform draws walk
+# 100 s on flat ground. Defaults: PUBLISHED_GAINS, T's published rough-ground optimum.
 GAINS: tuple[Parameter, ...] = _group("searched")
 """The 16 searched gains, in the order of a row of `gains`."""
 
@@ -68,16 +72,22 @@ DEVICE: tuple[Parameter, ...] = _group("device")  # exoskeleton: `kernel.device`
 
 ASYMMETRIES: tuple[Parameter, ...] = tuple(
     Parameter(
-        f"{gain.name}_asymmetry", "1", -reach, reach, 0.0,
-        f"(left - right) / (left + right) of {gain.name}, which is the mean of both", "ours",
+        f"{gain.name}_asymmetry",
+        "1",
+        -reach,
+        reach,
+        0.0,
+        f"(left - right) / (left + right) of {gain.name}, which is the mean of both",
+        "ours",
     )
     for gain in GAINS
     # Half of what would take one leg from the middle of the gain's range to its end.
     for reach in [0.5 * (gain.high - gain.low) / (gain.high + gain.low)]
-)  # fmt: skip
+)
 """How far each gain differs by side: the left leg has K (1 + a), the right one K (1 - a)."""
 
-# Not searched by the paper, but of the same form, so that a later study can search them.
+# Not searched by the paper, but of the same form, so that a later study can search
+# them.
 FIXED: tuple[Parameter, ...] = _group("fixed")
 LOW_LEVEL_GAINS: tuple[Parameter, ...] = (*FIXED, *DEVICE, *ASYMMETRIES)
 """8 fixed gains, 4 numbers of a device, 16 asymmetries: in the order of `low_level_gains`."""
@@ -85,9 +95,13 @@ LOW_LEVEL_GAINS: tuple[Parameter, ...] = (*FIXED, *DEVICE, *ASYMMETRIES)
 GAIN_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in GAINS)
 """Names of the searched gains, [16]."""
 
-LOW_LEVEL_NAMES: tuple[str, ...] = tuple(parameter.name for parameter in LOW_LEVEL_GAINS)
+LOW_LEVEL_NAMES: tuple[str, ...] = tuple(
+    parameter.name for parameter in LOW_LEVEL_GAINS
+)
 
-PUBLISHED_GAINS: NDArray[np.float64] = np.array([parameter.default for parameter in GAINS])
+PUBLISHED_GAINS: NDArray[np.float64] = np.array(
+    [parameter.default for parameter in GAINS]
+)
 """T's published rough-ground optimum, [16]."""
 
 NAMED_GAINS_DIRECTORY = Path(__file__).parent / "gains"
@@ -111,7 +125,9 @@ def searched_parameters(names: Sequence[str]) -> tuple[Parameter, ...]:
     """
     for name in names:
         if name not in LOW_LEVEL_NAMES:
-            raise InputError("searched", name, f"any of {listed(LOW_LEVEL_NAMES, name)}")
+            raise InputError(
+                "searched", name, f"any of {listed(LOW_LEVEL_NAMES, name)}"
+            )
     return tuple(parameter for parameter in LOW_LEVEL_GAINS if parameter.name in names)
 
 
@@ -132,21 +148,28 @@ def read_fixed(table: Table) -> tuple[float, ...]:
     else:
         fixed = load_gains(table.text("fixed_gains"))
     if not table.unread.get("searched"):
-        raise InputError("searched", "nothing", "some low-level gains, where all gains are fixed")
+        raise InputError(
+            "searched", "nothing", "some low-level gains, where all gains are fixed"
+        )
     return tuple(fixed.tolist())
 
 
 def split_points(
-    points: NDArray[np.float64], searched: tuple[Parameter, ...], fixed: tuple[float, ...] = ()
+    points: NDArray[np.float64],
+    searched: tuple[Parameter, ...],
+    fixed: tuple[float, ...] = (),
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Points as arguments of `taichi_nmm.simulate`: gains [n, 16] and low-level gains [n, 28].
 
     Args:
         points: [n, 16 + k], or [n, k] where the gains are fixed.
-        searched: the k low-level gains in the last columns; the others keep their defaults.
+        searched: the k low-level gains in the last columns; the others keep their
+            defaults.
         fixed: the 16 gains, or none.
     """
-    low_level = np.tile([parameter.default for parameter in LOW_LEVEL_GAINS], (len(points), 1))
+    low_level = np.tile(
+        [parameter.default for parameter in LOW_LEVEL_GAINS], (len(points), 1)
+    )
     gains = np.tile(fixed, (len(points), 1)) if fixed else points[:, : len(GAINS)]
     for column, parameter in enumerate(searched, start=points.shape[1] - len(searched)):
         low_level[:, LOW_LEVEL_NAMES.index(parameter.name)] = points[:, column]
@@ -158,8 +181,8 @@ def gain_rows(
 ) -> NDArray[np.float64]:
     """Check a batch of gains and return it as float64 [n, len(group)].
 
-    Values outside the search bounds are allowed (a published vector may lie there); values that
-    are not finite, no rows, or another shape, are an `InputError`.
+    Values outside the search bounds are allowed (a published vector may lie there);
+    values that are not finite, no rows, or another shape, are an `InputError`.
     """
     rows = np.atleast_2d(checks.numbers(field, values))
     if rows.ndim != 2 or rows.shape[1] != len(group) or not len(rows):
@@ -169,25 +192,34 @@ def gain_rows(
     if len(bad):
         row, column = (int(index) for index in bad[0])
         name = group[column].name
-        raise InputError(f"{field}[{row}].{name}", float(rows[row, column]), "a finite number")
+        raise InputError(
+            f"{field}[{row}].{name}", float(rows[row, column]), "a finite number"
+        )
     return rows
 
 
 def check_gains(
-    values: Mapping[str, Any], group: tuple[Parameter, ...] = GAINS, field: str = "gains"
+    values: Mapping[str, Any],
+    group: tuple[Parameter, ...] = GAINS,
+    field: str = "gains",
 ) -> NDArray[np.float64]:
     """Gains by name as a vector in the group's order, float64 [len(group)].
 
     Raises:
-        InputError: a name that is unknown or missing, or a value that is not a number within the
-            parameter's bounds.
+        InputError: a name that is unknown or missing, or a value that is not a number
+            within the parameter's bounds.
     """
     names = [parameter.name for parameter in group]
     for name in values:
         if name not in names:
             raise InputError(field, name, f"only the names {listed(names, name)}")
-    known = ((p.name, checks.number(p.low, p.high, f"{p.low:g} to {p.high:g}")) for p in group)
-    return np.array([check(f"{field}.{name}", values.get(name)) for name, check in known], float)
+    known = (
+        (p.name, checks.number(p.low, p.high, f"{p.low:g} to {p.high:g}"))
+        for p in group
+    )
+    return np.array(
+        [check(f"{field}.{name}", values.get(name)) for name, check in known], float
+    )
 
 
 @checks.checked(source=checks.path)
@@ -200,8 +232,9 @@ def load_gains(source: str) -> NDArray[np.float64]:
             rad, or an object that holds such a one under "gains", as commands print it.
 
     Raises:
-        InputError: a source that is not there or no such file, a value outside its bounds, or a
-            low-level gain: dropping it would walk another controller (`load_all_gains`).
+        InputError: a source that is not there or no such file, a value outside its
+            bounds, or a low-level gain: dropping it would walk another controller
+            (`load_all_gains`).
     """
     values = _gains_by_name(source)
     for name in values:
@@ -215,10 +248,12 @@ def load_gains(source: str) -> NDArray[np.float64]:
 def load_all_gains(source: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Gains [16] and low-level gains [28], from a source of `load_gains`.
 
-    Here a file may name some of `LOW_LEVEL_GAINS` too; those it does not name have their defaults.
+    Here a file may name some of `LOW_LEVEL_GAINS` too; those it does not name have
+    their defaults.
 
     Raises:
-        InputError: a source that is not there or no such file, or a value outside its bounds.
+        InputError: a source that is not there or no such file, or a value outside its
+            bounds.
     """
     defaults = {parameter.name: parameter.default for parameter in LOW_LEVEL_GAINS}
     both = check_gains(defaults | _gains_by_name(source), (*GAINS, *LOW_LEVEL_GAINS))

@@ -1,8 +1,8 @@
 """The one reader of files that a user names: every fault of a file is an error of one line.
 
-A file is not trusted. It may be a pipe without a writer, be packed a thousandfold, be nested a
-hundred thousand deep, or hold a number of five thousand digits. Other packages read Parquet files
-within `reading`.
+A file is not trusted. It may be a pipe without a writer, be packed a thousandfold, be
+nested a hundred thousand deep, or hold a number of five thousand digits. Other packages
+read Parquet files within `reading`.
 """
 
 import json
@@ -17,7 +17,9 @@ from typing import Any
 
 from taichi_nmm.errors import InputError
 
-MOST_BYTES = 16 << 20  # of a text, unpacked: a hundred times the longest of this project
+MOST_BYTES = (
+    16 << 20
+)  # of a text, unpacked: a hundred times the longest of this project
 DEEPEST = 100  # tables and lists in each other
 PACKED_BY = {".gz": "gzip", ".bz2": "bz2", ".xz": "lzma", ".lzma": "lzma"}
 
@@ -32,7 +34,8 @@ def reading(field: str, path: str | Path, allowed: str) -> Iterator[Path]:
         allowed: a description of usable files: "a Parquet file that is whole".
 
     Raises:
-        InputError: it is missing, no regular file, cannot be opened, or the block raised.
+        InputError: it is missing, no regular file, cannot be opened, or the block
+            raised.
     """
     try:
         file = Path(path)
@@ -53,7 +56,11 @@ def read_text(field: str, path: str | Path, allowed: str) -> str:
     """
     with reading(field, path, allowed) as file:
         packed_by = PACKED_BY.get(file.suffix.lower())
-        with import_module(packed_by).open(file) if packed_by else file.open("rb") as stream:
+        with (
+            import_module(packed_by).open(file)
+            if packed_by
+            else file.open("rb") as stream
+        ):
             content: bytes = stream.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
             raise ValueError(f"longer than {MOST_BYTES >> 20} MiB")
@@ -64,7 +71,8 @@ def json_document(field: str, path: str | Path, allowed: str) -> dict[str, Any]:
     """The JSON object of a file.
 
     Raises:
-        InputError: as of `read_text`; or the text is no JSON object, or one with a key twice.
+        InputError: as of `read_text`; or the text is no JSON object, or one with a key
+            twice.
     """
     text = read_text(field, path, allowed)
     with reading(field, path, allowed):
@@ -86,7 +94,8 @@ def parse_json(text: str | bytes) -> dict[str, Any]:
     """The JSON object of a text that is in no file.
 
     Raises:
-        ValueError, RecursionError: no JSON object, a key twice, or nested deeper than `DEEPEST`.
+        ValueError, RecursionError: no JSON object, a key twice, or nested deeper than
+            `DEEPEST`.
     """
     document = json.loads(text, object_pairs_hook=_each_once)
     if not isinstance(document, dict):

@@ -25,38 +25,59 @@ MUSCLES = ("SOL", "TA", "GAS", "VAS", "HAM", "GLU", "HFL")
 """Names of a leg's muscles, [7]."""
 
 DELAYED_BY_LEG = (
-    "SOL_force_fmax", "GAS_force_fmax", "TA_stretch_lopt", "VAS_force_fmax", "knee_flexion_rad",
-    "knee_flexion_radps", "stance", "HAM_force_fmax", "GLU_force_fmax", "load_hat_weight",
-)  # fmt: skip
-DELAYED = (*(f"{side}_delayed_{signal}" for signal in DELAYED_BY_LEG for side in "lr"),
-           "delayed_hat_rad", "delayed_hat_radps")  # fmt: skip
-"""Signals of the nerves, with units: forces over the nominal Fmax, load over the weight of head,
-arms and trunk, stretch of TA beyond its reflex's offset in optimal lengths."""
+    "SOL_force_fmax",
+    "GAS_force_fmax",
+    "TA_stretch_lopt",
+    "VAS_force_fmax",
+    "knee_flexion_rad",
+    "knee_flexion_radps",
+    "stance",
+    "HAM_force_fmax",
+    "GLU_force_fmax",
+    "load_hat_weight",
+)
+DELAYED = (
+    *(f"{side}_delayed_{signal}" for signal in DELAYED_BY_LEG for side in "lr"),
+    "delayed_hat_rad",
+    "delayed_hat_radps",
+)
+"""Signals of the nerves, with units: forces over the nominal Fmax, load over the weight
+of head, arms and trunk, stretch of TA beyond its reflex's offset in optimal lengths."""
 
 Fields = tuple[tuple[str, str], ...]
 
 
-COLUMNS = tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encoding="utf-8"))
+COLUMNS = tomllib.loads(
+    Path(__file__).with_name("columns.toml").read_text(encoding="utf-8")
+)
 OUTCOME_FIELDS: Fields = tuple(COLUMNS["outcome"].items())
 SCORE_FIELDS: Fields = tuple(COLUMNS["score"].items())  # the determinants of gait
 SUMMARY_FIELDS: Fields = tuple(COLUMNS["summary"].items())
-FURTHER_FIELDS: Fields = tuple(COLUMNS["further"].items())  # in a store by its `kept` alone
+FURTHER_FIELDS: Fields = tuple(
+    COLUMNS["further"].items()
+)  # in a store by its `kept` alone
 
 ENERGY, OF_MUSCLES = "cost_of_transport_powered_jpkgpm", "cost_of_transport_jpkgpm"
-"""What a gait of the least energy has the least of, unless a goal names another column: the energy
-of muscles and motors, J for each kg of the whole body and each metre; and that of muscles alone."""
+"""What a gait of the least energy has the least of, unless a goal names another column:
+the energy of muscles and motors, J for each kg of the whole body and each metre; and
+that of muscles alone."""
 
-RESULT_DTYPE = np.dtype([*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS, *FURTHER_FIELDS])
+RESULT_DTYPE = np.dtype(
+    [*OUTCOME_FIELDS, *SCORE_FIELDS, *SUMMARY_FIELDS, *FURTHER_FIELDS]
+)
 
-NEEDED_BY = {column: needed for needed, columns in COLUMNS["needs"].items() for column in columns}
+NEEDED_BY = {
+    column: needed for needed, columns in COLUMNS["needs"].items() for column in columns
+}
 """Of columns that may be unknown, the column that tells."""
 
 
 def unknown(column: str, given: Any) -> NDArray[np.bool_]:
     """Where a column is unknown, though rows of results have a number there, [n].
 
-    No step was scored, none was begun, or the walker got nowhere; steps of one leg alone are not
-    compared with those of the other; a walker that diverged left no number.
+    No step was scored, none was begun, or the walker got nowhere; steps of one leg
+    alone are not compared with those of the other; a walker that diverged left no
+    number.
 
     Args:
         column: its name.
@@ -105,22 +126,26 @@ class Trajectory:
     Attributes:
         walker: its row in the batch.
         time_s: [t].
-        q: generalised coordinates x, z, th_hat, th_thigh_l, th_shank_l, th_foot_l, ..._r, [t, 9].
+        q: generalised coordinates x, z, th_hat, th_thigh_l, th_shank_l, th_foot_l,
+            ..._r, [t, 9].
         qdot: their rates, [t, 9].
-        joint_rad: hip, knee, ankle left, then right; extension, flexion, plantarflexion positive,
-            [t, 6].
+        joint_rad: hip, knee, ankle left, then right; extension, flexion, plantarflexion
+            positive, [t, 6].
         activation: muscles in the order of `MUSCLES`, left leg then right, [t, 14].
         muscle_force_n: in the order of `activation`, [t, 14].
-        ground_force_n: left x, left z, right x, right z, mean over the sample interval, [t, 4].
-        joint_torque_nm: all that turns a joint in the last physics step, in the order and signs of
-            `joint_rad`, [t, 6]: muscles, ideal torques, exoskeleton, prosthesis, and stops (but
-            not those of MuJoCo).
-        swing_torque_nm: the ideal part of it, left hip, left knee, right hip, right knee, [t, 4].
+        ground_force_n: left x, left z, right x, right z, mean over the sample interval,
+            [t, 4].
+        joint_torque_nm: all that turns a joint in the last physics step, in the order
+            and signs of `joint_rad`, [t, 6]: muscles, ideal torques, exoskeleton,
+            prosthesis, and stops (but not those of MuJoCo).
+        swing_torque_nm: the ideal part of it, left hip, left knee, right hip, right
+            knee, [t, 4].
         device_torque_nm: of an exoskeleton, in the order of `joint_torque_nm`, [t, 6].
-        fibre_length_m: of the contractile elements, in the order of `activation`, [t, 14].
+        fibre_length_m: of the contractile elements, in the order of `activation`, [t,
+            14].
         fibre_velocity_mps: their rates, lengthening positive, [t, 14].
-        delayed: signals that reach the controller, 20, 10 or 5 ms old, in the order of `DELAYED`,
-            [t, 22]; without the lag and the noise of a world.
+        delayed: signals that reach the controller, 20, 10 or 5 ms old, in the order of
+            `DELAYED`, [t, 22]; without the lag and the noise of a world.
         stance: foot on the ground, left and right, bool [t, 2].
         events: strikes and take-offs, `EVENT_DTYPE`, at the controller's tick.
     """
@@ -150,7 +175,8 @@ class Result:
     Attributes:
         rows: one row a walker in the order given, `RESULT_DTYPE`, [n].
         trajectories: one of each walker in `simulate(record=...)`, in that order.
-        metadata: engine, version, architecture, precision and step that produced the rows.
+        metadata: engine, version, architecture, precision and step that produced the
+            rows.
     """
 
     rows: NDArray[np.void]
@@ -175,15 +201,19 @@ class Result:
         return np.asarray(np.array(END_REASONS)[self.rows["end_reason"]])
 
 
-# The two costs of Antonova, Rai, Atkeson 2016. The paper leaves two things open: the speed term of
-# the smooth cost is taken as a deviation, and the distance of a walker that fell backward as zero,
-# since 1/(1 + d) has a pole at -1 m.
+# The two costs of Antonova, Rai, Atkeson 2016. The paper leaves two things open: the
+# speed term of the smooth cost is taken as a deviation, and the distance of a walker
+# that fell backward as zero, since 1/(1 + d) has a pole at -1 m.
 
 FALL_COST = 300.0
 SPEED_WEIGHT = 100.0
 NEEDED = (
-    "distance_m", "duration_s", "mean_speed_mps", "cost_of_transport_jpkgpm", "end_reason",
-)  # fmt: skip
+    "distance_m",
+    "duration_s",
+    "mean_speed_mps",
+    "cost_of_transport_jpkgpm",
+    "end_reason",
+)
 
 
 def _rows(field: str, value: Any) -> Any:
@@ -191,7 +221,9 @@ def _rows(field: str, value: Any) -> Any:
     names = getattr(getattr(value, "dtype", None), "names", None) or ()
     for name in NEEDED:
         if name not in names or value.dtype[name].kind not in "fiu":
-            raise InputError(field, value, f"rows of a Result, with numbers in the column {name}")
+            raise InputError(
+                field, value, f"rows of a Result, with numbers in the column {name}"
+            )
     return value
 
 
@@ -223,8 +255,8 @@ def walking_cost(
 ) -> NDArray[np.float64]:
     """300 - x_fall of a walker that fell, else 100 |v - v_target| + cost of transport, [n].
 
-    x_fall is the distance before the fall in m, the cost of transport in J/(kg m). A walker that
-    stood still until the end counts as walking, and pays 130 for its speed.
+    x_fall is the distance before the fall in m, the cost of transport in J/(kg m). A
+    walker that stood still until the end counts as walking, and pays 130 for its speed.
 
     Args:
         rows: of a `Result`, [n].

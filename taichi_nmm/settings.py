@@ -20,7 +20,9 @@ OWN_ENGINE = "taichi"
 ENGINES = (OWN_ENGINE, "mujoco")
 LIMITS_AS_STOPS = "stops"
 LIMITS = (LIMITS_AS_STOPS, "mujoco")
-STEPS_PER_TIME_CONSTANT = 5  # MuJoCo computes a shorter contact otherwise than it is given
+STEPS_PER_TIME_CONSTANT = (
+    5  # MuJoCo computes a shorter contact otherwise than it is given
+)
 
 
 @dataclass(frozen=True)
@@ -28,10 +30,11 @@ class MujocoSettings:
     """MuJoCo's own settings: [simulation.mujoco].
 
     Attributes:
-        time_constant_s: of a contact, the first number of MuJoCo's `solref`; its default is 0.02.
+        time_constant_s: of a contact, the first number of MuJoCo's `solref`; its
+            default is 0.02.
         damping_ratio: of a contact, the second one; 1 is critical.
-        limits: of the joints: "stops" follow the law of this simulator's stops, "mujoco" have
-            MuJoCo's default numbers.
+        limits: of the joints: "stops" follow the law of this simulator's stops,
+            "mujoco" have MuJoCo's default numbers.
     """
 
     time_constant_s: float = 0.02
@@ -42,7 +45,9 @@ class MujocoSettings:
         allowed = "a positive, finite number (MuJoCo's direct form is not taken)"
         positive = checks.number(checks.LEAST_POSITIVE, allowed=allowed)
         pair = {"time_constant_s": positive, "damping_ratio": positive}
-        checks.check_fields(self, "simulation.mujoco.", **pair, limits=checks.word(*LIMITS))
+        checks.check_fields(
+            self, "simulation.mujoco.", **pair, limits=checks.word(*LIMITS)
+        )
 
 
 @dataclass(frozen=True)
@@ -55,10 +60,11 @@ class Settings:
         precision: "float32" or "float64".
         arch: "auto" (a GPU when there is one, else the CPU), "cpu", "cuda" or "vulkan".
         threads: CPU threads; None takes every core. Results do not depend on it.
-        engine: the engine that moves the bodies: "taichi", this simulator's own, or "mujoco".
+        engine: the engine that moves the bodies: "taichi", this simulator's own, or
+            "mujoco".
         mujoco: MuJoCo's own settings.
-        wide_registers: whether a CPU may take as many walkers side by side as its registers hold.
-            Results do not depend on it.
+        wide_registers: whether a CPU may take as many walkers side by side as its
+            registers hold. Results do not depend on it.
     """
 
     physics_step_s: float = 1e-3
@@ -85,7 +91,9 @@ class Settings:
             wide_registers=checks.instance(bool),
         )
         if self.physics_step_s not in PHYSICS_STEPS_S:
-            raise InputError("simulation.physics_step_s", self.physics_step_s, f"{PHYSICS_STEPS_S}")
+            raise InputError(
+                "simulation.physics_step_s", self.physics_step_s, f"{PHYSICS_STEPS_S}"
+            )
         if self.engine == OWN_ENGINE:
             return
         shortest_s = STEPS_PER_TIME_CONSTANT * self.physics_step_s
@@ -97,7 +105,9 @@ class Settings:
             field = "simulation.mujoco.time_constant_s"
             raise InputError(field, self.mujoco.time_constant_s, allowed)
         if self.arch not in ("auto", "cpu"):
-            raise InputError("simulation.arch", self.arch, "auto or cpu with the engine mujoco")
+            raise InputError(
+                "simulation.arch", self.arch, "auto or cpu with the engine mujoco"
+            )
 
     @property
     def substeps(self) -> int:
@@ -111,7 +121,8 @@ class Settings:
     def document(self) -> dict[str, Any]:
         """The settings that decide a result, as JSON values by name; not those of the machine.
 
-        Only settings of the chosen engine are there, so that adding an engine changes no digest.
+        Only settings of the chosen engine are there, so that adding an engine changes
+        no digest.
         """
         document: dict[str, Any] = {
             "physics_step_s": self.physics_step_s,

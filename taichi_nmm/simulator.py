@@ -1,8 +1,9 @@
 """`simulate`: a batch of walkers from gains, bodies and terrains to results; `forward_dynamics`.
 
-The host's loop: launch a chunk of control ticks, drain the sums, drop the walkers that have ended,
-report, repeat. Between chunks a run can be interrupted; no result depends on the other walkers
-of the batch, on its order, on the chunks or on the number of threads.
+The host's loop: launch a chunk of control ticks, drain the sums, drop the walkers that
+have ended, report, repeat. Between chunks a run can be interrupted; no result depends
+on the other walkers of the batch, on its order, on the chunks or on the number of
+threads.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,7 +28,11 @@ from taichi_nmm.kernel.layout import (
     Muscle,
 )
 from taichi_nmm.kernel.muscle import SHORTEST_FIBRE
-from taichi_nmm.kernel.muscle_table import OPTIMAL_LENGTH_M, SLACK_LENGTH_M, muscle_table
+from taichi_nmm.kernel.muscle_table import (
+    OPTIMAL_LENGTH_M,
+    SLACK_LENGTH_M,
+    muscle_table,
+)
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.observation import LARGEST_ANGLE_RAD, require_within
 from taichi_nmm.outcome import Recorder, result_rows
@@ -36,7 +41,14 @@ from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import Result
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Terrain
-from taichi_nmm.walkers import Batch, Schedule, Switch, blends, check_batch, constant_rows
+from taichi_nmm.walkers import (
+    Batch,
+    Schedule,
+    Switch,
+    blends,
+    check_batch,
+    constant_rows,
+)
 from taichi_nmm.world import Worlds
 
 LONGEST_WALK_S = 10_000.0  # ticks stay whole numbers in float32
@@ -74,15 +86,17 @@ def simulate(
         duration_s: how long a walker may walk, in whole control ticks of 1 ms.
         bodies: one for all or n of them; None is the nominal body.
         terrains: one for all, or several; None is flat ground.
-        terrain_index: each walker's row of `terrains`, [n]; by default one terrain serves all, and
-            n terrains serve a walker each.
-        low_level_gains: [n, gain] or [gain], in the order of `parameters.LOW_LEVEL_GAINS`.
+        terrain_index: each walker's row of `terrains`, [n]; by default one terrain
+            serves all, and n terrains serve a walker each.
+        low_level_gains: [n, gain] or [gain], in the order of
+            `parameters.LOW_LEVEL_GAINS`.
         worlds: one for all or n of them; None is the nominal world.
         switches: other gains later on, one switch after another.
         settings: precision, step, contact, machine; None is `Settings()`.
         record: rows of the walkers that get a `Trajectory`.
         record_rate_hz: samples a second of the trajectories; a divisor of 1000.
-        progress: called between chunks with the simulated time in s and the walkers still up.
+        progress: called between chunks with the simulated time in s and the walkers
+            still up.
 
     Raises:
         InputError: a shape, a value or an index that cannot be used.
@@ -91,7 +105,9 @@ def simulate(
     settings = Settings() if settings is None else settings
     batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains, worlds)
     if not CONTROL_TICK_S <= duration_s <= LONGEST_WALK_S:
-        raise InputError("duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}")
+        raise InputError(
+            "duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}"
+        )
     ticks = round(duration_s / CONTROL_TICK_S)
     recorder = Recorder(record, record_rate_hz, batch.worlds, settings)
     schedule = Schedule(batch, settings, switches)
@@ -112,7 +128,9 @@ def simulate(
     return Result(rows, recorder.trajectories(), engine())
 
 
-def _start(batch: Batch, settings: Settings) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
+def _start(
+    batch: Batch, settings: Settings
+) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
     """The function that advances packs, the walkers at the start, and the engine's metadata."""
     if settings.engine == OWN_ENGINE:
         backend.start(settings)
@@ -122,7 +140,11 @@ def _start(batch: Batch, settings: Settings) -> tuple[Launch, Packs, Callable[[]
 
     backend.start(settings.on_processor())
     packs = start_packs(batch, settings)
-    return engine.launcher(batch, settings, packs), packs, lambda: engine.metadata(settings)
+    return (
+        engine.launcher(batch, settings, packs),
+        packs,
+        lambda: engine.metadata(settings),
+    )
 
 
 def start_packs(batch: Batch, settings: Settings) -> Packs:
@@ -131,10 +153,14 @@ def start_packs(batch: Batch, settings: Settings) -> Packs:
     rows[:, :FIRST_SUM] = [initial_rows(terrain) for terrain in batch.terrains]
     index = starts = batch.terrain_index
     fibre, slack = batch.worlds.optimal_length, batch.worlds.slack_length
-    if np.any((fibre != 1.0) | (slack != 1.0)):  # relaxed fibres of other lengths: a row a walker
+    if np.any(
+        (fibre != 1.0) | (slack != 1.0)
+    ):  # relaxed fibres of other lengths: a row a walker
         rows, starts = rows[index], np.arange(len(batch), dtype=np.int32)
         lengths = rows[:, FIRST_FIBRE + Muscle.length :][:, :MUSCLE_COUNT]
-        slack_m, optimal_m = (np.tile(each, LEGS) for each in (SLACK_LENGTH_M, OPTIMAL_LENGTH_M))
+        slack_m, optimal_m = (
+            np.tile(each, LEGS) for each in (SLACK_LENGTH_M, OPTIMAL_LENGTH_M)
+        )
         lengths += (1.0 - slack) * slack_m / optimal_m
         lengths[:] = np.maximum(lengths / fibre, SHORTEST_FIBRE)
     return Packs(rows, constant_rows(batch, settings), index, starts=starts)
@@ -153,11 +179,20 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
         nonlocal bound
         if bound is None or bound[0] is not packs.rows:
             kernel = backend.BoundKernel(
-                advance, backend.lanes_a_turn(),
-                packs.rows, packs.constants, packs.terrains, heights, muscles,
-                first_tick, ticks, settings.substeps, step_s,
-                *blends(step_s), rough,
-            )  # fmt: skip
+                advance,
+                backend.lanes_a_turn(),
+                packs.rows,
+                packs.constants,
+                packs.terrains,
+                heights,
+                muscles,
+                first_tick,
+                ticks,
+                settings.substeps,
+                step_s,
+                *blends(step_s),
+                rough,
+            )
             bound = packs.rows, kernel
         bound[1].launch(first_tick=first_tick, ticks=ticks)
 
@@ -172,13 +207,13 @@ def forward_dynamics(
     Args:
         q: hip x, z and the angles of HAT, thigh, shank, foot left, then right, [n, 9].
         qdot: their rates, [n, 9].
-        joint_torque: left hip, knee, ankle, right hip, knee, ankle, N m, [n, 6]; positive turns
-            the child clockwise.
+        joint_torque: left hip, knee, ankle, right hip, knee, ankle, N m, [n, 6];
+            positive turns the child clockwise.
         bodies: one for all or n of them; None is the nominal body.
 
     Raises:
-        InputError: a shape that does not fit; a number that is not finite, or so large that sines
-            of angles are noise, or accelerations no numbers.
+        InputError: a shape that does not fit; a number that is not finite, or so large
+            that sines of angles are noise, or accelerations no numbers.
     """
     angles = _matrix("q", q, COORDINATES)
     require_within("q: angles in rad", angles[:, 2:], LARGEST_ANGLE_RAD)
@@ -191,7 +226,12 @@ def forward_dynamics(
     packs = Packs(np.hstack([angles, rates]), constant_rows(batch, settings))
     accelerations = np.zeros((len(packs.rows), COORDINATES, packs.lanes))
     backend.launch(
-        accelerate, packs.lanes, packs.rows, packs.fold(torques), packs.constants, accelerations
+        accelerate,
+        packs.lanes,
+        packs.rows,
+        packs.fold(torques),
+        packs.constants,
+        accelerations,
     )
     found = packs.unfold(accelerations)
     broken = np.flatnonzero(~np.isfinite(found).all(axis=1))
@@ -199,7 +239,9 @@ def forward_dynamics(
         row = int(broken[0])
         rate, torque = np.abs(rates[row]).max(), np.abs(torques[row]).max()
         name, largest = ("qdot", rate) if rate > torque else ("joint_torque", torque)
-        raise InputError(f"{name}[{row}]", float(largest), "numbers whose accelerations are finite")
+        raise InputError(
+            f"{name}[{row}]", float(largest), "numbers whose accelerations are finite"
+        )
     return found
 
 

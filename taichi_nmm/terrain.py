@@ -2,8 +2,8 @@
 
 The kernel reads the table alone; outside it the ground is level.
 
-A kind of terrain is a function here and a line of `KINDS`. Its signature gives the options of a
-configuration's table [terrain], with their ranges and defaults.
+A kind of terrain is a function here and a line of `KINDS`. Its signature gives the
+options of a configuration's table [terrain], with their ranges and defaults.
 """
 
 import math
@@ -42,10 +42,14 @@ GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
 P = ParamSpec("P")
 
 TABLE = "a readable table of x_m,height_m"
-HEADERS = (("x_m", "height_m"), ("x", "height"))  # of a file's columns: metres, in this order
+HEADERS = (
+    ("x_m", "height_m"),
+    ("x", "height"),
+)  # of a file's columns: metres, in this order
 
-# Above any ground that a configuration can make (stairs: 2.9 km). Up to here float32 tells heights
-# of 0.5 mm apart, a twentieth of the depth of a foot at rest; not much beyond.
+# Above any ground that a configuration can make (stairs: 2.9 km). Up to here float32
+# tells heights of 0.5 mm apart, a twentieth of the depth of a foot at rest; not much
+# beyond.
 HIGHEST_M = 5000.0
 SHORTEST_SPACING_M = 0.001
 
@@ -70,9 +74,13 @@ class Option:
 
 
 _POSITIVE = checks.number(checks.LEAST_POSITIVE, allowed="a positive, finite number")
-_FROM_SHORTEST = checks.number(SHORTEST_SPACING_M, allowed=f"a number from {SHORTEST_SPACING_M}")
+_FROM_SHORTEST = checks.number(
+    SHORTEST_SPACING_M, allowed=f"a number from {SHORTEST_SPACING_M}"
+)
 _WITHIN_GRID = checks.number(
-    GRID_START_M, math.nextafter(GRID_END_M, 0.0), f"{GRID_START_M:g} to below {GRID_END_M:g}"
+    GRID_START_M,
+    math.nextafter(GRID_END_M, 0.0),
+    f"{GRID_START_M:g} to below {GRID_END_M:g}",
 )
 
 Amplitude: TypeAlias = Annotated[float, Option(0.0, 1.0, checks.number(0.0, HIGHEST_M))]
@@ -112,10 +120,14 @@ class Terrain:
     def __post_init__(self) -> None:
         checks.check_fields(self, "terrain.", name=checks.text, height_m=checks.finite)
         if self.height_m.shape != (GRID_NODES,):
-            raise InputError("terrain.height_m.shape", self.height_m.shape, f"[{GRID_NODES}]")
+            raise InputError(
+                "terrain.height_m.shape", self.height_m.shape, f"[{GRID_NODES}]"
+            )
         highest = float(np.abs(self.height_m).max())
         if highest > HIGHEST_M:
-            raise InputError("terrain.height_m", highest, f"heights within +-{HIGHEST_M:g} m")
+            raise InputError(
+                "terrain.height_m", highest, f"heights within +-{HIGHEST_M:g} m"
+            )
 
     def height(self, x_m: ArrayLike) -> NDArray[np.float64]:
         """Height of the ground at some places, m.
@@ -150,7 +162,9 @@ def rough(
     """
     knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m, slope)
     height = np.interp(GRID_X_M, knots_x, knots)
-    return Terrain(f"rough +-{amplitude_m:g} m every {spacing_m:g} m{_rising(slope)}", height)
+    return Terrain(
+        f"rough +-{amplitude_m:g} m every {spacing_m:g} m{_rising(slope)}", height
+    )
 
 
 @_checked
@@ -174,12 +188,16 @@ def blocks(
         slope: of its length by which each block is higher (0.04 = 4 %), in addition.
     """
     if not GRID_SPACING_M <= riser_m <= spacing_m:
-        raise InputError("terrain.riser_m", riser_m, f"{GRID_SPACING_M} to {spacing_m} (spacing_m)")
+        raise InputError(
+            "terrain.riser_m", riser_m, f"{GRID_SPACING_M} to {spacing_m} (spacing_m)"
+        )
     knots_x, knots = _random_walk(seed, amplitude_m, spacing_m, flat_start_m, slope)
     starts = np.column_stack([knots_x[1:] - riser_m, knots_x[1:]]).ravel()
     levels = np.column_stack([knots[:-1], knots[1:]]).ravel()
     height = np.interp(GRID_X_M, starts, levels)
-    return Terrain(f"blocks +-{amplitude_m:g} m, risers {riser_m:g} m{_rising(slope)}", height)
+    return Terrain(
+        f"blocks +-{amplitude_m:g} m, risers {riser_m:g} m{_rising(slope)}", height
+    )
 
 
 @_checked
@@ -198,9 +216,13 @@ def ramp(
         direction: "up" or "down".
     """
     middle = np.maximum(GRID_X_M[:-1] + 0.5 * GRID_SPACING_M, 0.0)
-    slope = _sign(direction) * np.minimum(np.floor(middle / segment_m) * increment, largest_slope)
+    slope = _sign(direction) * np.minimum(
+        np.floor(middle / segment_m) * increment, largest_slope
+    )
     height = np.concatenate([[0.0], np.cumsum(slope * GRID_SPACING_M)])
-    return Terrain(f"ramp {direction} {100 * increment:g} % per {segment_m:g} m", height)
+    return Terrain(
+        f"ramp {direction} {100 * increment:g} % per {segment_m:g} m", height
+    )
 
 
 @_checked
@@ -229,10 +251,11 @@ def stairs(
 def from_file(path: str | Path) -> Terrain:
     """A height table of a text file, a row of two columns x_m and height_m a line.
 
-    x increases; the ground is linear in between, and level before the first row and after the last.
-    Tabs, semicolons, commas or blanks part the columns; with other marks than commas, numbers may
-    have decimal commas. Empty lines, comments after a #, and a first line of
-    names (x_m,height_m or x,height) are skipped. A file that ends in .gz, .bz2 or .xz is unpacked.
+    x increases; the ground is linear in between, and level before the first row and
+    after the last. Tabs, semicolons, commas or blanks part the columns; with other
+    marks than commas, numbers may have decimal commas. Empty lines, comments after a #,
+    and a first line of names (x_m,height_m or x,height) are skipped. A file that ends
+    in .gz, .bz2 or .xz is unpacked.
 
     Raises:
         InputError: no such file, or no such table; a height beyond +-`HIGHEST_M`.
@@ -257,9 +280,13 @@ def _of_text(text: str, file: Path) -> Terrain:
     except ValueError as error:
         raise InputError("terrain.file", str(file), f"{TABLE} ({error})") from None
     if table.shape[0] < 2 or table.shape[1] != 2:
-        raise InputError("terrain.file", str(file), "at least two rows of two columns x_m,height_m")
+        raise InputError(
+            "terrain.file", str(file), "at least two rows of two columns x_m,height_m"
+        )
     if not np.all(np.isfinite(table)) or not np.all(np.diff(table[:, 0]) > 0):
-        raise InputError("terrain.file", str(file), "finite numbers, x strictly increasing")
+        raise InputError(
+            "terrain.file", str(file), "finite numbers, x strictly increasing"
+        )
     return Terrain(f"file {file.name}", np.interp(GRID_X_M, table[:, 0], table[:, 1]))
 
 
@@ -306,24 +333,29 @@ class Ground:
         """The terrain of this seed; kinds without randomness give the same for all.
 
         Raises:
-            InputError: an option that the ground cannot be made with, or a file that is no table.
+            InputError: an option that the ground cannot be made with, or a file that is
+                no table.
         """
         make: Callable[..., Terrain] = KINDS[self.kind]
-        drawn: dict[str, Any] = {"seed": seed} if "seed" in signature(make).parameters else {}
+        drawn: dict[str, Any] = (
+            {"seed": seed} if "seed" in signature(make).parameters else {}
+        )
         for name, value in self.options.items():
-            drawn[name] = _drawn(seed, name, *value) if isinstance(value, list) else value
+            drawn[name] = (
+                _drawn(seed, name, *value) if isinstance(value, list) else value
+            )
         return make(**drawn)
 
 
 def read_ground(table: Table) -> Ground:
     """The table [terrain] of a configuration: its kind, and options of that kind. Reads every key.
 
-    The text of a file, whose name starts from the configuration's folder, becomes an option: the
-    options alone make the ground again.
+    The text of a file, whose name starts from the configuration's folder, becomes an
+    option: the options alone make the ground again.
 
-    An option that is a number may be a pair, lowest and highest: each ground draws its own. Grounds
-    of both ends are drawn here, so that options which do not fit each other, or a file that cannot
-    be read, are refused before anything is computed.
+    An option that is a number may be a pair, lowest and highest: each ground draws its
+    own. Grounds of both ends are drawn here, so that options which do not fit each
+    other, or a file that cannot be read, are refused before anything is computed.
 
     Raises:
         InputError: an unknown kind or option, a wrong type or a value out of range.
@@ -332,7 +364,9 @@ def read_ground(table: Table) -> Ground:
     make, written = KINDS[kind], table.unread
     hints = get_type_hints(make, include_extras=True)
     for name, parameter in signature(make).parameters.items():
-        default: Any = REQUIRED if parameter.default is Parameter.empty else parameter.default
+        default: Any = (
+            REQUIRED if parameter.default is Parameter.empty else parameter.default
+        )
         if name == "seed":
             continue
         if get_origin(hints[name]) is not Annotated:  # a Literal's words, or any text
@@ -350,14 +384,22 @@ def read_ground(table: Table) -> Ground:
         file = table.folder / written["file"]
         written["heights"] = read_text("terrain.file", file, TABLE)
     for end in range(2):
-        options = {name: v[end] if isinstance(v, list) else v for name, v in written.items()}
+        options = {
+            name: v[end] if isinstance(v, list) else v for name, v in written.items()
+        }
         Ground(kind, options).draw(seed=0)
     return Ground(kind, written)
 
 
-def _drawn(seed: int | np.random.SeedSequence, option: str, low: float, high: float) -> float:
+def _drawn(
+    seed: int | np.random.SeedSequence, option: str, low: float, high: float
+) -> float:
     """An option of this seed's ground; another option that is drawn would not change it."""
-    known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+    known = (
+        seed
+        if isinstance(seed, np.random.SeedSequence)
+        else np.random.SeedSequence(seed)
+    )
     key = (*known.spawn_key, crc32(option.encode()))
     rng = np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key))
     return float(rng.uniform(low, high))

@@ -1,7 +1,8 @@
 """Numbers and tables as people and their spreadsheets write them.
 
-Half of Europe writes 0,92 for 0.92, and parts the columns of a file by semicolons for it. What can
-mean one thing alone is read. What can mean two is refused, with the way to write it.
+Half of Europe writes 0,92 for 0.92, and parts the columns of a file by semicolons for
+it. What can mean one thing alone is read. What can mean two is refused, with the way to
+write it.
 """
 
 import csv
@@ -17,8 +18,12 @@ WITH_POINT = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+){EXPONENT}")
 WITH_COMMA = rf"[+-]?[0-9]*,[0-9]+{EXPONENT}"
 EITHER = r"[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+"  # 1,234: a decimal comma, or a mark of thousands
 MARKS = "., '\N{RIGHT SINGLE QUOTATION MARK}\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}"
-MEANT = re.compile(rf"[+-]?[.,]?[0-9][0-9{MARKS}]*([eE][+-]?[0-9]+)?")  # in any way of writing
-CLOCK = re.compile(r"[0-9]{1,4}([-/.])[0-9]{1,2}\1[0-9]{1,4}([T ,].*)?|[0-9]{1,2}:[0-9]{2}.*")
+MEANT = re.compile(
+    rf"[+-]?[.,]?[0-9][0-9{MARKS}]*([eE][+-]?[0-9]+)?"
+)  # in any way of writing
+CLOCK = re.compile(
+    r"[0-9]{1,4}([-/.])[0-9]{1,2}\1[0-9]{1,4}([T ,].*)?|[0-9]{1,2}:[0-9]{2}.*"
+)
 
 SEPARATORS = "\t;,"
 BLANKS = " "  # a run of them parts two columns
@@ -38,7 +43,9 @@ def number(field: str, word: str) -> float:
     if not WITH_POINT.fullmatch(text):
         raise InputError(field, word, mend(text) or "a number, such as 0.92")
     value = float(text)
-    is_lost = value == 0.0 and re.search("[1-9]", text.lower().partition("e")[0])  # 1e-400
+    is_lost = value == 0.0 and re.search(
+        "[1-9]", text.lower().partition("e")[0]
+    )  # 1e-400
     if is_lost or not math.isfinite(value):
         raise InputError(field, word, "a finite number")
     return value
@@ -67,7 +74,9 @@ def mend(word: str) -> str:
         meant = plain
     else:
         place = max(text.rfind("."), text.rfind(","))  # of the decimal mark
-        whole, fraction = (re.sub(f"[{MARKS}]", "", part) for part in (text[:place], text[place:]))
+        whole, fraction = (
+            re.sub(f"[{MARKS}]", "", part) for part in (text[:place], text[place:])
+        )
         meant = f"{whole}.{fraction}"
     return f"{meant}: a decimal point, and no marks between thousands"
 
@@ -76,12 +85,15 @@ def with_points(cells: Sequence[str]) -> list[str]:
     """Cells of a text, in which decimal commas are points: where none may mean something else.
 
     Raises:
-        ValueError: all of the commas may be marks between thousands, or there are points too.
+        ValueError: all of the commas may be marks between thousands, or there are
+            points too.
     """
     commas = [cell for cell in cells if "," in cell]
     if not commas:
         return list(cells)
-    is_clear = any(re.fullmatch(WITH_COMMA, c) and not re.fullmatch(EITHER, c) for c in commas)
+    is_clear = any(
+        re.fullmatch(WITH_COMMA, c) and not re.fullmatch(EITHER, c) for c in commas
+    )
     if not is_clear or any("." in cell for cell in cells):
         raise ValueError(f"{commas[0]} may be two numbers: write {mend(commas[0])}")
     return [cell.replace(",", ".") for cell in cells]
@@ -90,8 +102,8 @@ def with_points(cells: Sequence[str]) -> list[str]:
 def separator(text: str) -> str:
     """What parts the columns of a text: a tab, a semicolon, a comma, or blanks.
 
-    Its first row has two cells or more, and each other row has as many. Where nothing parts the
-    rows so, there is one column.
+    Its first row has two cells or more, and each other row has as many. Where nothing
+    parts the rows so, there is one column.
 
     Raises:
         ValueError: rows of different lengths, or two separators that both fit.
@@ -100,8 +112,12 @@ def separator(text: str) -> str:
         text = text[:SAMPLE_CHARACTERS].rpartition("\n")[0]
     parted = {mark: _cells(text, mark) for mark in SEPARATORS}
     fitting = [mark for mark, rows in parted.items() if _is_even(rows)]
-    if len(fitting) > 1:  # a mark within numbers, such as a decimal comma, may part rows evenly too
-        fitting = [mark for mark in fitting if not _cuts_words(parted[mark], fitting, mark)]
+    if (
+        len(fitting) > 1
+    ):  # a mark within numbers, such as a decimal comma, may part rows evenly too
+        fitting = [
+            mark for mark in fitting if not _cuts_words(parted[mark], fitting, mark)
+        ]
         if len(fitting) != 1:
             raise ValueError("columns that may be parted by two of tabs, ; and ,")
     if fitting:
@@ -114,7 +130,9 @@ def separator(text: str) -> str:
         return BLANKS
     for place, row in enumerate(others, start=2):
         if len(row) != len(first):
-            cells = f"row {place} has {len(row)} cells, and row 1, of names, {len(first)}"
+            cells = (
+                f"row {place} has {len(row)} cells, and row 1, of names, {len(first)}"
+            )
             raise ValueError(f"{cells}; {DECIMAL_COMMAS}")
     return SEPARATORS[-1]
 
@@ -135,5 +153,7 @@ def _is_even(rows: Sequence[Sequence[str]]) -> bool:
 def _cuts_words(rows: Sequence[Sequence[str]], marks: Sequence[str], own: str) -> bool:
     """Whether a cell has another of the marks within, and is no number that may have it."""
     others = [mark for mark in marks if mark != own]
-    cells = [cell for row in rows for cell in row if any(mark in cell for mark in others)]
+    cells = [
+        cell for row in rows for cell in row if any(mark in cell for mark in others)
+    ]
     return not all(map(is_meant, cells))

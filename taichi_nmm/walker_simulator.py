@@ -46,13 +46,13 @@ from taichi_nmm.settings import GPUS, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
 from taichi_nmm.world import MUSCLE_LIMITS, NOMINAL, WorldRanges, Worlds, read_world
 
-# By the purpose of a world's seed: the purposes of the streams that draw its body, its ground, and
-# its contact, muscles and nerves.
+# By the purpose of a world's seed: the purposes of the streams that draw its body, its
+# ground, and its contact, muscles and nerves.
 STREAMS = {101: (101, 102, 105), 103: (103, 104, 106)}
 DIGEST_DECIMALS = 9  # nanometres: more than the last bits that differ between machines
 
-# Columns that tell gaits apart, with the ranges that a search covers: speed, length of steps, and
-# how much feet are lifted.
+# Columns that tell gaits apart, with the ranges that a search covers: speed, length of
+# steps, and how much feet are lifted.
 MEASURES = {
     "mean_speed_mps": (0.4, 2.0),
     "step_length_mean_m": (0.3, 1.0),
@@ -61,7 +61,9 @@ MEASURES = {
 # With the horizon these give both costs (`result.smooth_cost`, `result.walking_cost`).
 # The energy of muscles and motors is what speeds and fronts take the least of.
 OUTCOMES = ("survived_fraction", "mean_speed_mps", OF_MUSCLES, ENERGY)
-KEPT = tuple(each for each in RESULT_DTYPE.names or () if each not in ("end_reason", *OUTCOMES))
+KEPT = tuple(
+    each for each in RESULT_DTYPE.names or () if each not in ("end_reason", *OUTCOMES)
+)
 SLOWEST_MPS = 0.4  # a slower gait may be about to stand, which survives any ground
 
 CANARY_WALKERS = 16
@@ -103,7 +105,10 @@ class WalkerWorlds:
 
         def streams(place: int) -> list[np.random.SeedSequence]:
             """Seeds of all bodies, grounds or surroundings."""
-            keys = [(STREAMS[seed.spawn_key[0]][place], *seed.spawn_key[1:]) for seed in seeds]
+            keys = [
+                (STREAMS[seed.spawn_key[0]][place], *seed.spawn_key[1:])
+                for seed in seeds
+            ]
             return [
                 np.random.SeedSequence(seed.entropy, spawn_key=key)
                 for seed, key in zip(seeds, keys, strict=True)
@@ -121,7 +126,9 @@ class WalkerWorlds:
         # Newer than many stores, as is the key "world" below.
         for newer in ("catch_ns", "prosthesis", "exoskeleton", *MUSCLE_LIMITS):
             if getattr(self.ranges, newer) == getattr(NOMINAL, newer):
-                numbers = {name: values for name, values in numbers.items() if name != newer}
+                numbers = {
+                    name: values for name, values in numbers.items() if name != newer
+                }
         bodies = array_digest(*vars(worlds.bodies).values())
         document: dict[str, Any] = {
             "terrain": terrain_document(worlds.terrains),
@@ -161,9 +168,14 @@ class Walker:
     @classmethod
     def read(cls, table: Table, arch: str | None) -> Self:
         """From [simulation], `searched` and `fixed_gains`; `arch` overrides the file's."""
-        settings, fixed = read_settings(table.table("simulation"), arch), read_fixed(table)
+        settings, fixed = (
+            read_settings(table.table("simulation"), arch),
+            read_fixed(table),
+        )
         named = table.texts("kept", (*KEPT, ENERGY))
-        kept = tuple(name for name in named if name != ENERGY)  # once it had to be named
+        kept = tuple(
+            name for name in named if name != ENERGY
+        )  # once it had to be named
         return cls(settings, searched_parameters(table.texts("searched")), fixed, kept)
 
     @property
@@ -182,7 +194,11 @@ class Walker:
     def parameters_of(cls, names: Sequence[str]) -> tuple[Parameter, ...]:
         """The 16 gains, unless none is among these names, and the low-level gains of the names."""
         low_level = tuple(each for each in LOW_LEVEL_GAINS if each.name in names)
-        return low_level if low_level and not set(GAIN_NAMES) & set(names) else (*GAINS, *low_level)
+        return (
+            low_level
+            if low_level and not set(GAIN_NAMES) & set(names)
+            else (*GAINS, *low_level)
+        )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -194,7 +210,11 @@ class Walker:
 
         What else is not searched is not there: no device, no asymmetry.
         """
-        fixed = {gain.name: float(gain.default) for gain in FIXED if gain not in self.searched}
+        fixed = {
+            gain.name: float(gain.default)
+            for gain in FIXED
+            if gain not in self.searched
+        }
         document: dict[str, Any] = {
             "low_level_gains": fixed,
             "simulation": self.settings.document(),
@@ -229,7 +249,9 @@ class Walker:
         """Walk all points in all worlds as one batch, [n, w]."""
         count = len(worlds.terrains)
         world = np.tile(np.arange(count), len(points))
-        gains, low_level = split_points(np.repeat(points, count, axis=0), self.searched, self.fixed)
+        gains, low_level = split_points(
+            np.repeat(points, count, axis=0), self.searched, self.fixed
+        )
         result = taichi_nmm.simulate(  # as an attribute: importing it would load Taichi
             gains,
             duration_s=horizon_s,
@@ -248,15 +270,19 @@ class Walker:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Share of the horizon that is walked, and `MEASURES`, on average over the worlds.
 
-        The share is the survived fraction of a gait that walks, and the distance of one that hardly
-        does. Distance alone found gaits that climb stairs on fewer bodies. A measure is weighted by
-        how long a world was walked.
+        The share is the survived fraction of a gait that walks, and the distance of one
+        that hardly does. Distance alone found gaits that climb stairs on fewer bodies.
+        A measure is weighted by how long a world was walked.
         """
         distance_m = np.where(rows["end_reason"] == DIVERGED, 0.0, rows["distance_m"])
-        walked_s = np.minimum(rows["duration_s"], np.maximum(distance_m, 0.0) / SLOWEST_MPS)
+        walked_s = np.minimum(
+            rows["duration_s"], np.maximum(distance_m, 0.0) / SLOWEST_MPS
+        )
         lasted_s = np.maximum(rows["duration_s"], 1e-3)  # a walker may diverge at once
         weight = lasted_s / lasted_s.sum(axis=1, keepdims=True)
-        finite = (np.nan_to_num(rows[name], posinf=0.0, neginf=0.0) for name in MEASURES)
+        finite = (
+            np.nan_to_num(rows[name], posinf=0.0, neginf=0.0) for name in MEASURES
+        )
         measures = np.column_stack([(values * weight).sum(axis=1) for values in finite])
         return walked_s.mean(axis=1) / horizon_s, measures
 
@@ -268,10 +294,16 @@ class Walker:
         """Sixteen disturbed walkers on rough ground for a second, the same for all stores."""
         from scipy.stats import qmc  # it takes long to import
 
-        stream = np.random.SeedSequence(CANARY_SEED, spawn_key=(100, 0))  # as a store's points have
-        sequence = qmc.Sobol(d=len(GAINS), scramble=True, rng=np.random.default_rng(stream))
+        stream = np.random.SeedSequence(
+            CANARY_SEED, spawn_key=(100, 0)
+        )  # as a store's points have
+        sequence = qmc.Sobol(
+            d=len(GAINS), scramble=True, rng=np.random.default_rng(stream)
+        )
         low, high = lower_bounds(), upper_bounds()
-        gains = low + sequence.random(CANARY_WALKERS)[: CANARY_WALKERS - 1] * (high - low)
+        gains = low + sequence.random(CANARY_WALKERS)[: CANARY_WALKERS - 1] * (
+            high - low
+        )
         result = taichi_nmm.simulate(
             np.vstack([PUBLISHED_GAINS, gains]),
             duration_s=CANARY_S,
@@ -283,7 +315,9 @@ class Walker:
 
     def _columns_of(self, result: Result) -> NDArray[np.void]:
         """The rows of a result with `columns` alone."""
-        return np.asarray(result.rows[list(self.columns.names or ())].astype(self.columns))
+        return np.asarray(
+            result.rows[list(self.columns.names or ())].astype(self.columns)
+        )
 
     def on_one_thread(self) -> "Walker":
         """The same for one of several processes of a machine; no result depends on it."""
@@ -300,7 +334,11 @@ class Walker:
             InputError: no such GPU.
         """
         arch, engine = self.settings.arch, self.settings.engine
-        if arch == "cpu" or engine != OWN_ENGINE or (arch == "auto" and not find_library("cuda")):
+        if (
+            arch == "cpu"
+            or engine != OWN_ENGINE
+            or (arch == "auto" and not find_library("cuda"))
+        ):
             return cores
         return cores if started_arch(self.settings) == "cpu" else 1
 

@@ -19,7 +19,13 @@ from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.muscle_table import T_STRAIN, muscle_table
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.packs import Packs
-from taichi_nmm.parameters import ASYMMETRIES, GAINS, LOW_LEVEL_GAINS, Parameter, gain_rows
+from taichi_nmm.parameters import (
+    ASYMMETRIES,
+    GAINS,
+    LOW_LEVEL_GAINS,
+    Parameter,
+    gain_rows,
+)
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
 from taichi_nmm.world import MUSCLE_LIMITS, Worlds
@@ -70,9 +76,16 @@ def check_batch(
     defaults = [parameter.default for parameter in LOW_LEVEL_GAINS]
     given = defaults if low_level_gains is None else low_level_gains
     low_level = _row_each("low_level_gains", given, LOW_LEVEL_GAINS, count)
-    bodies = checks.instance(Bodies)("bodies", Bodies.nominal() if bodies is None else bodies)
-    worlds = checks.instance(Worlds)("worlds", Worlds.nominal() if worlds is None else worlds)
-    for field, one, length in (("bodies", "body", len(bodies)), ("worlds", "world", len(worlds))):
+    bodies = checks.instance(Bodies)(
+        "bodies", Bodies.nominal() if bodies is None else bodies
+    )
+    worlds = checks.instance(Worlds)(
+        "worlds", Worlds.nominal() if worlds is None else worlds
+    )
+    for field, one, length in (
+        ("bodies", "body", len(bodies)),
+        ("worlds", "world", len(worlds)),
+    ):
         if length not in (1, count):
             raise InputError(field, length, f"one {one}, or {count}: one a walker")
     grounds, index = _check_terrains(terrains, terrain_index, count)
@@ -98,11 +111,15 @@ def _row_each(
 
 
 def _check_terrains(
-    terrains: Terrain | Sequence[Terrain] | None, terrain_index: ArrayLike | None, count: int
+    terrains: Terrain | Sequence[Terrain] | None,
+    terrain_index: ArrayLike | None,
+    count: int,
 ) -> tuple[tuple[Terrain, ...], NDArray[np.int32]]:
     terrains = flat() if terrains is None else terrains
     listed = (terrains,) if isinstance(terrains, Terrain) else terrains
-    grounds: tuple[Terrain, ...] = checks.each(checks.instance(Terrain))("terrains", listed)
+    grounds: tuple[Terrain, ...] = checks.each(checks.instance(Terrain))(
+        "terrains", listed
+    )
     if not grounds:
         raise InputError("terrains", "none", "at least one terrain")
     if terrain_index is None:
@@ -112,7 +129,9 @@ def _check_terrains(
         return grounds, np.arange(count, dtype=np.int32) % np.int32(len(grounds))
     index = checks.row_numbers("terrain_index", terrain_index, len(grounds))
     if len(index) != count:
-        raise InputError("terrain_index.shape", index.shape, f"[{count}] of whole numbers")
+        raise InputError(
+            "terrain_index.shape", index.shape, f"[{count}] of whole numbers"
+        )
     return grounds, index.astype(np.int32)
 
 
@@ -123,7 +142,8 @@ class Switch:
     Attributes:
         at_s: when they begin to go over.
         gains: [n, gain] or [gain], in the order of `parameters.GAINS`.
-        low_level_gains: likewise, of `parameters.LOW_LEVEL_GAINS`; None: those of the start.
+        low_level_gains: likewise, of `parameters.LOW_LEVEL_GAINS`; None: those of the
+            start.
         over_s: how long they take; two seconds are about two strides (docs/speeds.md).
     """
 
@@ -136,19 +156,36 @@ class Switch:
 class Schedule:
     """The constants of a batch's walkers from tick to tick."""
 
-    def __init__(self, batch: Batch, settings: Settings, switches: Sequence[Switch]) -> None:
+    def __init__(
+        self, batch: Batch, settings: Settings, switches: Sequence[Switch]
+    ) -> None:
         """Refuses switches that are not one after another."""
-        self._ticks, self._rows = [0], [constant_rows(batch, settings)]  # the line's knots
-        every: tuple[Switch, ...] = checks.each(checks.instance(Switch))("switches", switches)
+        self._ticks, self._rows = (
+            [0],
+            [constant_rows(batch, settings)],
+        )  # the line's knots
+        every: tuple[Switch, ...] = checks.each(checks.instance(Switch))(
+            "switches", switches
+        )
         for number, switch in enumerate(every):
             field, before_s = f"switches[{number}]", self._ticks[-1] * CONTROL_TICK_S
             at_s = checks.number(before_s)(f"{field}.at_s", switch.at_s)
             over_s = checks.number(CONTROL_TICK_S)(f"{field}.over_s", switch.over_s)
-            given = batch.low_level if switch.low_level_gains is None else switch.low_level_gains
-            low_level = _row_each(f"{field}.low_level_gains", given, LOW_LEVEL_GAINS, len(batch))
+            given = (
+                batch.low_level
+                if switch.low_level_gains is None
+                else switch.low_level_gains
+            )
+            low_level = _row_each(
+                f"{field}.low_level_gains", given, LOW_LEVEL_GAINS, len(batch)
+            )
             gains = _row_each(f"{field}.gains", switch.gains, GAINS, len(batch))
-            later = constant_rows(replace(batch, gains=gains, low_level=low_level), settings)
-            self._ticks += [round(time / CONTROL_TICK_S) for time in (at_s, at_s + over_s)]
+            later = constant_rows(
+                replace(batch, gains=gains, low_level=low_level), settings
+            )
+            self._ticks += [
+                round(time / CONTROL_TICK_S) for time in (at_s, at_s + over_s)
+            ]
             self._rows += [self._rows[-1], later]
 
     def set_constants(self, packs: Packs, tick: int) -> int:
@@ -156,7 +193,10 @@ class Schedule:
         if len(self._ticks) == 1:
             return CHUNK_TICKS  # as they were packed
         place = bisect_right(self._ticks, tick) - 1
-        before, after = self._rows[place], self._rows[min(place + 1, len(self._rows) - 1)]
+        before, after = (
+            self._rows[place],
+            self._rows[min(place + 1, len(self._rows) - 1)],
+        )
         ends = [*self._ticks, tick + CHUNK_TICKS][place : place + 2]
         share = (tick - ends[0]) / (ends[1] - ends[0]) if after is not before else 0.0
         rows = ((1.0 - share) * before + share * after)[packs.walkers]
@@ -170,9 +210,13 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
     rows = np.zeros((len(batch), Const.count))
     low_level, asymmetry = np.split(batch.low_level, [-len(ASYMMETRIES)], axis=1)
-    by_leg = np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1) * batch.gains[:, :, None]
+    by_leg = (
+        np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1) * batch.gains[:, :, None]
+    )
     rows[:, : Const.total_mass] = np.hstack([by_leg.reshape(len(batch), -1), low_level])
-    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(-rows[:, Const.w_filter] * CONTROL_TICK_S)
+    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(
+        -rows[:, Const.w_filter] * CONTROL_TICK_S
+    )
     rows[:, Const.total_mass] = mass.sum(axis=1)
     nominal_n_per_m = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
     rows[:, Const.contact_stiffness] = nominal_n_per_m * worlds.contact_stiffness
@@ -186,9 +230,13 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     rows[:, Const.sensing_noise] = worlds.sensing_noise
     rows[:, Const.noise_seed] = worlds.noise_seed
     rows[:, Const.catch_ns] = worlds.catch_ns
-    for number, row in enumerate((Const.ankle_stiffness, Const.ankle_damping, Const.ankle_rest)):
+    for number, row in enumerate(
+        (Const.ankle_stiffness, Const.ankle_damping, Const.ankle_rest)
+    ):
         rows[:, row : row + LEGS] = worlds.prosthesis[:, :, number]
-    rows[:, Const.exo_share : Const.exo_power] = worlds.exoskeleton[:, :, :3].reshape(len(rows), -1)
+    rows[:, Const.exo_share : Const.exo_power] = worlds.exoskeleton[:, :, :3].reshape(
+        len(rows), -1
+    )
     rows[:, Const.exo_power : Const.exo_power + LEGS] = worlds.exoskeleton[:, :, 3]
     rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
@@ -200,7 +248,9 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
         a, b = leg_coefficients(mass[:, links], inertia[:, links], com[:, links])
         rows[:, Const.a_leg + 3 * leg : Const.a_leg + 3 * leg + 3] = a
         rows[:, Const.b_leg + 6 * leg : Const.b_leg + 6 * leg + 6] = b
-        _check_prosthesis(batch, leg, rows[:, Const.b_leg + 6 * leg + 2], settings.physics_step_s)
+        _check_prosthesis(
+            batch, leg, rows[:, Const.b_leg + 6 * leg + 2], settings.physics_step_s
+        )
     return rows
 
 
@@ -225,14 +275,17 @@ def _check_prosthesis(
     """Refuse a foot that is too light for its damper, of this inertia about the ankle, [n].
 
     The torque of a step is that of its begin. Alone, the foot would gain energy where
-    step (damping + stiffness step / 2) is more than twice its inertia; the shank halves this.
+    step (damping + stiffness step / 2) is more than twice its inertia; the shank halves
+    this.
     """
     stiffness, damping, _ = batch.worlds.prosthesis[:, leg].T
     most = inertia_kgm2 / step_s - 0.5 * stiffness * step_s
     if np.any(damping > most):
         worst = int(np.argmax(damping - most))
         allowed = f"up to {max(most[worst], 0.0):.3g} with this stiffness, foot and physics step"
-        raise InputError("worlds.prosthesis.damping_nmsprad", float(damping[worst]), allowed)
+        raise InputError(
+            "worlds.prosthesis.damping_nmsprad", float(damping[worst]), allowed
+        )
 
 
 def leg_coefficients(
@@ -271,5 +324,7 @@ def blends(step_s: float) -> tuple[float, float]:
     Args:
         step_s: of the physics.
     """
-    activation, load = 1.0 - np.exp(-step_s / np.array([ACTIVATION_TIME_S, LOAD_FILTER_S]))
+    activation, load = 1.0 - np.exp(
+        -step_s / np.array([ACTIVATION_TIME_S, LOAD_FILTER_S])
+    )
     return float(activation), float(load)

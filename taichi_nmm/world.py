@@ -46,7 +46,10 @@ MUSCLE_LIMITS: dict[str, Range] = {  # of each muscle, over the nominal
 PROSTHESIS_LIMITS: dict[str, Range] = {
     "stiffness_nmprad": (0.0, 2000.0),
     "damping_nmsprad": (0.0, 5.0),
-    "rest_rad": (math.radians(-20.0), math.radians(40.0)),  # between the stops of `kernel.joints`
+    "rest_rad": (
+        math.radians(-20.0),
+        math.radians(40.0),
+    ),  # between the stops of `kernel.joints`
 }
 ACROSS_ANKLE = ("SOL", "TA", "GAS")
 MOTIONS = {  # of an exoskeleton: hip extension, knee flexion and plantarflexion, positive
@@ -64,8 +67,9 @@ POWER_W: Range = (1.0, 1e6)  # the last is no limit
 class Prosthesis:
     """A passive foot: a linear spring and damper in an ankle that no muscle crosses any more.
 
-    Its torque on the foot is stiffness (rest - angle) - damping rate; angles are plantarflexion
-    positive, 0 being a foot square to the shank. The ankle keeps its stops, and the leg its masses.
+    Its torque on the foot is stiffness (rest - angle) - damping rate; angles are
+    plantarflexion positive, 0 being a foot square to the shank. The ankle keeps its
+    stops, and the leg its masses.
 
     Attributes:
         side: "left" or "right".
@@ -80,7 +84,9 @@ class Prosthesis:
     rest_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        numbers = {name: checks.number(*limits) for name, limits in PROSTHESIS_LIMITS.items()}
+        numbers = {
+            name: checks.number(*limits) for name, limits in PROSTHESIS_LIMITS.items()
+        }
         checks.check_fields(self, "prosthesis.", side=checks.word(*SIDES), **numbers)
 
 
@@ -100,13 +106,20 @@ class Exoskeleton:
 
     def __post_init__(self) -> None:
         words = {"motion": checks.word(*MOTIONS), "side": checks.word("both", *SIDES)}
-        checks.check_fields(self, "exoskeleton.", **words, power_w=checks.number(*POWER_W))
+        checks.check_fields(
+            self, "exoskeleton.", **words, power_w=checks.number(*POWER_W)
+        )
 
     @property
     def row(self) -> NDArray[np.float64]:
         """As `Worlds` have it, [2, 4]."""
         legs = [[self.side in ("both", side)] for side in SIDES]
-        return np.array(legs) * (*MOTIONS[self.motion], 0.0) + (0.0, 0.0, 0.0, self.power_w)
+        return np.array(legs) * (*MOTIONS[self.motion], 0.0) + (
+            0.0,
+            0.0,
+            0.0,
+            self.power_w,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,28 +127,31 @@ class Worlds(Rows):
     """A batch of worlds, one row each.
 
     Attributes:
-        contact_stiffness: over the nominal, with which a body at rest sinks 1 cm into the ground on
-            one point, [n].
-        relaxation_speed: at which a contact lets go, over that of the `Settings`, [n]. The lower,
-            the more a contact damps.
+        contact_stiffness: over the nominal, with which a body at rest sinks 1 cm into
+            the ground on one point, [n].
+        relaxation_speed: at which a contact lets go, over that of the `Settings`, [n].
+            The lower, the more a contact damps.
         friction: Coulomb's coefficient, [n].
-        strength: largest force over the nominal of each muscle of the left leg, then the right,
-            [n, 14]; 0 where it is missing. Nerves feel the force itself: a weaker muscle's reflex
-            gets less.
-        nerve_lag_s: time constant of a low pass of the signals, besides their delay, [n].
-        sensing_noise: half the width of uniform noise on the signals, each tick anew, [n]: of
-            forces over Fmax, lengths over the optimal one, loads over body weight, angles in rad,
-            angular rates in 10 rad/s. Contact flags have neither noise nor lag.
+        strength: largest force over the nominal of each muscle of the left leg, then
+            the right, [n, 14]; 0 where it is missing. Nerves feel the force itself: a
+            weaker muscle's reflex gets less.
+        nerve_lag_s: time constant of a low pass of the signals, besides their delay,
+            [n].
+        sensing_noise: half the width of uniform noise on the signals, each tick anew,
+            [n]: of forces over Fmax, lengths over the optimal one, loads over body
+            weight, angles in rad, angular rates in 10 rad/s. Contact flags have neither
+            noise nor lag.
         noise_seed: of the noise and the catches, whole numbers below 2^24, [n].
-        catch_ns: largest impulse, N s, that holds a foot back when it catches, about once a second
-            (`kernel.dynamics.catch_feet`), [n].
-        prosthesis: stiffness, damping and rest angle of a passive foot on the left leg, then on the
-            right, as in `Prosthesis`, [n, 2, 3]; 0 where there is none.
+        catch_ns: largest impulse, N s, that holds a foot back when it catches, about
+            once a second (`kernel.dynamics.catch_feet`), [n].
+        prosthesis: stiffness, damping and rest angle of a passive foot on the left leg,
+            then on the right, as in `Prosthesis`, [n, 2, 3]; 0 where there is none.
         optimal_length: of each muscle's fibre over the nominal, as `strength`, [n, 14].
         slack_length: of its tendon, likewise; where it is attached does not change.
         activation_time: the time constant from an order to the activation, likewise.
-        exoskeleton: of the left leg, then the right: the shares of its torque that extend the hip,
-            flex the knee and turn the foot down, -1 to 1, and its largest power in W, [n, 2, 4].
+        exoskeleton: of the left leg, then the right: the shares of its torque that
+            extend the hip, flex the knee and turn the foot down, -1 to 1, and its
+            largest power in W, [n, 2, 4].
     """
 
     contact_stiffness: NDArray[np.float64]
@@ -155,7 +171,11 @@ class Worlds(Rows):
     def __post_init__(self) -> None:
         self._check_shapes("world", _size)
         every = LIMITS | MUSCLE_LIMITS
-        within = {name: (vars(self)[name], every[name]) for name in every if name in vars(self)}
+        within = {
+            name: (vars(self)[name], every[name])
+            for name in every
+            if name in vars(self)
+        }
         within["strength"] = self.strength, (0.0, LIMITS["strength"][1])
         for place, (name, limits) in enumerate(PROSTHESIS_LIMITS.items()):
             within[f"prosthesis.{name}"] = self.prosthesis[..., place], limits
@@ -164,16 +184,30 @@ class Worlds(Rows):
         for name, (values, (low, high)) in within.items():
             outside = values[~((values >= low) & (values <= high))]
             if outside.size:
-                raise InputError(f"worlds.{name}", float(outside[0]), f"{low:g} to {high:g}")
+                raise InputError(
+                    f"worlds.{name}", float(outside[0]), f"{low:g} to {high:g}"
+                )
 
     @staticmethod
     @checks.checked(count=checks.whole(0, checks.MOST_ROWS))
     def nominal(count: int = 1) -> "Worlds":
         """`count` worlds of the published walker."""
-        one, zero, strength = np.ones(count), np.zeros(count), np.ones((count, MUSCLE_COUNT))
-        none, usual = np.zeros((count, *_size("prosthesis"))), FRICTION_COEFFICIENT * one
-        own, worn = (strength, strength, strength), np.tile(Exoskeleton().row, (count, 1, 1))
-        return Worlds(one, one, usual, strength, zero, zero, zero, zero, none, *own, worn)
+        one, zero, strength = (
+            np.ones(count),
+            np.zeros(count),
+            np.ones((count, MUSCLE_COUNT)),
+        )
+        none, usual = (
+            np.zeros((count, *_size("prosthesis"))),
+            FRICTION_COEFFICIENT * one,
+        )
+        own, worn = (
+            (strength, strength, strength),
+            np.tile(Exoskeleton().row, (count, 1, 1)),
+        )
+        return Worlds(
+            one, one, usual, strength, zero, zero, zero, zero, none, *own, worn
+        )
 
 
 @dataclass(frozen=True)
@@ -192,8 +226,8 @@ class WorldRanges:
         strength: of each muscle on its own, over the nominal, 0.1 to 10.
         nerve_lag_s: time constant of a low pass of the signals, 0 to 1.
         sensing_noise: half the width of uniform noise on the signals, 0 to 10.
-        overall_strength: which all of a walker's muscles share, over the nominal, 0.1 to
-            10.
+        overall_strength: which all of a walker's muscles share, over the nominal, 0.1
+            to 10.
         catch_ns: largest impulse that holds a foot back, N s, 0 to 50.
         muscles: factors of the strength in all worlds, the left leg's first, [14]: a
             weak soleus, a muscle that is missing (0).
@@ -224,20 +258,29 @@ class WorldRanges:
     def __post_init__(self) -> None:
         pairs = {name: checks.interval(*LIMITS[name]) for name in RANGES}
         low, high = LIMITS["strength"]
-        foot, device = checks.optional(checks.instance(Prosthesis)), checks.instance(Exoskeleton)
-        checks.check_fields(self, "world.", **pairs, prosthesis=foot, exoskeleton=device)
+        foot, device = (
+            checks.optional(checks.instance(Prosthesis)),
+            checks.instance(Exoskeleton),
+        )
+        checks.check_fields(
+            self, "world.", **pairs, prosthesis=foot, exoskeleton=device
+        )
         for name in ("muscles", *MUSCLE_LIMITS):
             given = getattr(self, name)
             if checks.numbers(f"world.{name}", given).shape != (MUSCLE_COUNT,):
                 raise InputError(f"world.{name}", given, f"{MUSCLE_COUNT} numbers")
         for each, overall in zip(self.strength, self.overall_strength, strict=True):
             if not low <= each * overall <= high:
-                allowed = f"with world.strength {each:g} a product of {low:g} to {high:g}"
+                allowed = (
+                    f"with world.strength {each:g} a product of {low:g} to {high:g}"
+                )
                 raise InputError("world.overall_strength", overall, allowed)
         most = self.strength[1] * self.overall_strength[1]
         for name, factor in zip(MUSCLE_NAMES, self.muscles, strict=True):
             if not 0.0 <= factor * most <= high:
-                raise InputError(f"world.muscles.{name}", factor, f"0 to {high / most:g}")
+                raise InputError(
+                    f"world.muscles.{name}", factor, f"0 to {high / most:g}"
+                )
 
     @checks.checked(seeds=checks.each(checks.seed))
     def draw(self, seeds: Iterable[int | np.random.SeedSequence]) -> Worlds:
@@ -250,7 +293,9 @@ class WorldRanges:
         drawn: dict[str, NDArray[np.float64]] = {}
         for name in RANGES:
             size, (low, high) = _size(name), getattr(self, name)
-            shares = np.array([stream[name].random(size) for stream in streams]).reshape(-1, *size)
+            shares = np.array(
+                [stream[name].random(size) for stream in streams]
+            ).reshape(-1, *size)
             if name in OWN_CONTACT:
                 drawn[name] = low * (high / low) ** shares
             else:
@@ -260,12 +305,18 @@ class WorldRanges:
         drawn["prosthesis"] = np.zeros((len(streams), *_size("prosthesis")))
         if self.prosthesis is not None:
             leg = SIDES.index(self.prosthesis.side)
-            drawn["prosthesis"][:, leg] = [getattr(self.prosthesis, n) for n in PROSTHESIS_LIMITS]
-            gone = [MUSCLE_NAMES.index(f"{m}_{self.prosthesis.side}") for m in ACROSS_ANKLE]
+            drawn["prosthesis"][:, leg] = [
+                getattr(self.prosthesis, n) for n in PROSTHESIS_LIMITS
+            ]
+            gone = [
+                MUSCLE_NAMES.index(f"{m}_{self.prosthesis.side}") for m in ACROSS_ANKLE
+            ]
             drawn["strength"][:, gone] = 0.0
         drawn["exoskeleton"] = np.tile(self.exoskeleton.row, (len(streams), 1, 1))
         for name in MUSCLE_LIMITS:
-            drawn[name] = np.tile(np.asarray(getattr(self, name), dtype=float), (len(streams), 1))
+            drawn[name] = np.tile(
+                np.asarray(getattr(self, name), dtype=float), (len(streams), 1)
+            )
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
         return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
 
@@ -289,31 +340,42 @@ MUSCLE_NAMES = tuple(f"{muscle}_{side}" for side in SIDES for muscle in MUSCLES)
 RANGES = tuple(each.name for each in fields(WorldRanges) if each.name in LIMITS)
 NOMINAL = WorldRanges()
 STREAMS = tuple(LIMITS)  # in this order; a new one comes last
-OWN_CONTACT = ("contact_stiffness", "relaxation_speed")  # numbers of our own engine's contact law
+OWN_CONTACT = (
+    "contact_stiffness",
+    "relaxation_speed",
+)  # numbers of our own engine's contact law
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 
 
 def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     """The table [world]: pairs of numbers, lowest and highest; a missing one is nominal.
 
-    [world.muscles] has factors of the strength of single muscles, by name (`SOL`), or name and side
-    (`SOL_left`); its tables `optimal_length`, `slack_length` and `activation_time` those of these.
-    [world.prosthesis] has the fields of `Prosthesis`, [world.exoskeleton] those of `Exoskeleton`.
-    Reads every key.
+    [world.muscles] has factors of the strength of single muscles, by name (`SOL`), or
+    name and side (`SOL_left`); its tables `optimal_length`, `slack_length` and
+    `activation_time` those of these. [world.prosthesis] has the fields of `Prosthesis`,
+    [world.exoskeleton] those of `Exoskeleton`. Reads every key.
 
     Raises:
-        InputError: an unknown key, a range that is empty or out of bounds, or a contact of our own
-            engine for another one.
+        InputError: an unknown key, a range that is empty or out of bounds, or a contact
+            of our own engine for another one.
     """
-    pairs = {name: table.range(name, getattr(NOMINAL, name), *LIMITS[name]) for name in RANGES}
+    pairs = {
+        name: table.range(name, getattr(NOMINAL, name), *LIMITS[name])
+        for name in RANGES
+    }
     named, own = table.table("muscles"), dict[str, Any]()
     muscles = _read_muscles(named, 0.0, LIMITS["strength"][1])
     for name, limits in MUSCLE_LIMITS.items():
         own[name] = _read_muscles(named.table(name), *limits)
         named.table(name).done()
     named.done()
-    foot, device = _read_prosthesis(table), _read_exoskeleton(table.table("exoskeleton"))
-    ranges = WorldRanges(**pairs, muscles=muscles, prosthesis=foot, exoskeleton=device, **own)
+    foot, device = (
+        _read_prosthesis(table),
+        _read_exoskeleton(table.table("exoskeleton")),
+    )
+    ranges = WorldRanges(
+        **pairs, muscles=muscles, prosthesis=foot, exoskeleton=device, **own
+    )
     table.done()
     if engine != OWN_ENGINE:
         for name in set(ranges.document()) & set(OWN_CONTACT):
@@ -360,8 +422,14 @@ def _read_exoskeleton(table: Table) -> Exoskeleton:
 
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
     """A stream for each of a world's numbers, so that a new number changes no other's."""
-    known = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-    unused = np.random.SeedSequence(known.entropy, spawn_key=known.spawn_key)  # of no child yet
+    known = (
+        seed
+        if isinstance(seed, np.random.SeedSequence)
+        else np.random.SeedSequence(seed)
+    )
+    unused = np.random.SeedSequence(
+        known.entropy, spawn_key=known.spawn_key
+    )  # of no child yet
     streams = map(np.random.default_rng, unused.spawn(len(STREAMS)))
     return dict(zip(STREAMS, streams, strict=True))
 

@@ -11,10 +11,15 @@ import pytest
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",  # as if the network were cut
-)  # fmt: skip
+)
 PATIENCE_MS = 30_000  # a busy machine draws slowly
 SCREENSHOTS = "NMM_SCREENSHOTS"  # names the folder where they are kept, if it is set
 
@@ -29,7 +34,9 @@ def opened_page(width: int, height: int) -> Iterator[Any]:
     if program is None:
         pytest.skip("no Chromium here: apt-get install chromium")
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=program, args=FLAGS, headless=True)
+        browser = driver.chromium.launch(
+            executable_path=program, args=FLAGS, headless=True
+        )
         page = browser.new_page(viewport={"width": width, "height": height})
         page.set_default_timeout(PATIENCE_MS)
         broken: list[str] = []

@@ -1,11 +1,12 @@
 """Shared by all tests: the environment, and kernels compiled once for all processes.
 
-Taichi's cache of compiled kernels lies in the project, not in the home. A shell lets processes in
-the background ignore Ctrl-C, and children inherit that: here they do not. Where workers fill the
-cores, threads of linear algebra only wait for one another.
+Taichi's cache of compiled kernels lies in the project, not in the home. A shell lets
+processes in the background ignore Ctrl-C, and children inherit that: here they do not.
+Where workers fill the cores, threads of linear algebra only wait for one another.
 
-Taichi writes compiled kernels when a process ends. So on a fresh machine each worker of a parallel
-run, and each command that a test starts, would compile the same kernel, half a minute at a time.
+Taichi writes compiled kernels when a process ends. So on a fresh machine each worker of
+a parallel run, and each command that a test starts, would compile the same kernel, half
+a minute at a time.
 """
 
 import os
@@ -31,7 +32,13 @@ SIMULATE = (
     "from taichi_nmm import PUBLISHED_GAINS, Settings, simulate; "
     "simulate(PUBLISHED_GAINS, duration_s=0.1, settings=Settings(arch='cpu', {}))"
 )
-MOST_TESTS = "", "threads=1", "precision='float64'", "engine='mujoco'", "engine='mujoco', threads=1"
+MOST_TESTS = (
+    "",
+    "threads=1",
+    "precision='float64'",
+    "engine='mujoco'",
+    "engine='mujoco', threads=1",
+)
 
 
 def compile_kernel(settings: str) -> None:

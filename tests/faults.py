@@ -2,11 +2,12 @@
 
     python -m tests.faults --count 80 --seed 1
 
-draws places of the product's source (an operator, a constant, a condition), changes one in a copy
-of the checkout, and runs the tests there until one fails: first those of the same folder, then all.
-Pictures, messages, command lines and annotations are left out. A run of the tests that takes longer
-than LONGEST_S counts as noticed. What was found is kept in out/faults-SEED.jsonl: the same command
-goes on where it was stopped, with any number of --workers. Exit codes: 0, 2 bad input.
+draws places of the product's source (an operator, a constant, a condition), changes one
+in a copy of the checkout, and runs the tests there until one fails: first those of the
+same folder, then all. Pictures, messages, command lines and annotations are left out. A
+run of the tests that takes longer than LONGEST_S counts as noticed. What was found is
+kept in out/faults-SEED.jsonl: the same command goes on where it was stopped, with any
+number of --workers. Exit codes: 0, 2 bad input.
 """
 
 import ast
@@ -28,16 +29,35 @@ from study.options import MOST_WORKERS, Options
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
 LEFT_OUT = (
-    "study/pictures", "study/explore", "study/hub", "study/options.py", "study/report/figures.py",
-)  # fmt: skip
+    "study/pictures",
+    "study/explore",
+    "study/hub",
+    "study/options.py",
+    "study/report/figures.py",
+)
 LONGEST_S = 1200.0
 OTHER: dict[type[ast.AST], Any] = {
-    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
-    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or,
-    ast.Or: ast.And, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.BitAnd: ast.BitOr,
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.And: ast.Or,
+    ast.Or: ast.And,
+    ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult,
+    ast.BitAnd: ast.BitOr,
     ast.BitOr: ast.BitAnd,
-}  # fmt: skip
+}
 
 
 def places(tree: ast.AST) -> Iterator[ast.expr]:
@@ -46,7 +66,9 @@ def places(tree: ast.AST) -> Iterator[ast.expr]:
         if field in ("annotation", "returns"):
             continue
         for node in value if isinstance(value, list) else [value]:
-            if isinstance(node, ast.AST) and not isinstance(node, (ast.Raise, ast.JoinedStr)):
+            if isinstance(node, ast.AST) and not isinstance(
+                node, (ast.Raise, ast.JoinedStr)
+            ):
                 if isinstance(node, ast.expr) and faulty(node) is not None:
                     yield node
                 yield from places(node)
@@ -54,7 +76,11 @@ def places(tree: ast.AST) -> Iterator[ast.expr]:
 
 def faulty(node: ast.expr) -> ast.expr | None:
     """The expression with its fault, or None for one that is left as it is."""
-    if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in OTHER:
+    if (
+        isinstance(node, ast.Compare)
+        and len(node.ops) == 1
+        and type(node.ops[0]) in OTHER
+    ):
         return ast.Compare(node.left, [OTHER[type(node.ops[0])]()], node.comparators)
     if isinstance(node, ast.BinOp) and type(node.op) in OTHER:
         return ast.BinOp(node.left, OTHER[type(node.op)](), node.right)
@@ -73,12 +99,16 @@ def faulty(node: ast.expr) -> ast.expr | None:
 
 def drawn(count: int, seed: int) -> list[tuple[str, int]]:
     """Files, and numbers of places in them; every place of the product is as likely."""
-    paths = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    paths = [
+        path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))
+    ]
     files = [path.relative_to(ROOT).as_posix() for path in paths]
     every = [
-        (file, number) for file in files if not file.startswith(LEFT_OUT)
+        (file, number)
+        for file in files
+        if not file.startswith(LEFT_OUT)
         for number, _ in enumerate(places(ast.parse((ROOT / file).read_text())))
-    ]  # fmt: skip
+    ]
     chosen = np.random.default_rng(seed).permutation(len(every))[:count]
     return [every[index] for index in chosen]
 
@@ -87,13 +117,19 @@ def changed(source: str, number: int) -> tuple[str, str]:
     """The source with the fault at a place, and the fault in words; all other bytes are kept."""
     node = list(places(ast.parse(source)))[number]
     new = faulty(node)
-    assert new is not None and node.end_lineno is not None and node.end_col_offset is not None
+    assert (
+        new is not None
+        and node.end_lineno is not None
+        and node.end_col_offset is not None
+    )
     lines = source.encode().splitlines(keepends=True)
     first, last = node.lineno - 1, node.end_lineno - 1
     before, after = lines[first][: node.col_offset], lines[last][node.end_col_offset :]
     text = f"({ast.unparse(ast.fix_missing_locations(new))})"
     lines[first : last + 1] = [before + text.encode() + after]
-    return b"".join(lines).decode(), f"line {node.lineno}: {ast.unparse(node)} -> {text}"
+    return b"".join(
+        lines
+    ).decode(), f"line {node.lineno}: {ast.unparse(node)} -> {text}"
 
 
 def tests_of(file: str) -> list[list[str]]:
@@ -113,7 +149,15 @@ def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]
     (copy / file).write_text(text)
     try:
         for paths in tests_of(file)[: 1 if near_only else 2]:
-            command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", *paths]
+            command = [
+                sys.executable,
+                "-m",
+                "pytest",
+                "-x",
+                "-q",
+                "--no-header",
+                *paths,
+            ]
             done = subprocess.run(
                 command, cwd=copy, capture_output=True, text=True, timeout=LONGEST_S
             )
@@ -131,13 +175,21 @@ def main() -> None:
     """Try the faults, and list those that the tests did not notice."""
     options = Options(__file__)
     options.whole("--count", 1, 10_000, default=80, help="faults; %(default)s")
-    options.whole("--seed", 0, 2**32, default=1, help="of the drawn places; %(default)s")
+    options.whole(
+        "--seed", 0, 2**32, default=1, help="of the drawn places; %(default)s"
+    )
     options.whole("--workers", 1, MOST_WORKERS, default=2, help="copies; %(default)s")
-    options.add_argument("--near-only", action="store_true", help="only tests of the same folder")
+    options.add_argument(
+        "--near-only", action="store_true", help="only tests of the same folder"
+    )
     args = options.parse_args()
     kept = ROOT / "out" / f"faults-{args.seed}.jsonl"
     kept.parent.mkdir(exist_ok=True)
-    known = [json.loads(line) for line in kept.read_text().splitlines()] if kept.exists() else []
+    known = (
+        [json.loads(line) for line in kept.read_text().splitlines()]
+        if kept.exists()
+        else []
+    )
     done = {(row["file"], row["number"]) for row in known}
     open_places = [place for place in drawn(args.count, args.seed) if place not in done]
     bar = tqdm(total=args.count, initial=len(known))
@@ -145,7 +197,9 @@ def main() -> None:
     def work(worker: int) -> None:
         copy = ROOT / "out" / f"faults-copy-{worker}"
         shutil.rmtree(copy, ignore_errors=True)
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns("out", ".git", ".venv"))
+        shutil.copytree(
+            ROOT, copy, ignore=shutil.ignore_patterns("out", ".git", ".venv")
+        )
         while open_places:
             row = tried(*open_places.pop(), copy, args.near_only)
             with kept.open("a") as file:

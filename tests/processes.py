@@ -17,7 +17,9 @@ WAIT_S = 120.0
 def python(*words: object, **options: Any) -> "subprocess.CompletedProcess[str]":
     """Run it on these words, in the root unless `cwd` is given, and keep what it prints."""
     command = [sys.executable, *map(str, words)]
-    return subprocess.run(command, **{"cwd": ROOT, "capture_output": True, "text": True} | options)
+    return subprocess.run(
+        command, **{"cwd": ROOT, "capture_output": True, "text": True} | options
+    )
 
 
 def printed(*words: object, **options: Any) -> str:
@@ -31,7 +33,9 @@ def printed(*words: object, **options: Any) -> str:
 def serving(*words: object, **options: Any) -> Iterator[IO[str]]:
     """Python on these words as a server: what it prints; Ctrl-C ends it, and must end it well."""
     command = [sys.executable, *map(str, words)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, **options
+    ) as process:
         assert process.stdout is not None
         try:
             yield process.stdout
@@ -59,8 +63,8 @@ def children(pid: int) -> list[int]:
 
 
 def read_schema_once() -> None:
-    """Have Optuna read the version of its schema from ten files once, not whenever a database is
-    opened: that takes half the time, and there are hundreds."""
+    """Have Optuna read the version of its schema from ten files once, not whenever a
+    database is opened: that takes half the time, and there are hundreds."""
     from alembic.script import ScriptDirectory  # slow to load
 
     read = ScriptDirectory.get_current_head

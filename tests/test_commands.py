@@ -36,19 +36,24 @@ PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
 __all__ = ["tool"]  # a fixture of the commands' own tests
 # Options that make a command short, at its end, where they replace earlier ones.
 SHORT: dict[str, tuple[object, ...]] = {
-    "precompute": ("--samples", 24, "--workers", 1), "study": ("--trials", 2), "quickstart": (),
+    "precompute": ("--samples", 24, "--workers", 1),
+    "study": ("--trials", 2),
+    "quickstart": (),
     "compare": ("--runs", 1, "--trials", 2, "--workers", 1),
     "walk": ("--duration", 2, "--movie-seconds", 0.3),
-}  # fmt: skip
+}
 
-# Files that a document has the reader make: taken from the explorer's page, or copied and changed.
+# Files that a document has the reader make: taken from the explorer's page, or copied
+# and changed.
 GAINS = dict(zip(GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
 OWN = ROOT / "docs" / "own-simulator.md"
 TAKEN_AWAY = {
-    "my_robot.py": code_blocks(OWN)[0], "pole.toml": code_blocks(OWN, "toml")[0],
-    "gains.json": json.dumps(GAINS), "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
+    "my_robot.py": code_blocks(OWN)[0],
+    "pole.toml": code_blocks(OWN, "toml")[0],
+    "gains.json": json.dumps(GAINS),
+    "walk.toml": 'seed = 1\n[terrain]\nkind = "rough"\n',
     "short.toml": (ROOT / "configs" / "store.toml").read_text(),
-}  # fmt: skip
+}
 
 Words = tuple[str, ...]
 
@@ -56,20 +61,29 @@ Words = tuple[str, ...]
 def named_commands() -> list[Words]:
     """Every command line of `SHORT` that a document or a comment shows: tool, arguments."""
     documents = [
-        ROOT / "README.md", ROOT / "Makefile", *(ROOT / "docs").glob("*.md"),
-        *(ROOT / "configs").glob("*.toml"), *(ROOT / "tools").glob("*.py"),
+        ROOT / "README.md",
+        ROOT / "Makefile",
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "configs").glob("*.toml"),
+        *(ROOT / "tools").glob("*.py"),
         *(ROOT / "study" / "commands").glob("*.py"),
-    ]  # fmt: skip
+    ]
     arguments = r"([^`#\n\\]*(?:\\*\n\s*--[^`#\n\\]*)*)"
-    line = rf"(?:python tools/(?=\w+\.py)|taichi-nmm (?=\w+ -))(\w+)(?:\.py\b)?{arguments}"
+    line = (
+        rf"(?:python tools/(?=\w+\.py)|taichi-nmm (?=\w+ -))(\w+)(?:\.py\b)?{arguments}"
+    )
     found = set()
     for document in documents:
         for command, arguments in re.findall(line, document.read_text()):
-            words = shlex.split(arguments.replace("\\", " ").replace("URL", "sqlite:///studies.db"))
+            words = shlex.split(
+                arguments.replace("\\", " ").replace("URL", "sqlite:///studies.db")
+            )
             if "--cluster" in words:  # whose processes would run the real simulator
                 place = words.index("--cluster")
                 words = [*words[:place], *words[place + 2 :]]
-            if not {"$@", "$*", "NAME"} & set(words):  # placeholders: names stand elsewhere too
+            if not {"$@", "$*", "NAME"} & set(
+                words
+            ):  # placeholders: names stand elsewhere too
                 found.add((command, *words))
     return sorted(words for words in found if words[0] in SHORT)
 
@@ -77,12 +91,16 @@ def named_commands() -> list[Words]:
 COMMANDS = named_commands()
 TAKEN = [  # other contacts of MuJoCo differ in numbers; the quickstart has a test of its own
     pytest.param(
-        words, id=" ".join(words),
-        marks=[pytest.mark.campaign] if re.search(r"mujoco-.*-(middle|hard)", str(words)) else [],
+        words,
+        id=" ".join(words),
+        marks=[pytest.mark.campaign]
+        if re.search(r"mujoco-.*-(middle|hard)", str(words))
+        else [],
     )
     for words in COMMANDS
-    if words != ("quickstart",) and "robots.toml" not in words  # tests of documents run its page
-]  # fmt: skip
+    if words != ("quickstart",)
+    and "robots.toml" not in words  # tests of documents run its page
+]
 
 
 def configurations(words: Words) -> set[str]:
@@ -94,7 +112,9 @@ def configurations(words: Words) -> set[str]:
 
 
 def test_every_configuration_is_named_by_a_command() -> None:
-    pairs = {(words[0], config) for words in COMMANDS for config in configurations(words)}
+    pairs = {
+        (words[0], config) for words in COMMANDS for config in configurations(words)
+    }
     assert {tool for tool, _ in pairs} == set(SHORT)
     assert {config for _, config in pairs} - {"walk", "pole", "robots"} == CONFIGS
     assert len(pairs) > len(CONFIGS)
@@ -119,9 +139,15 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         )
         fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         device = [each.name for each in DEVICE]
-        fake_walker.write_store(out / "store-exo", searched=device, fixed_gains="reference")
+        fake_walker.write_store(
+            out / "store-exo", searched=device, fixed_gains="reference"
+        )
         (out / "store-exo-hip").symlink_to(out / "store-exo")
-        kept = {"searched": device, "fixed_gains": "reference", "kept": ["activation_cubed_mean"]}
+        kept = {
+            "searched": device,
+            "fixed_gains": "reference",
+            "kept": ["activation_cubed_mean"],
+        }
         fake_walker.write_store(out / "store-exo-effort", **kept)
         for name in ("walker2d", "ant"):
             few = ("--config", name, "--samples", 32, "--workers", 1)
@@ -130,7 +156,16 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ("rough8-smooth", "dog", 8, 13),
             ("mujoco-rough8-soft", "worlds", 1, 1),
         ):
-            given = ("--config", config, "--arms", arm, "--runs", runs, "--trials", trials)
+            given = (
+                "--config",
+                config,
+                "--arms",
+                arm,
+                "--runs",
+                runs,
+                "--trials",
+                trials,
+            )
             assert run_tool(patch, "compare", *given, "--workers", 1) == 0
     return folder
 
@@ -138,8 +173,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PAINTERS:
-        for module in (pictures, artifacts):  # the second has imported them from the first
-            monkeypatch.setattr(module, name, lambda path, *_: path, raising=module is pictures)
+        for module in (
+            pictures,
+            artifacts,
+        ):  # the second has imported them from the first
+            monkeypatch.setattr(
+                module, name, lambda path, *_: path, raising=module is pictures
+            )
     monkeypatch.setattr("study.pictures.strip.strips_figure", lambda *_: None)
     monkeypatch.setattr("study.pictures.style.save_png", lambda _, path: path)
     monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)
@@ -148,11 +188,19 @@ def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("words", TAKEN)
 def test_a_command_that_is_named_is_taken(
-    made: Path, words: Words, tmp_path: Path, no_painters: None, monkeypatch: pytest.MonkeyPatch
+    made: Path,
+    words: Words,
+    tmp_path: Path,
+    no_painters: None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    monkeypatch.setattr("storage.specification.Repertoire.generations", 20)  # and not 520
-    monkeypatch.setattr("study.experiment.gains.SPEED_TOLERANCE_MPS", 1.0)  # fakes are much alike
+    monkeypatch.setattr(
+        "storage.specification.Repertoire.generations", 20
+    )  # and not 520
+    monkeypatch.setattr(
+        "study.experiment.gains.SPEED_TOLERANCE_MPS", 1.0
+    )  # fakes are much alike
     monkeypatch.chdir(tmp_path)
     for name in ("configs", "out", *TAKEN_AWAY):
         (tmp_path / name).symlink_to(made / name)
@@ -181,12 +229,15 @@ OWN_WALKER = (ASSETS / "own-walker.toml").read_text()
 class Real:
     """A folder with a small store, a comparison on it, and a database of the same studies live.
 
-    All are of a walker with a body, muscles, a prosthesis, a device and a goal of its own.
+    All are of a walker with a body, muscles, a prosthesis, a device and a goal of its
+    own.
     """
 
     def __init__(self, folder: Path) -> None:
         self.store = folder / "store"
-        rough8, store = ((ROOT / f"configs/{n}.toml").read_text() for n in ("rough8", "store"))
+        rough8, store = (
+            (ROOT / f"configs/{n}.toml").read_text() for n in ("rough8", "store")
+        )
         searched = f"searched = {json.dumps(SEARCHED)}\n"
         store = f'kept = ["human_deviation"]\n{searched}{store}{OWN_WALKER}'
         (folder / "store.toml").write_text(store)
@@ -204,12 +255,33 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Real:
     real = Real(folder := tmp_path_factory.mktemp("real"))
     with pytest.MonkeyPatch.context() as patch:
         store = ("--samples", 300, "--workers", 1, "--out", real.store)
-        assert run_tool(patch, "precompute", "--config", folder / "store.toml", *store) == 0
-        given = ("--config", real.config, "--arms", ",".join(ARMS), "--runs", 2, "--trials", TRIALS)
+        assert (
+            run_tool(patch, "precompute", "--config", folder / "store.toml", *store)
+            == 0
+        )
+        given = (
+            "--config",
+            real.config,
+            "--arms",
+            ",".join(ARMS),
+            "--runs",
+            2,
+            "--trials",
+            TRIALS,
+        )
         rest = ("--workers", 1, "--out", real.compared)
         assert run_tool(patch, "compare", *given, *rest) == 0
         for arm in ARMS:
-            given = ("--config", real.config, "--arm", arm, "--run", 1, "--trials", TRIALS)
+            given = (
+                "--config",
+                real.config,
+                "--arm",
+                arm,
+                "--run",
+                1,
+                "--trials",
+                TRIALS,
+            )
             where = ("--storage", real.url, "--out", folder / "live")
             assert run_tool(patch, "study", *given, *where) == 0
     return real
@@ -225,32 +297,58 @@ def walk(tmp_path: Path, no_painters: None, tool: Tool) -> Walk:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS)
-def test_a_trial_walks_as_it_did(real: Real, walk: Walk, arm: str, tmp_path: Path) -> None:
+def test_a_trial_walks_as_it_did(
+    real: Real, walk: Walk, arm: str, tmp_path: Path
+) -> None:
     """From the comparison's folder and database, the live study's, and the result of a walk."""
-    where = ("--config", real.config, "--run", 1, "--trial", f"rough8-smooth/{arm}/run-001/2")
+    where = (
+        "--config",
+        real.config,
+        "--run",
+        1,
+        "--trial",
+        f"rough8-smooth/{arm}/run-001/2",
+    )
     of_folder = walk(*where, "--storage", real.compared)
     rows = pq.read_table(real.compared / "trials.parquet").to_pylist()
-    (row,) = (row for row in rows if (row["arm"], row["run"], row["trial"]) == (arm, 1, 2))
-    for name in ("duration_s", "distance_m", "mean_speed_mps", "phi_printed", "end_reason"):
+    (row,) = (
+        row for row in rows if (row["arm"], row["run"], row["trial"]) == (arm, 1, 2)
+    )
+    for name in (
+        "duration_s",
+        "distance_m",
+        "mean_speed_mps",
+        "phi_printed",
+        "end_reason",
+    ):
         assert of_folder[name] == row[name], name
     assert of_folder["gains"] == {name: row[name] for name in (*GAIN_NAMES, *SEARCHED)}
     for file in (real.compared / "experiment.json", real.store / "specification.json"):
         known = json.loads(file.read_text())
-        assert known["body"]["mass"]["shank_left"] == 1.1 == known["body"]["mass"]["shank_right"]
+        assert (
+            known["body"]["mass"]["shank_left"]
+            == 1.1
+            == known["body"]["mass"]["shank_right"]
+        )
         assert known["world"]["muscles"] == {"SOL_left": 0.9}
         assert known["world"]["prosthesis"]["stiffness_nmprad"] == 350.0
         assert known["world"]["exoskeleton"]["motion"] == "hip_extension"
     paid = row["cost_of_transport_jpkgpm"] + 9.0 * abs(row["mean_speed_mps"] - 1.2)
     paid += 0.5 * (of_folder["human_deviation"] or 0.0)  # unknown of who made no step
     lasted = row["survived_fraction"]
-    assert row["cost"] == pytest.approx(paid if lasted >= 1.0 else 50.0 * (2.0 - lasted))
+    assert row["cost"] == pytest.approx(
+        paid if lasted >= 1.0 else 50.0 * (2.0 - lasted)
+    )
     best = real.store.with_name("live") / f"{arm}-run-001-best.json"
     assert set(json.loads(best.read_text())) == {*GAIN_NAMES, *SEARCHED}
     tried = [each for each in rows if (each["arm"], each["run"]) == (arm, 1)]
     cheapest = min(tried, key=lambda each: float(each["cost"]))
     again = walk("--config", real.config, "--run", 1, "--gains", best)
     assert again["distance_m"] == cheapest["distance_m"]
-    assert walk(*where, "--storage", f"sqlite:///{real.compared / 'studies.db'}") == of_folder
+    assert (
+        walk(*where, "--storage", f"sqlite:///{real.compared / 'studies.db'}")
+        == of_folder
+    )
     assert walk(*where, "--storage", real.url) == of_folder
     (tmp_path / "result.json").write_text(json.dumps(of_folder))
     where = ("--config", real.config, "--run", 1, "--gains", tmp_path / "result.json")
@@ -263,14 +361,14 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
     row = max(range(300), key=lambda row: float(table["phi_printed"][row].as_py()))
     level = real.store.with_name("level.toml")
     level.write_text(f"seed = 1\n{OWN_WALKER}")
-    report = walk("--store", real.store, "--row", row, "--duration", 5, "--config", level)
+    report = walk(
+        "--store", real.store, "--row", row, "--duration", 5, "--config", level
+    )
     for name in (*GAIN_NAMES, "duration_s", "phi_printed", "phi_corrected"):
         assert (report["gains"] | report)[name] == table[name][row].as_py(), name
 
 
-BENCH = (
-    'name = "own"\ncandidates = {{store = "{}", features = ["phi_printed"]}}\ngoal.value = "cost"\n'
-)
+BENCH = 'name = "own"\ncandidates = {{store = "{}", features = ["phi_printed"]}}\ngoal.value = "cost"\n'
 
 
 @pytest.mark.slow

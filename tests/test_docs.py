@@ -25,12 +25,16 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 NUMBER = r"(?:[-<>\d.%+*() ]|of|to)*\d(?:[-<>\d.%+*() ]|of|to)*"
 SEVERAL_NUMBERS = re.compile(rf" *{NUMBER}(?:(?:[;,]| :) {NUMBER})+")
 PROGRAM = re.compile(r"python -m (tests\.[\w.]++)(?!` of version)")
-pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+pages = pytest.mark.parametrize(
+    "page", PAGES, ids=lambda page: str(page.relative_to(ROOT))
+)
 
 
 def code_blocks(page: Path, language: str = "python") -> list[str]:
     """The code of a page in one language, block by block."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE
+    )
 
 
 def prose(page: Path) -> str:
@@ -41,7 +45,9 @@ def prose(page: Path) -> str:
 def anchors(page: Path) -> set[str]:
     """Anchors of headings as GitHub makes them: lower case, words joined by hyphens."""
     titles = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", title).lower().replace(" ", "-") for title in titles}
+    return {
+        re.sub(r"[^\w\- ]", "", title).lower().replace(" ", "-") for title in titles
+    }
 
 
 def run_in(folder: Path, *words: str) -> str:
@@ -87,7 +93,9 @@ def test_the_page_of_commands_is_made_from_their_help() -> None:
     assert (DOCS / "commands.md").read_text() == writer["page"]()
 
 
-@pytest.mark.parametrize("tool", sorted(path.name for path in (ROOT / "tools").glob("*.py")))
+@pytest.mark.parametrize(
+    "tool", sorted(path.name for path in (ROOT / "tools").glob("*.py"))
+)
 def test_every_tool_is_in_a_document(tool: str) -> None:
     assert any(tool in page.read_text() for page in PAGES)
 
@@ -125,7 +133,9 @@ def test_the_readme_is_short_and_moves() -> None:
 
 
 @pytest.mark.slow
-def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(example: Example) -> None:
+def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(
+    example: Example,
+) -> None:
     said, page = example(README, 1), DOCS / "index.md"
     assert "completed" in said and "(10000, 6)" in said
     assert example(page) == code_blocks(page, "text")[0]
@@ -133,7 +143,9 @@ def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(example: 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("page", "block"), [(README, 0), (DOCS / "store.md", 0)])
-def test_examples_run_on_a_store(page: Path, block: int, tmp_path: Path, example: Example) -> None:
+def test_examples_run_on_a_store(
+    page: Path, block: int, tmp_path: Path, example: Example
+) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
     fake_walker.write_store(tmp_path / "out" / "store-worlds")
@@ -141,9 +153,13 @@ def test_examples_run_on_a_store(page: Path, block: int, tmp_path: Path, example
 
 
 @pytest.mark.slow
-def test_the_samplers_complete_example_runs_in_an_empty_folder(example: Example) -> None:
+def test_the_samplers_complete_example_runs_in_an_empty_folder(
+    example: Example,
+) -> None:
     texts = example(DOCS / "sampler.md"), code_blocks(DOCS / "sampler.md", "text")[0]
-    best, promised = (float(re.findall(r"best of 20: (\S+)", text)[0]) for text in texts)
+    best, promised = (
+        float(re.findall(r"best of 20: (\S+)", text)[0]) for text in texts
+    )
     assert best == pytest.approx(promised, abs=0.01)
 
 
@@ -157,7 +173,11 @@ def test_all_examples_of_the_sampler_run_in_their_order(
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "__main__"}
     taught, listed = map(code_blocks, pages)
-    blocks = [*taught, taught[-1], *listed]  # the last that is taught is a program to run again
+    blocks = [
+        *taught,
+        taught[-1],
+        *listed,
+    ]  # the last that is taught is a program to run again
     for number, code in enumerate(blocks):
         exec(compile(code, f"the sampler's pages, block {number}", "exec"), names)
     said = capsys.readouterr().out
@@ -174,10 +194,21 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
     names = ("my_robot.py", "trials.py", "my_cart.py")
     for name, text in zip(names, code_blocks(page), strict=True):
         (tmp_path / name).write_text(text)
-    for name, text in zip(("pole.toml", "robots.toml"), code_blocks(page, "toml"), strict=True):
+    for name, text in zip(
+        ("pole.toml", "robots.toml"), code_blocks(page, "toml"), strict=True
+    ):
         (tmp_path / name).write_text(text)
-    command = ("-m", "taichi_nmm", "precompute", "--config", "pole.toml", "--samples", "16",
-               "--out", "out/few")  # fmt: skip
+    command = (
+        "-m",
+        "taichi_nmm",
+        "precompute",
+        "--config",
+        "pole.toml",
+        "--samples",
+        "16",
+        "--out",
+        "out/few",
+    )
     for words in (("my_cart.py",), command, ("my_robot.py",), ("trials.py",)):
         said = run_in(tmp_path, *words)
     assert said == code_blocks(page, "text")[0]
@@ -191,17 +222,25 @@ def test_the_leg_of_the_page_of_robots_fills_a_store(tmp_path: Path) -> None:
     (tmp_path / "my_leg.py").write_text(code_blocks(page)[0])
     (tmp_path / "leg.xml").write_text(code_blocks(page, "xml")[0])
     run_in(tmp_path, "my_leg.py")
-    lasted = open_store(tmp_path / "out" / "leg").outcomes("bodies", "survived_fraction")
+    lasted = open_store(tmp_path / "out" / "leg").outcomes(
+        "bodies", "survived_fraction"
+    )
     assert lasted.shape == (64, 8) and np.nanmin(lasted) < 1.0 == np.nanmax(lasted)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("duration_s", [20, pytest.param(100, marks=pytest.mark.campaign)])
-def test_the_body_of_the_controllers_page_walks(example: Example, duration_s: int) -> None:
+@pytest.mark.parametrize(
+    "duration_s", [20, pytest.param(100, marks=pytest.mark.campaign)]
+)
+def test_the_body_of_the_controllers_page_walks(
+    example: Example, duration_s: int
+) -> None:
     page = DOCS / "controller.md"
     said = example(page, change=("data.time < 100.0", f"data.time < {duration_s}.0"))
     walked, distance, speed = map(float, re.findall(r"[\d.]+", said))
     assert walked == duration_s and 1.1 < speed < 1.5
     assert abs(distance - duration_s * speed) < 0.02 * distance
     shown = map(float, re.findall(r"[\d.]+", code_blocks(page, "text")[0]))
-    assert next(shown) == 100.0 and list(shown) == pytest.approx([100 * speed, speed], rel=0.05)
+    assert next(shown) == 100.0 and list(shown) == pytest.approx(
+        [100 * speed, speed], rel=0.05
+    )

@@ -1,7 +1,7 @@
 """The house of CONTRIBUTING.md: who may know whom, no circles, no long file, no silent field.
 
-Read from the source alone, so that nothing is imported. A function's imports count; those under
-`if TYPE_CHECKING` do not.
+Read from the source alone, so that nothing is imported. A function's imports count;
+those under `if TYPE_CHECKING` do not.
 """
 
 import ast
@@ -17,10 +17,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
 OURS = (*PACKAGES, "tools")
-HUB = ROOT / "study" / "hub"  # a package of another registry, of which no module is imported
+HUB = (
+    ROOT / "study" / "hub"
+)  # a package of another registry, of which no module is imported
 MOST_LINES = 600
-# The budget of CONTRIBUTING.md, in nodes of the syntax tree: neither width nor docstrings nor
-# comments change it. The hub's package counts; the tests do not count as product.
+# The budget of CONTRIBUTING.md, in nodes of the syntax tree: neither width nor
+# docstrings nor comments change it. The hub's package counts; the tests do not count as
+# product.
 MOST_NODES_OF_PRODUCT = 275_000
 MOST_NODES_OF_TESTS = 266_000
 LEAST_DOCUMENTED = 0.95  # of the fields that users hold
@@ -31,20 +34,41 @@ COMMANDS = ("tools", "study.commands")
 ALLOWED = {
     "taichi_nmm": ("taichi_nmm",),
     # A store is of any simulator: of the walker's package, no bodies, grounds or gains.
-    "storage": ("storage", "taichi_nmm.checks", "taichi_nmm.config", "taichi_nmm.errors",
-                "taichi_nmm.reading", "taichi_nmm.typed"),
+    "storage": (
+        "storage",
+        "taichi_nmm.checks",
+        "taichi_nmm.config",
+        "taichi_nmm.errors",
+        "taichi_nmm.reading",
+        "taichi_nmm.typed",
+    ),
     "study": PACKAGES,
-    "study.experiment": ("study.experiment", "study.sampler", "study.pictures", "storage",
-                         "taichi_nmm"),
-    "study.experiment.features": ("study.experiment.objective", "study.sampler", "storage",
-                                  "taichi_nmm"),
+    "study.experiment": (
+        "study.experiment",
+        "study.sampler",
+        "study.pictures",
+        "storage",
+        "taichi_nmm",
+    ),
+    "study.experiment.features": (
+        "study.experiment.objective",
+        "study.sampler",
+        "storage",
+        "taichi_nmm",
+    ),
     "study.experiment.objective": ("storage", "taichi_nmm"),
     "study.commands": PACKAGES,  # the top, which nobody but the door imports
     # For anybody: of the walker's package, only what says no to a user.
-    "study.sampler": ("study.sampler", "storage.foreign_tables", "storage.store",
-                      "taichi_nmm.checks", "taichi_nmm.errors", "taichi_nmm.reading",
-                      "taichi_nmm.typed"),
-}  # fmt: skip
+    "study.sampler": (
+        "study.sampler",
+        "storage.foreign_tables",
+        "storage.store",
+        "taichi_nmm.checks",
+        "taichi_nmm.errors",
+        "taichi_nmm.reading",
+        "taichi_nmm.typed",
+    ),
+}
 
 
 def name_of(file: Path) -> str:
@@ -62,7 +86,9 @@ def modules() -> dict[str, Path]:
 def statements(node: ast.AST) -> Iterator[ast.AST]:
     """All that is run, now or in a call."""
     for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.If) and ast.unparse(child.test).endswith("TYPE_CHECKING"):
+        if isinstance(child, ast.If) and ast.unparse(child.test).endswith(
+            "TYPE_CHECKING"
+        ):
             for other in child.orelse:
                 yield other
                 yield from statements(other)
@@ -77,7 +103,11 @@ def named_by(node: ast.AST, package: str) -> list[str]:
         return [alias.name for alias in node.names]
     if not isinstance(node, ast.ImportFrom):
         return []
-    above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+    above = (
+        package.split(".")[: len(package.split(".")) - node.level + 1]
+        if node.level
+        else []
+    )
     base = ".".join([*above, *([node.module] if node.module else [])])
     return [f"{base}.{alias.name}" for alias in node.names]
 
@@ -124,17 +154,21 @@ def test_no_imports_run_in_a_circle() -> None:
 @pytest.mark.parametrize("part", ALLOWED)
 def test_arrows_run_one_way(part: str) -> None:
     wrong = [
-        f"{name} imports {other}" for name, other in imports() if within(name, part)
+        f"{name} imports {other}"
+        for name, other in imports()
+        if within(name, part)
         if name != DOOR and not any(within(other, allowed) for allowed in ALLOWED[part])
-    ]  # fmt: skip
+    ]
     assert not wrong, "; ".join(wrong)
 
 
 def test_commands_are_imported_by_nobody() -> None:
     wrong = [
-        f"{name} imports {other}" for name, other in imports() if not within(name, "tools")
+        f"{name} imports {other}"
+        for name, other in imports()
+        if not within(name, "tools")
         if any(within(other, part) and not within(name, part) for part in COMMANDS)
-    ]  # fmt: skip
+    ]
     assert wrong == []  # study.cli imports them by their names
 
 
@@ -156,14 +190,24 @@ def nodes_of(file: Path) -> int:
 def test_docstrings_and_comments_are_free(tmp_path: Path) -> None:
     bare, told = tmp_path / "bare.py", tmp_path / "told.py"
     bare.write_text("def f(a):\n    return a\n")
-    told.write_text('"""A file."""\n\n\ndef f(a):\n    """A function."""\n    return a  # why\n')
+    told.write_text(
+        '"""A file."""\n\n\ndef f(a):\n    """A function."""\n    return a  # why\n'
+    )
     assert nodes_of(bare) == nodes_of(told) > 0
 
 
 def test_the_house_keeps_its_budget() -> None:
-    ours = [file for folder in (*OURS, "docs", "tests") for file in (ROOT / folder).rglob("*.py")]
-    ours = [file for file in ours if HUB / "build" not in file.parents]  # what pip has left there
-    tests = [file for file in ours if "tests" in file.relative_to(ROOT).parts]  # the hub's too
+    ours = [
+        file
+        for folder in (*OURS, "docs", "tests")
+        for file in (ROOT / folder).rglob("*.py")
+    ]
+    ours = [
+        file for file in ours if HUB / "build" not in file.parents
+    ]  # what pip has left there
+    tests = [
+        file for file in ours if "tests" in file.relative_to(ROOT).parts
+    ]  # the hub's too
     product = list(set(ours) - set(tests))
     assert 100_000 < sum(map(nodes_of, product)) <= MOST_NODES_OF_PRODUCT
     assert 100_000 < sum(map(nodes_of, tests)) <= MOST_NODES_OF_TESTS
@@ -172,7 +216,8 @@ def test_the_house_keeps_its_budget() -> None:
 def fields_of(source: str) -> dict[str, bool]:
     """Public fields of public dataclasses and named tuples: whether each is documented.
 
-    It is where its name stands under `Attributes:` of the class, or a string below the field.
+    It is where its name stands under `Attributes:` of the class, or a string below the
+    field.
     """
     found = {}
     for node in ast.walk(ast.parse(source)):

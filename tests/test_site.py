@@ -30,7 +30,9 @@ pytestmark = pytest.mark.slow
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 OUTSIDE = re.compile(r"\s*(\w+:)?//")
 # Attributes of elements that a browser loads by itself.
-LOADED = dict.fromkeys(("script", "img", "iframe", "source", "video", "audio", "embed"), "src")
+LOADED = dict.fromkeys(
+    ("script", "img", "iframe", "source", "video", "audio", "embed"), "src"
+)
 LOADED |= {"object": "data", "link": "href"}
 
 
@@ -57,18 +59,32 @@ class Html(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the site, which is built without a warning."""
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--site-dir",
+        str(folder),
+    ]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
-    assert [line for line in done.stderr.splitlines() if not line.startswith("INFO ")] == []
+    assert [
+        line for line in done.stderr.splitlines() if not line.startswith("INFO ")
+    ] == []
     return folder
 
 
 @pytest.fixture(scope="module")
 def pages(site: Path) -> dict[str, Html]:
     """All pages by their place in the site."""
-    return {page.relative_to(site).as_posix(): Html(page) for page in site.rglob("*.html")}
+    return {
+        page.relative_to(site).as_posix(): Html(page) for page in site.rglob("*.html")
+    }
 
 
 def public_paths() -> Iterator[str]:
@@ -76,9 +92,13 @@ def public_paths() -> Iterator[str]:
     owners = {name: package for package in PACKAGES for name in package.__all__}
     for package in (*PACKAGES, pictures):
         yield from (f"{package.__name__}.{name}" for name in package.__all__)
-    yield from (f"{owners[name.partition('.')[0]].__name__}.{name}" for name in public_names())
+    yield from (
+        f"{owners[name.partition('.')[0]].__name__}.{name}" for name in public_names()
+    )
     for name, package in owners.items():
-        members = vars(value) if inspect.isclass(value := getattr(package, name)) else {}
+        members = (
+            vars(value) if inspect.isclass(value := getattr(package, name)) else {}
+        )
         for member, what in members.items():
             if isinstance(what, property) and not member.startswith("_"):
                 yield f"{package.__name__}.{name}.{member}"
@@ -92,50 +112,81 @@ def test_every_public_name_has_its_entry(site: Path) -> None:
     with (site / "objects.inv").open("rb") as file:
         entries = mkdocstrings.Inventory.parse_sphinx(file)
     names = set(public_paths())
-    assert {"taichi_nmm.simulate", "taichi_nmm.PUBLISHED_GAINS", "taichi_nmm.terrain.rough"} < names
+    assert {
+        "taichi_nmm.simulate",
+        "taichi_nmm.PUBLISHED_GAINS",
+        "taichi_nmm.terrain.rough",
+    } < names
     assert {"study.FeatureTable.from_arrays", "storage.Store.families"} < names
     assert names - set(entries) == set()
 
 
 def test_links_lead_somewhere(site: Path, pages: dict[str, Html]) -> None:
     """Those of docstrings and of the theme, too."""
-    links, wrong = [(place, link) for place, page in pages.items() for link in page.links], []
+    links, wrong = (
+        [(place, link) for place, page in pages.items() for link in page.links],
+        [],
+    )
     for place, link in links:
         parts = urlsplit(link)
-        if parts.scheme or parts.netloc or place == "404.html":  # which is served anywhere
+        if (
+            parts.scheme or parts.netloc or place == "404.html"
+        ):  # which is served anywhere
             continue
         file, anchor = unquote(parts.path), unquote(parts.fragment)
         there = posixpath.join(posixpath.dirname(place), file)
         target = posixpath.normpath(there) if file else place
-        if not (site / target).is_file() or (anchor and anchor not in pages[target].anchors):
+        if not (site / target).is_file() or (
+            anchor and anchor not in pages[target].anchors
+        ):
             wrong.append(f"{place}: {link}")
     assert wrong == [] and len(links) > 1000
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[str, Html]) -> None:
-    loads = [(place, address) for place, page in pages.items() for address in page.loads]
+    loads = [
+        (place, address) for place, page in pages.items() for address in page.loads
+    ]
     styles = [(str(file), file.read_text()) for file in site.rglob("*.css")]
     styles += [(place, (site / place).read_text()) for place in pages]
     for asks in (r"url\(\s*['\"]?([^)'\"]+)", r"@import\s+['\"]([^'\"]+)"):
-        loads += [(place, found) for place, text in styles for found in re.findall(asks, text)]
+        loads += [
+            (place, found) for place, text in styles for found in re.findall(asks, text)
+        ]
     assert len(loads) > 100
-    assert [(place, address) for place, address in loads if OUTSIDE.match(address)] == []
+    assert [
+        (place, address) for place, address in loads if OUTSIDE.match(address)
+    ] == []
     # The theme would fetch what draws these.
-    assert [place for place in pages if 'class="mermaid"' in (site / place).read_text()] == []
+    assert [
+        place for place in pages if 'class="mermaid"' in (site / place).read_text()
+    ] == []
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_shows_its_output(notebook: Path, site: Path, pages: dict[str, Html]) -> None:
-    cells = [cell for cell in json.loads(notebook.read_text())["cells"] if "outputs" in cell]
-    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in cells)
+def test_a_notebook_shows_its_output(
+    notebook: Path, site: Path, pages: dict[str, Html]
+) -> None:
+    cells = [
+        cell for cell in json.loads(notebook.read_text())["cells"] if "outputs" in cell
+    ]
+    assert all(
+        cell["outputs"] == [] and cell["execution_count"] is None for cell in cells
+    )
     sources = ["".join(cell["source"]) for cell in cells]
     place = f"notebooks/{notebook.stem}.html"
-    drawn = [address for address in pages[place].loads if address.startswith(notebook.stem)]
+    drawn = [
+        address for address in pages[place].loads if address.startswith(notebook.stem)
+    ]
     assert len(drawn) == sum("\nImage(" in source for source in sources) > 0
     for address in drawn:
         assert (site / "notebooks" / address).read_bytes().startswith(b"\x89PNG")
     text = (site / place).read_text()
-    assert text.count('class="language-text') >= sum("print(" in source for source in sources) > 0
+    assert (
+        text.count('class="language-text')
+        >= sum("print(" in source for source in sources)
+        > 0
+    )
     assert "Traceback" not in text
 
 

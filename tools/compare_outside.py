@@ -6,9 +6,10 @@
     python tools/compare_outside.py --problems measured --batch 5  # five reactions at a time
     python tools/compare_outside.py --seeds 3 --arms ours,tpe --problems transport-solver
 
-The cache keeps finished runs: the same command resumes, and a run is repeated only where the code
-or the numbers that made it have changed. GPSampler needs PyTorch, and BayBE and Ax themselves,
-which this project does not install: without them these arms are left out.
+The cache keeps finished runs: the same command resumes, and a run is repeated only
+where the code or the numbers that made it have changed. GPSampler needs PyTorch, and
+BayBE and Ax themselves, which this project does not install: without them these arms
+are left out.
 """
 
 import sys
@@ -31,8 +32,10 @@ with guarded_imports():
     from tools.outside import ARMS, PROBLEMS, outside_problem
     from tools.page import ROOT, write_page
 
-PAGES = {False: ("sampler-outside", "Samplers on problems from outside"),
-         True: ("sampler-measured", "Samplers on measured reactions")}  # fmt: skip
+PAGES = {
+    False: ("sampler-outside", "Samplers on problems from outside"),
+    True: ("sampler-measured", "Samplers on measured reactions"),
+}
 MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
 CHECKPOINTS = (5, 10, 20, 30, 40)  # trials
 OUR_ARMS = [name for name, arm in ARMS.items() if arm.ours]
@@ -45,15 +48,27 @@ def main() -> None:
     options = parse()
     keys = list(product(options.problems, options.arms))
     batches = outside.Batches(options.trials, options.batch)
-    runs = [outside.Run(*key, seed, batches) for key in keys for seed in range(options.seeds)]
+    runs = [
+        outside.Run(*key, seed, batches)
+        for key in keys
+        for seed in range(options.seeds)
+    ]
     costs = np.array(outside.execute(runs, options.cache, options.processes))
     costs = costs.reshape(len(keys), options.seeds, options.trials)
-    seconds = np.array([run.seconds(options.cache) for run in runs]).reshape(costs.shape[:2])
-    found = (dict(zip(keys, values, strict=True)) for values in (costs, np.median(seconds, axis=1)))
+    seconds = np.array([run.seconds(options.cache) for run in runs]).reshape(
+        costs.shape[:2]
+    )
+    found = (
+        dict(zip(keys, values, strict=True))
+        for values in (costs, np.median(seconds, axis=1))
+    )
     compared = Comparison(*found)
     name, title = PAGES[options.problems[0] in outside.MEASURED]
     if options.batch > 1:
-        name, title = f"{name}-by-{options.batch}", f"{title}, {options.batch} at a time"
+        name, title = (
+            f"{name}-by-{options.batch}",
+            f"{title}, {options.batch} at a time",
+        )
     options.out.mkdir(parents=True, exist_ok=True)
     write_page(options.out / f"{name}.md", title, compared.figures())
 
@@ -63,12 +78,18 @@ def parse() -> Namespace:
     parser = Options(__file__)
     parser.whole("--seeds", 1, MOST_SEEDS, default=30, help="of each arm; %(default)s")
     parser.whole("--trials", 2, MOST_TRIALS, default=40, help="of a run; %(default)s")
-    parser.whole("--batch", 1, MOST_TRIALS, default=1, help="trials at a time; %(default)s")
+    parser.whole(
+        "--batch", 1, MOST_TRIALS, default=1, help="trials at a time; %(default)s"
+    )
     parser.add_argument("--arms", help="all that know what the problems have")
     known = f"{', '.join(outside.GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
     parser.add_argument("--problems", default="tuning", help=known)
-    parser.whole("--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s")
-    parser.path("--out", "of the page; out/benchmarks", default=ROOT / "out" / "benchmarks")
+    parser.whole(
+        "--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s"
+    )
+    parser.path(
+        "--out", "of the page; out/benchmarks", default=ROOT / "out" / "benchmarks"
+    )
     parser.path("--cache", "of the runs; out/outside", default=ROOT / "out" / "outside")
     found = parser.parse_args()
     require_folder(found.out)
@@ -78,7 +99,9 @@ def parse() -> Namespace:
     )
     among = {problem in outside.MEASURED for problem in found.problems}
     if len(among) > 1:
-        raise InputError("problems", ",".join(found.problems), "measured ones alone, or none")
+        raise InputError(
+            "problems", ",".join(found.problems), "measured ones alone, or none"
+        )
     able = [name for name in ARMS if ARMS[name].knows(found.problems[0])]
     found.arms = runnable(chosen("arms", found.arms or ",".join(able), able))
     return found
@@ -95,8 +118,10 @@ def chosen(field: str, listed: str, known: Sequence[str]) -> list[str]:
 def runnable(names: list[str]) -> list[str]:
     """The arms whose package is there; a line says which are left out."""
     for arm in (ARMS[name] for name in names if not ARMS[name].runs):
-        print(f"{arm.label} is left out: it needs {arm.needs} (pip install {arm.needs})",
-              file=sys.stderr)  # fmt: skip
+        print(
+            f"{arm.label} is left out: it needs {arm.needs} (pip install {arm.needs})",
+            file=sys.stderr,
+        )
     if found := [name for name in names if ARMS[name].runs]:
         return found
     raise InputError("arms", ",".join(names), "an arm whose package is installed")
@@ -110,7 +135,8 @@ class Versus(NamedTuple):
         other: the other arm.
         wins: seeds on which ours had found a lower cost.
         losses: seeds on which the other had.
-        p: Wilcoxon's signed-rank test, two-sided, not corrected for the number of tests.
+        p: Wilcoxon's signed-rank test, two-sided, not corrected for the number of
+            tests.
         is_behind: whether the other leads by the test's sum of signed ranks, beyond
             chance.
         is_ahead: whether ours leads, well beyond chance.
@@ -137,8 +163,12 @@ class Comparison:
         seconds: Mapping[tuple[str, str], float],
     ) -> None:
         self.seconds = seconds
-        self.best = {key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()}
-        self.different = {key: len(np.unique(values, axis=0)) for key, values in costs.items()}
+        self.best = {
+            key: np.minimum.accumulate(values, axis=1) for key, values in costs.items()
+        }
+        self.different = {
+            key: len(np.unique(values, axis=0)) for key, values in costs.items()
+        }
         self.problems = list(dict.fromkeys(problem for problem, _ in costs))
         trials = next(iter(costs.values())).shape[1]
         self.checkpoints = [*(at for at in CHECKPOINTS if at < trials), trials]
@@ -148,7 +178,12 @@ class Comparison:
         return [arm for arm in among if (self.problems[0], arm) in self.best]
 
     def versus(
-        self, problem: str, ours: str, other: str, trial: int, other_trial: int | None = None
+        self,
+        problem: str,
+        ours: str,
+        other: str,
+        trial: int,
+        other_trial: int | None = None,
     ) -> Versus:
         """One of our arms against another; both after `trial`, unless the other has a number."""
         mine = self.best[problem, ours][:, trial - 1]
@@ -165,26 +200,41 @@ class Comparison:
         found: dict[str, list[Versus]] = {}
 
         def check(
-            what: str, ours: str, others: Iterable[str], trials: Iterable[int],
-            other_trial: int | None = None, to_lead: bool = False,
-        ) -> None:  # fmt: skip
+            what: str,
+            ours: str,
+            others: Iterable[str],
+            trials: Iterable[int],
+            other_trial: int | None = None,
+            to_lead: bool = False,
+        ) -> None:
             rounds = [
                 self.versus(problem, ours, other, at, other_trial)
-                for problem, other, at in product(self.problems, self.arms(others), trials)
+                for problem, other, at in product(
+                    self.problems, self.arms(others), trials
+                )
                 if at in self.checkpoints
             ]
             if rounds and self.arms([ours]):
-                failed = [each for each in rounds if each.is_behind or to_lead > each.is_ahead]
+                failed = [
+                    each for each in rounds if each.is_behind or to_lead > each.is_ahead
+                ]
                 found[f"{ARMS[ours].label}: {what}"] = failed
 
         behind, first, every = f"(p < {BEHIND_P:g})", 10, self.checkpoints
         for ours in self.arms(OUR_ARMS):
-            check(f"never behind a sampler without features {behind}", ours, WITHOUT_HINT, every)
+            check(
+                f"never behind a sampler without features {behind}",
+                ours,
+                WITHOUT_HINT,
+                every,
+            )
             for at in dict.fromkeys((first, every[-1])):
                 what = f"ahead of TPESampler after {at} (p < {AHEAD_P:g})"
                 check(what, ours, ["tpe"], [at], to_lead=True)
             if ours == "ours-ranked":
-                check(f"never behind the ranking alone {behind}", ours, ["ranking"], every)
+                check(
+                    f"never behind the ranking alone {behind}", ours, ["ranking"], every
+                )
             elif 5 in every:
                 what = f"after {first} not behind the ranking after 5 {behind}"
                 check(what, ours, ["ranking"], [first], 5)
@@ -193,12 +243,14 @@ class Comparison:
     def figures(self) -> list[str]:
         """The bars, and a section for each problem."""
         lines = [
-            "## Bars", "",
+            "## Bars",
+            "",
             "A bar holds if it fails on no problem. A row with **no** has a problem on which the"
             " bar fails.",
-            "", "| bar | holds | fails on | against | seeds won | seeds lost |",
+            "",
+            "| bar | holds | fails on | against | seeds won | seeds lost |",
             "|---|---|---|---|---:|---:|",
-        ]  # fmt: skip
+        ]
         for what, failed in self.bars().items():
             lines += [f"| {what} | yes | | | | |"] if not failed else []
             for each in failed:
@@ -233,21 +285,31 @@ class Comparison:
                 end = said.good or "unknown"
                 lines.append(f"| {feature} | {end} | {said.meaning} | {worth:.2f} |")
         head = " | ".join(f"after {trial}" for trial in at)
-        lines += ["", f"| median of the best | information | different runs | s a run | {head} |",
-                  "|---|---|---|---|" + "---|" * len(at)]  # fmt: skip
+        lines += [
+            "",
+            f"| median of the best | information | different runs | s a run | {head} |",
+            "|---|---|---|---|" + "---|" * len(at),
+        ]
         for arm in self.arms():
             medians = np.median(self.best[name, arm], axis=0)
             cells = " | ".join(f"{medians[trial - 1]:.4g}" for trial in at)
             different = self.different[name, arm]
             label = f"{ARMS[arm].label} | {ARMS[arm].sees}"
-            lines.append(f"| {label} | {different} | {self.seconds[name, arm]:.2g} | {cells} |")
+            lines.append(
+                f"| {label} | {different} | {self.seconds[name, arm]:.2g} | {cells} |"
+            )
         for ours in self.arms(OUR_ARMS):
             head = " | ".join(f"after {trial}: won | lost | p" for trial in at)
-            lines += ["", f"| {ARMS[ours].label} against | {head} |",
-                      "|---|" + "---:|" * 3 * len(at)]  # fmt: skip
+            lines += [
+                "",
+                f"| {ARMS[ours].label} against | {head} |",
+                "|---|" + "---:|" * 3 * len(at),
+            ]
             for other in self.arms(OTHERS):
                 tests = [self.versus(name, ours, other, trial) for trial in at]
-                lines.append(f"| {ARMS[other].label} | {' | '.join(map(cells_of, tests))} |")
+                lines.append(
+                    f"| {ARMS[other].label} | {' | '.join(map(cells_of, tests))} |"
+                )
         return lines
 
 

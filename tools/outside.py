@@ -1,12 +1,12 @@
 """Tuning problems from outside, the samplers that are compared on them, and their runs.
 
-A *problem* is a Parquet file of `data/`: a pool of candidates, cheap features of each, and its
-cost, which was computed once, or measured. Users of public packages tune these problems, and
-chemists measured the yields; none was invented here.
-An *arm* of `ARMS` is a way of choosing trials. All arms meet the same costs: ours propose rows of
-the pool; Optuna's propose any point of the space and get the cost of the nearest row. A *run* is
-one arm on one problem with one seed. A cache keeps a file of each run, which is made again where
-the code, the packages or the numbers that made it have changed.
+A *problem* is a Parquet file of `data/`: a pool of candidates, cheap features of each,
+and its cost, which was computed once, or measured. Users of public packages tune these
+problems, and chemists measured the yields; none was invented here. An *arm* of `ARMS`
+is a way of choosing trials. All arms meet the same costs: ours propose rows of the
+pool; Optuna's propose any point of the space and get the cost of the nearest row. A
+*run* is one arm on one problem with one seed. A cache keeps a file of each run, which
+is made again where the code, the packages or the numbers that made it have changed.
 """
 
 import ast
@@ -34,7 +34,13 @@ from optuna.distributions import (
     json_to_distribution,
 )
 from optuna.exceptions import ExperimentalWarning
-from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
+from optuna.samplers import (
+    BaseSampler,
+    CmaEsSampler,
+    GPSampler,
+    RandomSampler,
+    TPESampler,
+)
 from tqdm import tqdm
 
 from storage.commit import commit_json
@@ -48,23 +54,43 @@ Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 Settings = Mapping[str, float | int | str]  # one candidate: its parameters by name
 
-TUNING = ("digits-network", "transport-solver", "cluster-evolution")  # our defaults saw them
-REPORTED = ("tumour-boosting", "cart-pole", "stiff-reactions")  # looked at once, at the end
-# Measured yields, with computed descriptors of each component: Shields et al. 2021, "Bayesian
-# reaction optimization as a tool for chemical synthesis", Nature 590, 89; data of the EDBO
-# repository, MIT licence. Features are three principal components of a component's descriptors.
+TUNING = (
+    "digits-network",
+    "transport-solver",
+    "cluster-evolution",
+)  # our defaults saw them
+REPORTED = (
+    "tumour-boosting",
+    "cart-pole",
+    "stiff-reactions",
+)  # looked at once, at the end
+# Measured yields, with computed descriptors of each component: Shields et al. 2021,
+# "Bayesian reaction optimization as a tool for chemical synthesis", Nature 590, 89;
+# data of the EDBO repository, MIT licence. Features are three principal components of a
+# component's descriptors.
 MEASURED = ("suzuki", "amination")
 PROBLEMS = (*TUNING, *REPORTED, *MEASURED)
 GROUPS = {
-    "tuning": TUNING, "reported": REPORTED, "all": (*TUNING, *REPORTED), "measured": MEASURED,
-}  # fmt: skip
+    "tuning": TUNING,
+    "reported": REPORTED,
+    "all": (*TUNING, *REPORTED),
+    "measured": MEASURED,
+}
 
 DATA = ROOT / "tools" / "data"
 METADATA_KEY = b"outside"
 COST = "cost"
-FEATURE_PREFIX = "feature."  # of a column's name: a feature may be called as a parameter is
+FEATURE_PREFIX = (
+    "feature."  # of a column's name: a feature may be called as a parameter is
+)
 RANKING = "ranking"  # the feature that is the problem's mean rank, low is good
-DECIDING = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes")  # packages, for every arm
+DECIDING = (
+    "numpy",
+    "scipy",
+    "scikit-learn",
+    "optuna",
+    "cmaes",
+)  # packages, for every arm
 ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 
@@ -116,7 +142,10 @@ class OutsideProblem:
 
         Equal values share the mean of their ranks, and NaN ranks last.
         """
-        signs = [-1.0 if each.good == "high" else 1.0 for each in self.feature_meanings.values()]
+        signs = [
+            -1.0 if each.good == "high" else 1.0
+            for each in self.feature_meanings.values()
+        ]
         badness = np.where(np.isnan(self.features), np.inf, self.features * signs)
         return np.asarray(scipy.stats.rankdata(badness, axis=0))
 
@@ -143,10 +172,11 @@ class OutsideProblem:
     def row_nearest_to(self, settings: Settings) -> int:
         """The candidate nearest to any point of the space; of several, the first.
 
-        Distance is Euclidean in a cube. A number is its place between the ends of its range, on its
-        own scale (logarithmic where its distribution is). A choice is one coordinate a choice, of
-        which one is 1: two choices are sqrt 2 apart, farther than the ends of a range, so that the
-        proposed choice is kept unless everything else would have to change.
+        Distance is Euclidean in a cube. A number is its place between the ends of its
+        range, on its own scale (logarithmic where its distribution is). A choice is one
+        coordinate a choice, of which one is 1: two choices are sqrt 2 apart, farther
+        than the ends of a range, so that the proposed choice is kept unless everything
+        else would have to change.
         """
         point = self._coordinates({name: [settings[name]] for name in self.space})
         return int(np.argmin(((self._points - point) ** 2).sum(axis=1)))
@@ -161,7 +191,9 @@ class OutsideProblem:
 
     def _coordinates(self, columns: Mapping[str, ArrayLike]) -> Floats:
         """Columns [n] as points of the cube, [n, coordinates]."""
-        return np.column_stack([_cube(self.space[name], columns[name]) for name in self.space])
+        return np.column_stack(
+            [_cube(self.space[name], columns[name]) for name in self.space]
+        )
 
 
 def file_of(name: str) -> Path:
@@ -181,14 +213,20 @@ def outside_problem(name: str) -> OutsideProblem:
         table = pq.read_table(file)
         document = parse_json(table.schema.metadata[METADATA_KEY])
     column = {name: np.array(table[name].to_pylist()) for name in table.column_names}
-    meanings = {name: Feature(**meaning) for name, meaning in document["features"].items()}
-    space = {name: json_to_distribution(text) for name, text in document["space"].items()}
+    meanings = {
+        name: Feature(**meaning) for name, meaning in document["features"].items()
+    }
+    space = {
+        name: json_to_distribution(text) for name, text in document["space"].items()
+    }
     return OutsideProblem(
         **{key: document[key] for key in ("name", "purpose", "field", "cost_meaning")},
         space=space,
         columns={name: column[name] for name in space},
         feature_meanings=meanings,
-        features=np.column_stack([column[FEATURE_PREFIX + name] for name in meanings]).astype("f8"),
+        features=np.column_stack(
+            [column[FEATURE_PREFIX + name] for name in meanings]
+        ).astype("f8"),
         cost=column[COST].astype("f8"),
     )
 
@@ -208,7 +246,9 @@ def _cube(distribution: BaseDistribution, values: ArrayLike) -> Floats:
 
 def rows_by_ranking(problem: OutsideProblem, seed: int) -> NDArray[np.int64]:
     """Row numbers, the best-ranked first, [n]; the seed decides among equals and nothing else."""
-    among_equals = np.random.default_rng(np.random.SeedSequence(seed)).permutation(len(problem))
+    among_equals = np.random.default_rng(np.random.SeedSequence(seed)).permutation(
+        len(problem)
+    )
     return np.lexsort((among_equals, problem.ranking))
 
 
@@ -217,7 +257,9 @@ def table(problem: OutsideProblem, ranking: bool = False) -> FeatureTable:
     known: dict[str, Any] = {"features": problem.features, "space": problem.space}
     if ranking:
         known |= {"outcomes": problem.ranking, "better": "lower"}
-    with warnings.catch_warnings(action="ignore", category=UserWarning):  # of infinite features
+    with warnings.catch_warnings(
+        action="ignore", category=UserWarning
+    ):  # of infinite features
         names = [*problem.feature_meanings]
         return FeatureTable.from_arrays(problem.columns, feature_names=names, **known)
 
@@ -241,7 +283,10 @@ class Batches:
 
 
 def study_costs(
-    problem: OutsideProblem, sampler: BaseSampler, batches: Batches, first: Iterable[Settings] = ()
+    problem: OutsideProblem,
+    sampler: BaseSampler,
+    batches: Batches,
+    first: Iterable[Settings] = (),
 ) -> Floats:
     """Costs of the trials of a study in their order, [trials]; settings `first` are tried first."""
     study, costs = optuna.create_study(sampler=sampler), []
@@ -259,7 +304,9 @@ Costs = Callable[[OutsideProblem, int, Batches], Floats]  # of a problem, a seed
 
 def of_optuna(sampler: Callable[..., BaseSampler], **options: Any) -> Costs:
     """Of a sampler of Optuna, with its defaults but for the options."""
-    return lambda problem, seed, trials: study_costs(problem, sampler(seed=seed, **options), trials)
+    return lambda problem, seed, trials: study_costs(
+        problem, sampler(seed=seed, **options), trials
+    )
 
 
 def of_ours(pool: Callable[[OutsideProblem], FeatureTable], **options: Any) -> Costs:
@@ -271,19 +318,26 @@ def of_ours(pool: Callable[[OutsideProblem], FeatureTable], **options: Any) -> C
 
 def by_formula(problem: OutsideProblem) -> FeatureTable:
     """The pool if only the formulas of its components (SMILES) are known."""
-    return FeatureTable.from_kernel(formula_similarity(problem.columns), problem.columns)
+    return FeatureTable.from_kernel(
+        formula_similarity(problem.columns), problem.columns
+    )
 
 
 def formula_similarity(columns: Columns) -> Floats:
     """The mean over the columns of the share of common words of four letters, [n, n].
 
-    LINGO: words of two molecules' texts, as a Tanimoto index (Vidal, Thormann, Pons 2005).
+    LINGO: words of two molecules' texts, as a Tanimoto index (Vidal, Thormann, Pons
+    2005).
     """
     similar = []
     for column in columns.values():
         kinds, place = np.unique(column, return_inverse=True)
-        words = [{f"^{kind}$"[at : at + 4] for at in range(len(kind) - 1)} for kind in kinds]
-        shared = [[len(one & other) / len(one | other) for other in words] for one in words]
+        words = [
+            {f"^{kind}$"[at : at + 4] for at in range(len(kind) - 1)} for kind in kinds
+        ]
+        shared = [
+            [len(one & other) / len(one | other) for other in words] for one in words
+        ]
         similar.append(np.array(shared)[np.ix_(place, place)])
     return np.asarray(np.mean(similar, axis=0))
 
@@ -293,14 +347,17 @@ def _ranking_alone(problem: OutsideProblem, seed: int, trials: Batches) -> Float
 
 
 def _tpe_after_ranking(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
-    first = [problem.settings(int(row)) for row in rows_by_ranking(problem, seed)[:ENQUEUED]]
+    first = [
+        problem.settings(int(row)) for row in rows_by_ranking(problem, seed)[:ENQUEUED]
+    ]
     return study_costs(problem, TPESampler(seed=seed), trials, first)
 
 
 def _baybe(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
     """BayBE over the rows, a descriptor table a component, as its user guide has it for chemistry.
 
-    It is of problems whose parameters are choices, and whose features belong to one of them each.
+    It is of problems whose parameters are choices, and whose features belong to one of
+    them each.
     """
     import pandas
     from baybe import Campaign
@@ -337,10 +394,13 @@ def _ax(problem: OutsideProblem, seed: int, trials: Batches) -> Floats:
     client, costs = Client(random_seed=seed), list[float]()
     client.configure_experiment(
         parameters=[
-            ChoiceParameterConfig(name=name, values=list(of.choices), parameter_type="str")
-            for name, of in problem.space.items() if isinstance(of, CategoricalDistribution)
+            ChoiceParameterConfig(
+                name=name, values=list(of.choices), parameter_type="str"
+            )
+            for name, of in problem.space.items()
+            if isinstance(of, CategoricalDistribution)
         ]
-    )  # fmt: skip
+    )
     client.configure_optimization(objective=f"-{COST}")
     for size in trials:
         for number, settings in client.get_next_trials(max_trials=size).items():
@@ -388,7 +448,9 @@ OURS_RANKED = of_ours(partial(table, ranking=True), off_grid=0)
 ARMS = {
     "ours": Arm("ours", FEATURES, of_ours(table), ours=True),
     "ours-ranked": Arm("ours, with the ranking", RANKED, OURS_RANKED, ours=True),
-    "ours-formulas": Arm("ours, formulas alone", FORMULAS, of_ours(by_formula), ours=True),
+    "ours-formulas": Arm(
+        "ours, formulas alone", FORMULAS, of_ours(by_formula), ours=True
+    ),
     "ranking": Arm("the ranking alone", RANKED, _ranking_alone),
     "tpe-ranking": Arm(
         f"TPESampler, {ENQUEUED} best-ranked rows first", RANKED, _tpe_after_ranking
@@ -397,7 +459,11 @@ ARMS = {
     "gp": Arm("GPSampler", NOTHING, of_optuna(GPSampler), needs="torch"),
     "baybe": Arm("BayBE", FEATURES, _baybe, needs="baybe"),
     "ax": Arm("Ax", NOTHING, _ax, needs="ax-platform"),
-    "cmaes": Arm("CmaEsSampler", NOTHING, of_optuna(CmaEsSampler, warn_independent_sampling=False)),
+    "cmaes": Arm(
+        "CmaEsSampler",
+        NOTHING,
+        of_optuna(CmaEsSampler, warn_independent_sampling=False),
+    ),
     "random": Arm("RandomSampler", NOTHING, of_optuna(RandomSampler)),
 }
 
@@ -427,7 +493,11 @@ class Run(NamedTuple):
         """Its costs in the cache; None if it is not there, or was made by other code."""
         try:
             known = json.loads(self.file(cache).read_text())
-            return known["costs"] if known["code"] == code(self.problem, self.arm) else None
+            return (
+                known["costs"]
+                if known["code"] == code(self.problem, self.arm)
+                else None
+            )
         except (OSError, ValueError, KeyError):
             return None
 
@@ -444,7 +514,9 @@ class Run(NamedTuple):
         costs = ARMS[self.arm].costs(half, self.seed, self.trials).tolist()
         known = {"code": code(self.problem, self.arm), "costs": costs}
         self.file(cache).parent.mkdir(parents=True, exist_ok=True)
-        commit_json(self.file(cache), known | {"seconds": time.perf_counter() - started})
+        commit_json(
+            self.file(cache), known | {"seconds": time.perf_counter() - started}
+        )
         return list(costs)
 
 
@@ -453,7 +525,9 @@ def code(problem: str, arm: str) -> str:
     """Fingerprint of all that decides an arm's costs: the problem's file, packages and sources."""
     packages = versions(*DECIDING, *([ARMS[arm].needs] if ARMS[arm].needs else []))
     digest = hashlib.sha256(file_of(problem).read_bytes() + packages.encode())
-    sampler = sorted((ROOT / "study" / "sampler").glob("*.py")) if ARMS[arm].ours else []
+    sampler = (
+        sorted((ROOT / "study" / "sampler").glob("*.py")) if ARMS[arm].ours else []
+    )
     for file in (Path(__file__), *sampler):
         # The syntax tree leaves out layout and comments, which do not decide a run.
         digest.update(ast.dump(ast.parse(file.read_text(encoding="utf-8"))).encode())

@@ -17,8 +17,8 @@ PACKAGES = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes", "torch", "green
 def write_page(path: Path, title: str, figures: list[str]) -> None:
     """Write a page, and print its figures.
 
-    A page that is there keeps its text above the figures, of which the first line is the same at
-    all times; but the line 'Written by' is new.
+    A page that is there keeps its text above the figures, of which the first line is
+    the same at all times; but the line 'Written by' is new.
 
     Raises:
         InputError: the page cannot be written.
@@ -36,14 +36,15 @@ def made_by() -> str:
     """The line of a page: command, day, machine and versions that made it."""
     command = " ".join(["python", f"tools/{Path(sys.argv[0]).name}", *sys.argv[1:]])
     machine = f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}"
-    return (
-        f"Written by `{command}` on {time.strftime('%Y-%m-%d')}: {machine}; {versions(*PACKAGES)}."
-    )
+    return f"Written by `{command}` on {time.strftime('%Y-%m-%d')}: {machine}; {versions(*PACKAGES)}."
 
 
 def versions(*packages: str) -> str:
     """Versions of Python and of packages."""
-    found = [f"{name} {installed(name)}" if installed(name) else f"no {name}" for name in packages]
+    found = [
+        f"{name} {installed(name)}" if installed(name) else f"no {name}"
+        for name in packages
+    ]
     return ", ".join([f"Python {platform.python_version()}", *found])
 
 

@@ -103,8 +103,12 @@ class Measured:
 
 def main() -> None:
     parser = Options(__file__)
-    parser.whole("--rows", LEAST_ROWS, MOST_ROWS, default=100_000, help="of a table; %(default)s")
-    parser.path("--out", "of the page; out/benchmarks", default=ROOT / "out" / "benchmarks")
+    parser.whole(
+        "--rows", LEAST_ROWS, MOST_ROWS, default=100_000, help="of a table; %(default)s"
+    )
+    parser.path(
+        "--out", "of the page; out/benchmarks", default=ROOT / "out" / "benchmarks"
+    )
     options = parser.parse_args()
     require_folder(options.out)
     measured = [fresh(case) for case in tqdm(cases(options.rows), unit="case")]
@@ -117,14 +121,21 @@ def cases(rows: int) -> list[Case]:
     """What is measured."""
     base = Case("ours", rows, 1, FINISHED)
     few, some, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 15.0))
-    fewer, alike = min(rows, ALIKE_ROWS), (("median_cpu_ms", 30.0), ("peak_mib", 4e9 / 2**20))
+    fewer, alike = (
+        min(rows, ALIKE_ROWS),
+        (("median_cpu_ms", 30.0), ("peak_mib", 4e9 / 2**20)),
+    )
     memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
     return [
         replace(base, bars=few),
         replace(base, features=MOST_FEATURES, bars=(*many, memory)),
         replace(base, sampler="rbf", bars=some),
-        replace(base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many),
-        replace(base, sampler="similarity", rows=fewer, features=MOST_FEATURES, bars=alike),
+        replace(
+            base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many
+        ),
+        replace(
+            base, sampler="similarity", rows=fewer, features=MOST_FEATURES, bars=alike
+        ),
         replace(base, observations=MOST_FINISHED, bars=(("median_ms", 1000.0),)),
         replace(base, rows=LARGE * rows, features=MOST_FEATURES, bars=(first,)),
     ]
@@ -146,7 +157,9 @@ def figures(measured: Sequence[Measured]) -> list[str]:
         for name, most in allowed:
             value, what = getattr(each, name), f"{LABELS[sampler]}, {size}: {name}"
             holds = "yes" if value <= most else "**no**"
-            bars.append(f"| {what.replace('_', ' ')} | {value:.0f}, at most {most:.0f} | {holds} |")
+            bars.append(
+                f"| {what.replace('_', ' ')} | {value:.0f}, at most {most:.0f} | {holds} |"
+            )
     return [*lines, *bars]
 
 
@@ -167,7 +180,9 @@ def measure_case(case: Case) -> Measured:
     (_, first), *later = (_propose(study, case.features) for _ in range(1 + REPEATS))
     ms, cpu_ms = zip(*later, strict=True)
     kept, peak = memory_mib("VmRSS") - before_mib, memory_mib("VmHWM") - before_mib
-    return Measured(case, median(ms), min(ms), max(ms), median(cpu_ms), first, kept, peak)
+    return Measured(
+        case, median(ms), min(ms), max(ms), median(cpu_ms), first, kept, peak
+    )
 
 
 def _prepare(case: Case) -> optuna.Study:
@@ -180,9 +195,11 @@ def _prepare(case: Case) -> optuna.Study:
     study = optuna.create_study(sampler=_sampler(case, points, features))
     for row, cost in zip(seen, costs, strict=True):
         trial = optuna.create_trial(
-            params=dict(zip(SPACE, points[row].tolist(), strict=True)), distributions=SPACE,
-            user_attrs={ROW_ATTRIBUTE: int(row)}, value=float(cost),
-        )  # fmt: skip
+            params=dict(zip(SPACE, points[row].tolist(), strict=True)),
+            distributions=SPACE,
+            user_attrs={ROW_ATTRIBUTE: int(row)},
+            value=float(cost),
+        )
         study.add_trial(trial)
     return study
 
@@ -208,7 +225,9 @@ def _sampler(case: Case, points: Floats, features: Floats) -> FeatureKernelSampl
             np.exp(-0.5 * ((small - own) ** 2).sum(axis=1), out=row)
         return FeatureKernelSampler(FeatureTable.from_kernel(gram, columns), seed=SEED)
     table = FeatureTable.from_arrays(columns, features, names, space=SPACE)
-    return FeatureKernelSampler(table, seed=SEED, kernel="rbf" if case.sampler == "rbf" else None)
+    return FeatureKernelSampler(
+        table, seed=SEED, kernel="rbf" if case.sampler == "rbf" else None
+    )
 
 
 def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
@@ -218,7 +237,10 @@ def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
     """
     began, cpu_began = time.perf_counter(), time.process_time()
     trial = study.ask(SPACE)
-    spent = (1e3 * (time.perf_counter() - began), 1e3 * (time.process_time() - cpu_began))
+    spent = (
+        1e3 * (time.perf_counter() - began),
+        1e3 * (time.process_time() - cpu_began),
+    )
     point = [trial.params[name] for name in SPACE]
     study.tell(trial, float(_features(np.array([point]), features).sum()))
     return spent
@@ -227,7 +249,9 @@ def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
 def memory_mib(field: str) -> float:
     """Resident memory of this process (VmRSS) or the most it ever was (VmHWM); NaN but on Linux."""
     status = Path("/proc/self/status")
-    for line in status.read_text(encoding="ascii").splitlines() if status.exists() else ():
+    for line in (
+        status.read_text(encoding="ascii").splitlines() if status.exists() else ()
+    ):
         if line.startswith(f"{field}:"):
             return int(line.split()[1]) / 1024
     return float("nan")

@@ -3,9 +3,9 @@
     python tools/time_walks.py
     taskset -c 0 python tools/time_walks.py --against ../before   # another checkout, by turns
 
-Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled kernels,
-"warm" with a full one; both import, start the engine and compile. Run the command on an idle
-machine: other work makes its figures meaningless.
+Each figure comes from a fresh process. "Cold" starts with an empty cache of compiled
+kernels, "warm" with a full one; both import, start the engine and compile. Run the
+command on an idle machine: other work makes its figures meaningless.
 """
 
 import argparse
@@ -58,7 +58,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--arch", choices=ARCHITECTURES, default="auto")
     options = parser.parse_args()
     if options.against and not (options.against / "taichi_nmm").is_dir():
-        raise InputError("against", options.against, "the folder of a checkout of this project")
+        raise InputError(
+            "against", options.against, "the folder of a checkout of this project"
+        )
     return options
 
 
@@ -68,12 +70,16 @@ def measure(options: argparse.Namespace, cache: Path) -> Iterator[str]:
     cold = worker("cold start", cache / "main", arch=arch)
     run = worker("run", cache / "main", arch=arch, walkers=samples, duration_s=5.0)
     seconds, steps_per_s = run["run_s"], run["steps"] / run["run_s"]
-    yield (f"machine        {os.cpu_count()} cores, {platform.system()} {platform.machine()};"
-           f" {run['arch']}, {run['precision']}, {run['lanes']} lanes")  # fmt: skip
+    yield (
+        f"machine        {os.cpu_count()} cores, {platform.system()} {platform.machine()};"
+        f" {run['arch']}, {run['precision']}, {run['lanes']} lanes"
+    )
     yield f"cold start     {cold['start_s']:.1f} s (compiles)"
     yield f"warm start     {run['start_s']:.1f} s"
-    yield (f"run            {samples:,} points x 5 s in {seconds:.1f} s,"
-           f" {100 * run['alive'] / samples:.1f} % alive at the end")  # fmt: skip
+    yield (
+        f"run            {samples:,} points x 5 s in {seconds:.1f} s,"
+        f" {100 * run['alive'] / samples:.1f} % alive at the end"
+    )
     yield f"speed          {samples / seconds:,.0f} walkers/s, {steps_per_s:,.0f} walker-steps/s"
     yield f"peak memory    {run['peak_rss_mib']:,.0f} MiB"
 
@@ -82,7 +88,9 @@ def by_turns(options: argparse.Namespace, cache: Path) -> Iterator[str]:
     """CPU ns a walker-step of both checkouts, one measured after the other."""
     roots = {"this": ROOT, "other": options.against.resolve()}
     turns: Measured = {load: {name: [] for name in roots} for load in LOADS}
-    for turn, (load, words), (name, root) in product(range(TURNS), LOADS.items(), roots.items()):
+    for turn, (load, words), (name, root) in product(
+        range(TURNS), LOADS.items(), roots.items()
+    ):
         what = f"turn {turn + 1} of {TURNS}, {load}, {name}"
         run = worker(what, cache / name, **words, threads=1, root=str(root))
         turns[load][name].append(1e9 * run["cpu_s"] / run["steps"])

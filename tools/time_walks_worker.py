@@ -1,8 +1,8 @@
 """One measurement of the simulator in one fresh process, printed as one JSON object.
 
-`tools/time_walks.py` starts it: start-up and compilation can only be timed in a process that has
-not imported anything, and the peak of memory belongs to a process. Its one word has the arguments
-of `main` as JSON.
+`tools/time_walks.py` starts it: start-up and compilation can only be timed in a process
+that has not imported anything, and the peak of memory belongs to a process. Its one
+word has the arguments of `main` as JSON.
 """
 
 import json
@@ -26,9 +26,14 @@ PUBLISHED = "published"
 
 
 def main(
-    walkers: int = 0, duration_s: float = TICK_S, steady: bool = False, repeats: int = 1,
-    arch: str = "auto", root: str = ROOT, threads: int | None = None,
-) -> None:  # fmt: skip
+    walkers: int = 0,
+    duration_s: float = TICK_S,
+    steady: bool = False,
+    repeats: int = 1,
+    arch: str = "auto",
+    root: str = ROOT,
+    threads: int | None = None,
+) -> None:
     """Start a checkout; let walkers near the published gains (`steady`) or of a store walk."""
     sys.path.insert(0, root)
     began_s = time.perf_counter()
@@ -46,7 +51,9 @@ def main(
         for _ in range(repeats):
             began = time.perf_counter(), time.process_time()
             result = run(gains, duration_s=duration_s)
-            took.append((time.perf_counter() - began[0], time.process_time() - began[1]))
+            took.append(
+                (time.perf_counter() - began[0], time.process_time() - began[1])
+            )
         measured |= result.metadata | {
             "run_s": median(wall_s for wall_s, _ in took),
             "cpu_s": median(cpu_s for _, cpu_s in took),
@@ -73,7 +80,9 @@ def near_published(walkers: int) -> "NDArray[np.float64]":
 
     from taichi_nmm import load_gains
 
-    spread = np.random.default_rng(SEED).uniform(-STEADY_SPREAD, STEADY_SPREAD, (walkers, 1))
+    spread = np.random.default_rng(SEED).uniform(
+        -STEADY_SPREAD, STEADY_SPREAD, (walkers, 1)
+    )
     return load_gains(PUBLISHED) * (1.0 + spread)
 
 

@@ -4,9 +4,10 @@
     python tools/try_models.py out/models            # folders, files or installed packages
     python tools/try_models.py gymnasium
 
-A row a model. Each number is measured on the model that a world makes, in terms of mechanics (mass
-matrices, forces, contacts, velocities), beside MuJoCo's own `mj_step` on the file as it is. A
-factor has to change what `SCALED` says, and nothing else of `quantities`:
+A row a model. Each number is measured on the model that a world makes, in terms of
+mechanics (mass matrices, forces, contacts, velocities), beside MuJoCo's own `mj_step`
+on the file as it is. A factor has to change what `SCALED` says, and nothing else of
+`quantities`:
 
     ok       what its name says
     -        the model has nothing that it could change
@@ -53,7 +54,10 @@ DELAY_STEPS = 3
 TURN_RAD = 0.3
 EXACT = 1e-8  # of what should be equal, relative to the largest
 CALM = 1e3  # of positions and rates: in those of a model that blows up, noise is lost
-SIGMAS, SIGMAS_OF_ONE = 4.0, 6.0  # of a deviation: of all numbers, of one of many coordinates
+SIGMAS, SIGMAS_OF_ONE = (
+    4.0,
+    6.0,
+)  # of a deviation: of all numbers, of one of many coordinates
 LEAST_FRICTION = 1e-5  # MuJoCo's mjMINMU
 
 WORDS = OK, NOTHING, REFUSED, WRONG = "ok", "-", "refused", "WRONG"
@@ -128,9 +132,13 @@ class Measured:
         drawn = {name: np.array([value]) for name, value in whole.items()}
         self.simulator._require_worlds(drawn)
         model = self.simulator._model_of(whole)
-        return model, Herd(self.simulator.robot, {"share": np.array([1.0])}, drawn, [model])
+        return model, Herd(
+            self.simulator.robot, {"share": np.array([1.0])}, drawn, [model]
+        )
 
-    def at(self, model: Any, ctrl: Floats | None = None, rates: Floats | None = None) -> Any:
+    def at(
+        self, model: Any, ctrl: Floats | None = None, rates: Floats | None = None
+    ) -> Any:
         """A model's data in that state."""
         data = mujoco.MjData(model)
         data.qpos[:], data.act[:] = self.data.qpos, self.data.act
@@ -174,7 +182,9 @@ def quantities(measured: Measured, model: Any) -> dict[str, Floats]:
     for body in range(1, model.nbody):
         mujoco.mj_jacBodyCom(model, data, jacobian, None, body)
         translation += model.body_mass[body] * jacobian.T @ jacobian
-    pushed = [measured.at(model, ctrl) for ctrl in (None, measured.loud, -measured.loud)]
+    pushed = [
+        measured.at(model, ctrl) for ctrl in (None, measured.loud, -measured.loud)
+    ]
     torques = np.array([each.qfrc_actuator for each in pushed])
     if model.jnt_actgravcomp.any():  # a part of them carries the weight
         torques = np.zeros_like(torques)
@@ -197,7 +207,9 @@ def try_factor(measured: Measured, number: str) -> str:
     """Scales what `SCALED` says, and changes nothing else."""
     ours, _ = measured.models(**{number: FACTOR})
     plain, found = measured.usual, quantities(measured, ours)
-    inertia = max(float(np.abs(plain[name]).max()) for name in ("translation", "rotation"))
+    inertia = max(
+        float(np.abs(plain[name]).max()) for name in ("translation", "rotation")
+    )
     for name, usual in plain.items():
         expected = usual * (FACTOR if name in SCALED[number] else 1.0)
         if name == "sliding":
@@ -215,7 +227,11 @@ def try_mass_spread(measured: Measured) -> str:
     heavy = plain.body_mass > 0.0
     ratio = ours.body_mass[heavy] / plain.body_mass[heavy]
     off = np.abs(ratio - 1.0)
-    if off.max() > SPREAD or off.max() < 1e-3 or (len(ratio) > 1 and np.ptp(ratio) < 1e-3):
+    if (
+        off.max() > SPREAD
+        or off.max() < 1e-3
+        or (len(ratio) > 1 and np.ptp(ratio) < 1e-3)
+    ):
         return f"ratios from {ratio.min():.3g} to {ratio.max():.3g}"
     expected = plain.body_inertia[heavy] * ratio[:, None]
     return differs(ours.body_inertia[heavy] / expected.clip(1e-300), np.sign(expected))
@@ -224,7 +240,9 @@ def try_mass_spread(measured: Measured) -> str:
 def try_delay(measured: Measured, number: str) -> str:
     """Bit by bit as `mj_step`, with controls that arrive so late; `number` "": at once."""
     late = DELAY_STEPS if number else 0
-    controls = np.vstack([np.zeros((late, measured.plain.nu)), measured.controls])[:STEPS]
+    controls = np.vstack([np.zeros((late, measured.plain.nu)), measured.controls])[
+        :STEPS
+    ]
     data, seen = mujoco.MjData(measured.plain), list[Floats]()
     mujoco.mj_forward(measured.plain, data)
     for control in controls:
@@ -282,7 +300,10 @@ def directions(model: Any) -> tuple[Floats, Floats]:
 
 def try_slope(measured: Measured) -> str:
     """Gravity as on ground that rises along x."""
-    before, after = gravity_of(measured.plain), measured.models(slope=SLOPE)[0].opt.gravity
+    before, after = (
+        gravity_of(measured.plain),
+        measured.models(slope=SLOPE)[0].opt.gravity,
+    )
     up, along = -before / np.linalg.norm(before), directions(measured.plain)[1]
     along = along - (along @ up) * up
     along /= np.linalg.norm(along)
@@ -304,7 +325,9 @@ def try_rough(measured: Measured) -> str:
     mujoco.mj_kinematics(plain, level)
     normal = level.geom_xmat[geom].reshape(3, 3)[:, 2]
     to_plane = (places - level.geom_xpos[geom]) @ normal / (up @ normal)
-    to_field = [mujoco.mj_rayHfield(ours, rough, geom, place, -up, None) for place in places]
+    to_field = [
+        mujoco.mj_rayHfield(ours, rough, geom, place, -up, None) for place in places
+    ]
     off = to_plane - np.array(to_field)
     if min(to_field) < 0.0:
         return "holes"
@@ -324,7 +347,10 @@ def try_push(measured: Measured) -> str:
     body = mujoco.mjtObj.mjOBJ_XBODY
     mujoco.mj_objectVelocity(measured.plain, data, body, root, found, 0)
     found[3] = abs(found[3])
-    return differs(found, np.array([0.0, 0.0, 0.0, PUSH_MPS, 0.0, 0.0])) and f"by {found.round(3)}"
+    return (
+        differs(found, np.array([0.0, 0.0, 0.0, PUSH_MPS, 0.0, 0.0]))
+        and f"by {found.round(3)}"
+    )
 
 
 def try_pose(measured: Measured) -> str:
@@ -394,7 +420,9 @@ def measured(path: Path) -> dict[str, tuple[str, str]]:
         except Exception as error:  # a model of others may break anything
             found[name] = (WRONG, in_a_line(error))
         else:
-            found[name] = {"": (OK, ""), NOTHING: (NOTHING, "")}.get(said, (WRONG, said))
+            found[name] = {"": (OK, ""), NOTHING: (NOTHING, "")}.get(
+                said, (WRONG, said)
+            )
     return found
 
 
@@ -415,7 +443,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("places", nargs="+", help="folders, files or installed packages")
+    parser.add_argument(
+        "places", nargs="+", help="folders, files or installed packages"
+    )
     files = [file for place in parser.parse_args().places for file in files_of(place)]
     if print_table(files):
         raise SystemExit(1)
@@ -434,11 +464,18 @@ def print_table(files: list[Path]) -> int:
             continue
         print(path, *(word for word, _ in found.values()), flush=True)
         words.update((number, word) for number, (word, _) in found.items())
-        reasons.update(f"{word} {number}: {why}" for number, (word, why) in found.items() if why)
+        reasons.update(
+            f"{word} {number}: {why}" for number, (word, why) in found.items() if why
+        )
     print(f"\n| models | {' | '.join(WORDS)} |\n|---|---:|---:|---:|---:|")
     for number in TRIES:
-        print(f"| `{number}` | {' | '.join(str(words[number, word]) for word in WORDS)} |")
-    print(*(f"- {times} x {reason}" for reason, times in sorted(reasons.items())), sep="\n")
+        print(
+            f"| `{number}` | {' | '.join(str(words[number, word]) for word in WORDS)} |"
+        )
+    print(
+        *(f"- {times} x {reason}" for reason, times in sorted(reasons.items())),
+        sep="\n",
+    )
     return sum(words[number, WRONG] for number in TRIES)
 
 

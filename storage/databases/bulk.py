@@ -1,8 +1,9 @@
 """Many finished trials into a study database at once.
 
-Optuna writes a trial in some thirty transactions, 56 ms on SQLite; the trials of an experiment are
-written here a few thousand to a transaction. The tables are the database's own, reflected, so that
-nothing private of Optuna is needed; a schema that is not the known one is refused.
+Optuna writes a trial in some thirty transactions, 56 ms on SQLite; the trials of an
+experiment are written here a few thousand to a transaction. The tables are the
+database's own, reflected, so that nothing private of Optuna is needed; a schema that is
+not the known one is refused.
 """
 
 import json
@@ -24,7 +25,9 @@ from storage.databases.studies import known_tables
 
 Row = dict[str, Any]
 Tables = dict[str, sql.Table]
-METRIC_ATTRIBUTE = "study:metric_names"  # where `optuna.Study.set_metric_names` puts them
+METRIC_ATTRIBUTE = (
+    "study:metric_names"  # where `optuna.Study.set_metric_names` puts them
+)
 as_json = cache(distribution_to_json)
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
 
@@ -75,15 +78,17 @@ def study_attributes(storage: RDBStorage, key: str) -> dict[str, Any]:
         studies.study_id == attributes.study_id, attributes.key == key
     )
     with storage.engine.connect() as connection:
-        return {name: json.loads(value) for name, value in _pairs(connection, query).items()}
+        return {
+            name: json.loads(value) for name, value in _pairs(connection, query).items()
+        }
 
 
 def write_studies(storage: RDBStorage, studies: Iterable[FinishedStudy]) -> int:
     """Make the studies that are not there, and add the trials that they do not have yet.
 
-    A trial is there whole or not at all, however this process ends; called again, it goes on. The
-    trials are those that `optuna.study.Study.add_trial` would have made. Returns how many were
-    added.
+    A trial is there whole or not at all, however this process ends; called again, it
+    goes on. The trials are those that `optuna.study.Study.add_trial` would have made.
+    Returns how many were added.
 
     Raises:
         InputError: a database of another Optuna version.
@@ -100,8 +105,8 @@ def write_studies(storage: RDBStorage, studies: Iterable[FinishedStudy]) -> int:
 def attach(storage: RDBStorage, study: str, number: int, key: str, value: Any) -> None:
     """Add a system attribute to a finished trial, which Optuna itself does not let anyone do.
 
-    The trial is of a study of this name, the value a plain one. An attribute that the trial has
-    already is left as it is.
+    The trial is of a study of this name, the value a plain one. An attribute that the
+    trial has already is left as it is.
 
     Raises:
         InputError: a database of another Optuna version.
@@ -120,7 +125,9 @@ def attach(storage: RDBStorage, study: str, number: int, key: str, value: Any) -
         trial_id = connection.execute(query).scalar()
         if trial_id is None:
             raise KeyError(study, number)
-        there = sql.select(known.key).where(known.trial_id == trial_id, known.key == key)
+        there = sql.select(known.key).where(
+            known.trial_id == trial_id, known.key == key
+        )
         if connection.execute(there).first() is None:
             row = {"trial_id": trial_id, **_attributes({key: value})[0]}
             _insert(connection, tables, {"trial_system_attributes": [row]})
@@ -137,7 +144,9 @@ def _batches(studies: Iterable[FinishedStudy]) -> Iterator[list[FinishedStudy]]:
         yield batch
 
 
-def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy]) -> int:
+def _write(
+    connection: sql.Connection, tables: Tables, batch: list[FinishedStudy]
+) -> int:
     ids = _study_ids(connection, tables, batch)
     trials = tables["trials"].c
     counted = sql.select(trials.study_id, sql.func.count()).group_by(trials.study_id)
@@ -147,14 +156,20 @@ def _write(connection: sql.Connection, tables: Tables, batch: list[FinishedStudy
         study_id = ids[study.name]
         have = counts.get(study_id, 0)
         if have < study.first:
-            raise ValueError(f"{study.name}: {have} trials, so none can be number {study.first}")
+            raise ValueError(
+                f"{study.name}: {have} trials, so none can be number {study.first}"
+            )
         numbered = enumerate(study.trials, start=study.first)
-        fresh += [(study_id, number, trial) for number, trial in numbered if number >= have]
+        fresh += [
+            (study_id, number, trial) for number, trial in numbered if number >= have
+        ]
     _insert(connection, tables, {"trials": [_trial_row(*item) for item in fresh]})
     query = sql.select(trials.study_id, trials.number, trials.trial_id).where(
         trials.study_id.in_({study_id for study_id, _, _ in fresh})
     )
-    trial_ids = {(study_id, number): key for study_id, number, key in connection.execute(query)}
+    trial_ids = {
+        (study_id, number): key for study_id, number, key in connection.execute(query)
+    }
     rows: dict[str, list[Row]] = defaultdict(list)
     for study_id, number, trial in fresh:
         for table, row in _rows_of(trial):
@@ -181,7 +196,10 @@ def _rows_of(trial: FrozenTrial) -> Iterator[tuple[str, Row]]:
     for objective, value in enumerate(trial.values or ()):
         kind = {math.inf: "INF_POS", -math.inf: "INF_NEG"}.get(value, "FINITE")
         stored = value if kind == "FINITE" else None
-        yield "trial_values", {"objective": objective, "value": stored, "value_type": kind}
+        yield (
+            "trial_values",
+            {"objective": objective, "value": stored, "value_type": kind},
+        )
     for name, distribution in trial.distributions.items():
         value = distribution.to_internal_repr(trial.params[name])
         about = {"param_value": value, "distribution_json": as_json(distribution)}
@@ -192,7 +210,9 @@ def _rows_of(trial: FrozenTrial) -> Iterator[tuple[str, Row]]:
 
 
 def _attributes(values: dict[str, Any]) -> list[Row]:
-    return [{"key": key, "value_json": json.dumps(value)} for key, value in values.items()]
+    return [
+        {"key": key, "value_json": json.dumps(value)} for key, value in values.items()
+    ]
 
 
 def _naive_utc(local: datetime | None) -> datetime | None:
@@ -206,19 +226,30 @@ def _study_ids(
     table = tables["studies"]
     names = [study.name for study in batch]
     _lock(connection, table, names)
-    select = sql.select(table.c.study_name, table.c.study_id).where(table.c.study_name.in_(names))
+    select = sql.select(table.c.study_name, table.c.study_id).where(
+        table.c.study_name.in_(names)
+    )
     ids = _pairs(connection, select)
     new = [study for study in batch if study.name not in ids]
     if new:
-        _insert(connection, tables, {"studies": [{"study_name": study.name} for study in new]})
+        _insert(
+            connection,
+            tables,
+            {"studies": [{"study_name": study.name} for study in new]},
+        )
         ids = _pairs(connection, select)
         rows: dict[str, list[Row]] = defaultdict(list)
         for study in new:
             own = {"study_id": ids[study.name]}
             for objective in range(len(study.metrics) or 1):
-                direction = {"objective": objective, "direction": StudyDirection.MINIMIZE.name}
+                direction = {
+                    "objective": objective,
+                    "direction": StudyDirection.MINIMIZE.name,
+                }
                 rows["study_directions"].append(own | direction)
-            rows["study_user_attributes"] += [own | row for row in _attributes(study.user_attrs)]
+            rows["study_user_attributes"] += [
+                own | row for row in _attributes(study.user_attrs)
+            ]
             named = {METRIC_ATTRIBUTE: list(study.metrics)} if study.metrics else {}
             rows["study_system_attributes"] += [own | row for row in _attributes(named)]
         _insert(connection, tables, rows)
@@ -228,17 +259,22 @@ def _study_ids(
 def _lock(connection: sql.Connection, studies: sql.Table, names: list[str]) -> None:
     """Hold these studies until the transaction ends.
 
-    Writing is the one way to lock that every database has; SQLite's lock lies on the whole file.
+    Writing is the one way to lock that every database has; SQLite's lock lies on the
+    whole file.
     """
     named = studies.c.study_name.in_(names)
-    connection.execute(sql.update(studies).where(named).values(study_name=studies.c.study_name))
+    connection.execute(
+        sql.update(studies).where(named).values(study_name=studies.c.study_name)
+    )
 
 
 def _pairs(connection: sql.Connection, query: sql.Executable) -> dict[Any, Any]:
     return {key: value for key, value in connection.execute(query)}
 
 
-def _insert(connection: sql.Connection, tables: Tables, rows: dict[str, list[Row]]) -> None:
+def _insert(
+    connection: sql.Connection, tables: Tables, rows: dict[str, list[Row]]
+) -> None:
     """Rows by the names of their tables."""
     for name, of_table in rows.items():
         if of_table:

@@ -1,10 +1,11 @@
 """Study databases on a PostgreSQL server, which many machines share; and crews.
 
-A crew is several processes, on any machines, that work on one study. They take turns at proposing,
-by a lock of the server, so that no row is proposed twice and no trial too many is begun. A running
-trial has such a lock too, which ends with its process: without one that is dead, or its machine, or
-its network. Optuna's heartbeats run within `Study.optimize` alone, where there are no turns, and
-one that has stopped is known only after a while.
+A crew is several processes, on any machines, that work on one study. They take turns at
+proposing, by a lock of the server, so that no row is proposed twice and no trial too
+many is begun. A running trial has such a lock too, which ends with its process: without
+one that is dead, or its machine, or its network. Optuna's heartbeats run within
+`Study.optimize` alone, where there are no turns, and one that has stopped is known only
+after a while.
 """
 
 from collections.abc import Iterator
@@ -22,11 +23,13 @@ CONNECT_TIMEOUT_S = 10
 TABLES_LOCK = "taichi-nmm/tables"  # no study's name: those have three parts
 CONNECT = {"connect_timeout": CONNECT_TIMEOUT_S}
 READ_ONLY = {"options": "-c default_transaction_read_only=on"}
-# A server that was restarted between two checkpoints is noticed by the first, cheap question.
+# A server that was restarted between two checkpoints is noticed by the first, cheap
+# question.
 ENGINE_OPTIONS: dict[str, Any] = {"connect_args": CONNECT, "pool_pre_ping": True}
 READING_OPTIONS: dict[str, Any] = {"connect_args": CONNECT | READ_ONLY}
 
-# By which the server ends the session, and so the locks, of a machine that is gone: after 30 s.
+# By which the server ends the session, and so the locks, of a machine that is gone:
+# after 30 s.
 KEEPALIVES = {"idle": 10, "interval": 5, "count": 4}
 
 KEY = "hashtextextended(:study, 0)"
@@ -54,7 +57,9 @@ def require_server(url: str) -> str:
     except (SQLAlchemyError, ValueError):
         parts = None
     if parts is None or not parts.database or "@" in (parts.host or ""):
-        raise InputError("storage", shown, f"{POSTGRESQL_FORM}; an @ in a password is %40")
+        raise InputError(
+            "storage", shown, f"{POSTGRESQL_FORM}; an @ in a password is %40"
+        )
     _engine(url, shown).dispose()
     return shown
 
@@ -77,12 +82,15 @@ def open_database(url: str) -> RDBStorage:
 def locked(url: str, name: str, wait: bool = False) -> Iterator[bool]:
     """Hold an advisory lock of the server on a study's name; yields whether it was free.
 
-    The server gives the lock back when the connection ends, however this process ends. The name may
-    also be of other work that one process does at a time; `wait` until it is free.
+    The server gives the lock back when the connection ends, however this process ends.
+    The name may also be of other work that one process does at a time; `wait` until it
+    is free.
     """
     take = "pg_advisory_lock" if wait else "pg_try_advisory_lock"
     with connected(url) as engine, _own(engine) as connection:
-        free = connection.execute(sql.text(f"SELECT {take}({KEY})"), {"study": name}).scalar()
+        free = connection.execute(
+            sql.text(f"SELECT {take}({KEY})"), {"study": name}
+        ).scalar()
         yield wait or bool(free)
 
 
@@ -126,7 +134,9 @@ class Crew:
             for name, value in KEEPALIVES.items():
                 crew._do(f"SET tcp_keepalives_{name} = {value}")
             if not crew._do(f"SELECT pg_try_advisory_lock_shared({KEY})"):
-                allowed = "a study that no process has for itself; one is running this one"
+                allowed = (
+                    "a study that no process has for itself; one is running this one"
+                )
                 raise InputError("study", study_name, allowed)
             yield crew
 
@@ -162,7 +172,9 @@ def unusable(shown: str, error: Exception) -> InputError:
     cause = error.__cause__ or error
     words = str(getattr(cause, "orig", cause)).strip().splitlines()
     reason = words[0] if words else type(cause).__name__
-    return InputError("storage", shown, f"a study database that can be written ({reason})")
+    return InputError(
+        "storage", shown, f"a study database that can be written ({reason})"
+    )
 
 
 def _engine(url: str, shown: str) -> sql.Engine:

@@ -1,8 +1,8 @@
 """Study databases that Optuna, its dashboard and our commands share: SQLite files or PostgreSQL.
 
 On SQLite, write-ahead logging lets the dashboard read while a study writes, and with
-synchronous=NORMAL a trial of 16 parameters costs about 60 ms instead of 450. A crash of the machine
-may lose the last transactions, never the file.
+synchronous=NORMAL a trial of 16 parameters costs about 60 ms instead of 450. A crash of
+the machine may lose the last transactions, never the file.
 
 A database is looked at before it is opened: nothing of a refused one is changed.
 """
@@ -22,7 +22,11 @@ from urllib.parse import quote
 
 import optuna
 import sqlalchemy as sql
-from optuna.exceptions import ExperimentalWarning, StorageInternalError, UpdateFinishedTrialError
+from optuna.exceptions import (
+    ExperimentalWarning,
+    StorageInternalError,
+    UpdateFinishedTrialError,
+)
 from optuna.storages import BaseStorage, RDBStorage
 from sqlalchemy import event
 from sqlalchemy.exc import SQLAlchemyError
@@ -36,19 +40,36 @@ from storage.databases.urls import public_url as public_url
 from taichi_nmm.errors import InputError
 
 MEMORY_NAME = ":memory:"  # which SQLite takes for no file
-NO_RECORD = "Record does not exist."  # Optuna's KeyError for a study or trial that was deleted
+NO_RECORD = (
+    "Record does not exist."  # Optuna's KeyError for a study or trial that was deleted
+)
 ALONE = "a study that no other program changes while it runs"
 BUSY_TIMEOUT_S = 5.0  # a writer of ours holds the database for milliseconds
 
-SCHEMA_VERSION = 12  # Optuna 3.0 to 5.0, with the column types of revision v3.2.0.a and later
-_SCHEMA = json.loads(Path(__file__).with_name("schema.json").read_text(encoding="utf-8"))
+SCHEMA_VERSION = (
+    12  # Optuna 3.0 to 5.0, with the column types of revision v3.2.0.a and later
+)
+_SCHEMA = json.loads(
+    Path(__file__).with_name("schema.json").read_text(encoding="utf-8")
+)
 TABLES: dict[str, set[str]] = {name: set(columns) for name, columns in _SCHEMA.items()}
 REVISION_TABLE = "alembic_version"
-OWNED = ("study_directions", "study_user_attributes", "study_system_attributes", "trials")
-OF_TRIALS = tuple(
-    name for name, columns in TABLES.items() if "trial_id" in columns and name != "trials"
+OWNED = (
+    "study_directions",
+    "study_user_attributes",
+    "study_system_attributes",
+    "trials",
 )
-COUNTED = ("studies", "version_info", REVISION_TABLE)  # the last two have a row, which Optuna adds
+OF_TRIALS = tuple(
+    name
+    for name, columns in TABLES.items()
+    if "trial_id" in columns and name != "trials"
+)
+COUNTED = (
+    "studies",
+    "version_info",
+    REVISION_TABLE,
+)  # the last two have a row, which Optuna adds
 
 
 ATTRIBUTES = """
@@ -61,9 +82,9 @@ def open_studies(url: str) -> RDBStorage:
     """The study database `sqlite:///FILE`, made where it is missing, or one of PostgreSQL.
 
     Raises:
-        InputError: not such a URL, a place that cannot be written, no server, not a database,
-            somebody else's database, an Optuna schema of another version, or locked by another
-            program.
+        InputError: not such a URL, a place that cannot be written, no server, not a
+            database, somebody else's database, an Optuna schema of another version, or
+            locked by another program.
     """
     with read_studies(url):
         pass  # a database that is refused has not been changed
@@ -80,7 +101,9 @@ def open_studies(url: str) -> RDBStorage:
     except (OSError, sqlite3.Error, SQLAlchemyError, RuntimeError) as error:
         raise unusable(shown_url(url), error) from None
     relaxed = "PRAGMA synchronous=NORMAL"
-    event.listen(storage.engine, "connect", lambda connection, _: connection.execute(relaxed))
+    event.listen(
+        storage.engine, "connect", lambda connection, _: connection.execute(relaxed)
+    )
     event.listen(storage.engine, "begin", _stays(path))
     storage.engine.dispose()  # connections made before the listener
     return storage
@@ -89,8 +112,9 @@ def open_studies(url: str) -> RDBStorage:
 def write_down(storage: RDBStorage) -> None:
     """Bring what lies in SQLite's write-ahead log into the file, so that a copy of it is whole.
 
-    SQLite does so by itself when the last program closes the file, and a server never does. Who
-    reads at this moment is not waited for: what he holds up is written down the next time.
+    SQLite does so by itself when the last program closes the file, and a server never
+    does. Who reads at this moment is not waited for: what he holds up is written down
+    the next time.
     """
     if storage.engine.dialect.name != "sqlite":
         return
@@ -102,19 +126,24 @@ def write_down(storage: RDBStorage) -> None:
 def read_studies(url: str) -> Iterator[RDBStorage | None]:
     """The study database as it is, to be read alone; None where there is none yet, or an empty one.
 
-    Optuna trusts a database, and raises any error where it is damaged: so whatever the block raises
-    is reported as the database's fault, in one line.
+    Optuna trusts a database, and raises any error where it is damaged: so whatever the
+    block raises is reported as the database's fault, in one line.
 
     Raises:
-        InputError: as `open_studies`, which would open it or make it; or the block raised.
+        InputError: as `open_studies`, which would open it or make it; or the block
+            raised.
     """
     storage, verbosity = None, optuna.logging.get_verbosity()
     try:
         with _read_tables(url) as engine:
             if engine is not None:
                 address, options = _reading(url)
-                storage = RDBStorage(address, engine_kwargs=options, skip_table_creation=True)
-            optuna.logging.set_verbosity(optuna.logging.ERROR)  # no warnings about damaged values
+                storage = RDBStorage(
+                    address, engine_kwargs=options, skip_table_creation=True
+                )
+            optuna.logging.set_verbosity(
+                optuna.logging.ERROR
+            )  # no warnings about damaged values
             yield storage
     finally:
         optuna.logging.set_verbosity(verbosity)
@@ -122,10 +151,13 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
             storage.engine.dispose()
 
 
-def read_attributes(url: str, study_name: str) -> tuple[dict[str, Any] | None, list[str]]:
+def read_attributes(
+    url: str, study_name: str
+) -> tuple[dict[str, Any] | None, list[str]]:
     """The attributes that users have given to a study, None without it; and all studies' names.
 
-    Optuna itself takes half a second to load what upgrades databases, which reading does not need.
+    Optuna itself takes half a second to load what upgrades databases, which reading
+    does not need.
 
     Raises:
         InputError: as `read_studies`.
@@ -134,7 +166,11 @@ def read_attributes(url: str, study_name: str) -> tuple[dict[str, Any] | None, l
         if engine is None:
             return None, []
         with engine.connect() as connection:
-            names = connection.execute(sql.text("SELECT study_name FROM studies")).scalars().all()
+            names = (
+                connection.execute(sql.text("SELECT study_name FROM studies"))
+                .scalars()
+                .all()
+            )
             if study_name not in names:
                 return None, list(names)
             found = connection.execute(sql.text(ATTRIBUTES), {"name": study_name})
@@ -192,15 +228,17 @@ def known_tables(storage: RDBStorage) -> dict[str, sql.Table]:
         if number == SCHEMA_VERSION:
             return dict(metadata.tables)
         found = f"schema {number}"
-    allowed = f"a database with Optuna's schema {SCHEMA_VERSION} (Optuna 5.0 makes such)"
+    allowed = (
+        f"a database with Optuna's schema {SCHEMA_VERSION} (Optuna 5.0 makes such)"
+    )
     raise InputError("storage", found, allowed)
 
 
 def _is_empty(connection: sql.Connection, shown: str) -> bool:
     """Whether there is nothing yet: no tables, or Optuna's without a study and without a version.
 
-    A killed process may leave such tables, and Optuna finishes them. A database of another program
-    is refused.
+    A killed process may leave such tables, and Optuna finishes them. A database of
+    another program is refused.
     """
     columns = {
         name: {column["name"] for column in listed}
@@ -209,19 +247,28 @@ def _is_empty(connection: sql.Connection, shown: str) -> bool:
     if not columns:
         return True
     complete = all(columns.get(name, set()) >= known for name, known in TABLES.items())
-    rows = {name: _count(connection, name) for name in COUNTED if complete and name in columns}
-    complete &= REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
+    rows = {
+        name: _count(connection, name)
+        for name in COUNTED
+        if complete and name in columns
+    }
+    complete &= (
+        REVISION_TABLE in rows and rows["version_info"] == rows[REVISION_TABLE] == 1
+    )
     empty = not complete and rows.get("studies") == 0 and max(rows.values()) <= 1
     empty = empty and not any(_count(connection, name) for name in (*OWNED, *OF_TRIALS))
     if not (complete or empty):
-        raise InputError("storage", shown, "an Optuna database, or an empty one, or a new file")
+        raise InputError(
+            "storage", shown, "an Optuna database, or an empty one, or a new file"
+        )
     return empty
 
 
 def _check_whole(connection: sql.Connection, shown: str) -> None:
     """Refuse a SQLite file with a damaged page, or with rows of a study or trial that is gone.
 
-    By itself SQLite reads the pages that it needs, and gives such rows to the next study or trial.
+    By itself SQLite reads the pages that it needs, and gives such rows to the next
+    study or trial.
     """
     if connection.dialect.name == "sqlite":
         said = str(connection.execute(sql.text("PRAGMA quick_check(1)")).scalar())
@@ -242,9 +289,9 @@ def _count(connection: sql.Connection, table: str) -> int:
 def _sqlite_options(path: Path) -> dict[str, Any]:
     """Options of an engine that reads a SQLite file.
 
-    When SQLite reads a database in WAL mode, it leaves files beside it, unless the database is
-    immutable: which it is, for a moment, where there is no log beside it. A journal that a crash
-    left is rolled back by SQLite before anything can be read.
+    When SQLite reads a database in WAL mode, it leaves files beside it, unless the
+    database is immutable: which it is, for a moment, where there is no log beside it. A
+    journal that a crash left is rolled back by SQLite before anything can be read.
     """
 
     def beside(ending: str) -> bool:
@@ -255,7 +302,9 @@ def _sqlite_options(path: Path) -> dict[str, Any]:
     uri = f"file:///{name}?{'mode=rw' if beside('-journal') else mode}"
 
     def creator() -> sqlite3.Connection:
-        return sqlite3.connect(uri, uri=True, timeout=BUSY_TIMEOUT_S, check_same_thread=False)
+        return sqlite3.connect(
+            uri, uri=True, timeout=BUSY_TIMEOUT_S, check_same_thread=False
+        )
 
     return {"creator": creator, "poolclass": sql.NullPool}
 
@@ -284,9 +333,14 @@ def studies_path(url: str) -> Path:
     path = Path(sql.make_url(url).database or "")  # which undoes %20 and its like
     if "\0" in str(path) or path.name == MEMORY_NAME:
         raise InputError("storage", shown, FORMS)
-    with writable(Path(shown.removeprefix(SQLITE)), "storage"), suppress(FileNotFoundError):
+    with (
+        writable(Path(shown.removeprefix(SQLITE)), "storage"),
+        suppress(FileNotFoundError),
+    ):
         if not stat.S_ISREG(path.stat().st_mode):
-            raise InputError("storage", shown.removeprefix(SQLITE), "a file, not a folder")
+            raise InputError(
+                "storage", shown.removeprefix(SQLITE), "a file, not a folder"
+            )
     return path
 
 
@@ -296,11 +350,15 @@ def storage_errors(url: str) -> Iterator[None]:
     try:
         yield
     except UpdateFinishedTrialError:
-        raise InputError("storage", shown_url(url), f"{ALONE}; it told a running trial") from None
+        raise InputError(
+            "storage", shown_url(url), f"{ALONE}; it told a running trial"
+        ) from None
     except KeyError as error:
         if error.args != (NO_RECORD,):
             raise
-        raise InputError("storage", shown_url(url), f"{ALONE}; it deleted this one") from None
+        raise InputError(
+            "storage", shown_url(url), f"{ALONE}; it deleted this one"
+        ) from None
     except (SQLAlchemyError, StorageInternalError, JSONDecodeError) as error:
         raise unusable(shown_url(url), error) from None
 
@@ -328,8 +386,8 @@ def load_whole(storage: BaseStorage, name: str) -> optuna.Study:
 def only_run(url: str, study_name: str) -> Iterator[None]:
     """Hold a study for this process: two runs of it would take each other's trials for dead.
 
-    The lock is a file beside the database, or a lock of the server; it ends with the process,
-    however that ends.
+    The lock is a file beside the database, or a lock of the server; it ends with the
+    process, however that ends.
     """
     allowed = "one run of a study at a time; another process is running this one"
     taken = InputError("study", study_name, allowed)
@@ -352,7 +410,8 @@ def only_run(url: str, study_name: str) -> Iterator[None]:
 def require_lockable(url: str, study_name: str) -> None:
     """Refuse a study of a SQLite file that another process holds; nothing is touched.
 
-    The database is not read: a process that was stopped while it wrote holds that as well.
+    The database is not read: a process that was stopped while it wrote holds that as
+    well.
 
     Raises:
         InputError: naming the study, or the file that cannot be made for its lock.
@@ -372,7 +431,9 @@ def _lock_file(url: str, study_name: str) -> Path:
     with writable(path, "storage"):
         path = path.resolve()
         if path.exists():
-            remove_orphans(path)  # a second name may be that of a process killed while it made it
+            remove_orphans(
+                path
+            )  # a second name may be that of a process killed while it made it
             names = path.stat().st_nlink
             if names > 1:  # SQLite itself takes two names for two databases
                 allowed = f"a file with one name; this has {names} hard links"
@@ -383,7 +444,8 @@ def _lock_file(url: str, study_name: str) -> Path:
 def _stays(path: Path) -> Callable[[sql.Connection], None]:
     """A check, before each transaction, that the file still has its name.
 
-    Without it SQLite goes on to write to the removed file, and all is lost with the process.
+    Without it SQLite goes on to write to the removed file, and all is lost with the
+    process.
     """
     opened = path.stat()
 
@@ -403,9 +465,11 @@ def _stays(path: Path) -> Callable[[sql.Connection], None]:
 def study_of_costs(storage: BaseStorage, name: str, metrics: list[str]) -> optuna.Study:
     """The study of that name, made where it is missing; its costs have these names, or others."""
     study = optuna.create_study(
-        storage=storage, study_name=name, directions=["minimize"] * len(metrics),
+        storage=storage,
+        study_name=name,
+        directions=["minimize"] * len(metrics),
         load_if_exists=True,
-    )  # fmt: skip
+    )
     if study.metric_names is None:
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             study.set_metric_names(metrics)
@@ -430,7 +494,8 @@ class _Unjournaled(sqlite3.Connection):
 def _make(path: Path) -> None:
     """Make the file with its tables, where there is none: it appears whole or not at all.
 
-    SQLite commits each table by itself; a process killed between two would leave half a database.
+    SQLite commits each table by itself; a process killed between two would leave half a
+    database.
     """
     remove_orphans(path)
     if path.exists():
@@ -440,14 +505,17 @@ def _make(path: Path) -> None:
         with closing(sqlite3.connect(temporary)) as connection:
             connection.execute("PRAGMA journal_mode=WAL")
         commit.sync(temporary)
-        with suppress(OSError):  # another process was faster; or no links here: it is made in place
+        with suppress(
+            OSError
+        ):  # another process was faster; or no links here: it is made in place
             os.link(temporary, path)
 
 
 def _claim(connection: sqlite3.Connection) -> None:
     """Check that the database can be written, and put it into WAL mode, which the file keeps.
 
-    When others open the file as well, SQLite does not wait for the mode, whatever the timeout.
+    When others open the file as well, SQLite does not wait for the mode, whatever the
+    timeout.
     """
     deadline_s = time.monotonic() + BUSY_TIMEOUT_S
     while True:

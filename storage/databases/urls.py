@@ -9,12 +9,15 @@ POSTGRESQL_FORM = f"{POSTGRESQL}USER:PASSWORD@HOST:PORT/DATABASE"
 FORMS = f"{SQLITE}FILE or {POSTGRESQL_FORM}"
 HIDDEN = "***"
 
-# Who, where, and options. An "@" among the options may as well be the end of a password with a "?".
+# Who, where, and options. An "@" among the options may as well be the end of a password
+# with a "?".
 _SERVER = re.compile(
     r"(?P<who>[^?]*@)?(?P<where>(\[[^@?\]]*\]|[^@:/?\[]*)(:\d*)?(/[^@?]*)?)(?P<options>\?[^@]*)?",
     re.DOTALL,
 )
-_FILE = re.compile(r"(?P<who>[^?]*:[^?]*@)?(?P<where>[^?]*)(?P<options>\?.*)?", re.DOTALL)
+_FILE = re.compile(
+    r"(?P<who>[^?]*:[^?]*@)?(?P<where>[^?]*)(?P<options>\?.*)?", re.DOTALL
+)
 _FORM_OF = {SQLITE: _FILE, POSTGRESQL: _SERVER}
 
 
@@ -31,8 +34,8 @@ def file_url(path: Path) -> str:
 def public_url(url: str) -> str:
     """A URL, or any text given as one, without anything that may be a password.
 
-    Nothing after "?" is shown, nothing before the last "@", and no URL of another kind. In a file's
-    name an "@" is shown, unless it looks like USER:PASSWORD@.
+    Nothing after "?" is shown, nothing before the last "@", and no URL of another kind.
+    In a file's name an "@" is shown, unless it looks like USER:PASSWORD@.
     """
     for kind, form in _FORM_OF.items():
         if url.startswith(kind):
@@ -40,5 +43,7 @@ def public_url(url: str) -> str:
             if found is None:
                 return f"{kind}{HIDDEN}"
             who = f"{HIDDEN}@" if found["who"] else ""
-            return f"{kind}{who}{found['where']}{f'?{HIDDEN}' if found['options'] else ''}"
+            return (
+                f"{kind}{who}{found['where']}{f'?{HIDDEN}' if found['options'] else ''}"
+            )
     return HIDDEN

@@ -1,10 +1,10 @@
 """What the trials of a bench tell: what to try next and why, what to expect, what is best.
 
-All of it follows from a state, and is computed anew for another one. The sampler sees the trials of
-the present context alone, in their order and without gaps: so what was entered wrongly and
-corrected, broken off and tried again, or undone, leaves no trace in later proposals. What was
-learned in other contexts is one more family of worlds. Limits hold on any ground: what other
-contexts tell of them counts as if it had been seen here.
+All of it follows from a state, and is computed anew for another one. The sampler sees
+the trials of the present context alone, in their order and without gaps: so what was
+entered wrongly and corrected, broken off and tried again, or undone, leaves no trace in
+later proposals. What was learned in other contexts is one more family of worlds. Limits
+hold on any ground: what other contexts tell of them counts as if it had been seen here.
 """
 
 import warnings
@@ -58,7 +58,8 @@ class Advice:
         candidates: what may be tried.
         space: distributions of the parameters, by name.
         state: of the bench; its context is the present one.
-        simulated: the least and the largest value in the worlds; None: in none of these units.
+        simulated: the least and the largest value in the worlds; None: in none of these
+            units.
     """
 
     def __init__(
@@ -80,7 +81,11 @@ class Advice:
     @cached_property
     def others(self) -> dict[str, list[Trial]]:
         """The trials of each other context in which one is finished."""
-        told = [trial.context for trial in self.state.trials.values() if trial.value is not None]
+        told = [
+            trial.context
+            for trial in self.state.trials.values()
+            if trial.value is not None
+        ]
         names = [name for name in dict.fromkeys(told) if name != self.state.context]
         return {name: self.state.of_context(name) for name in names}
 
@@ -90,7 +95,9 @@ class Advice:
         trials = [trial for trials in self.others.values() for trial in trials]
         return [trial for trial in trials if trial.value is not None]
 
-    def propose(self, asked: Sequence[Trial]) -> tuple[dict[str, Any], dict[str, Any], str]:
+    def propose(
+        self, asked: Sequence[Trial]
+    ) -> tuple[dict[str, Any], dict[str, Any], str]:
         """Parameters, notes and reason of the next trial, after those that were just asked for.
 
         Raises:
@@ -103,7 +110,9 @@ class Advice:
         try:
             trial = study.ask(dict(self.space))
         except TableExhaustedError as error:
-            raise InputError("candidates", str(error), "a row that nobody has tried") from None
+            raise InputError(
+                "candidates", str(error), "a row that nobody has tried"
+            ) from None
         notes = dict(study.get_trials(deepcopy=False)[trial.number].user_attrs)
         return trial.params, notes, self._why()
 
@@ -118,8 +127,8 @@ class Advice:
     def best(self) -> Recommended:
         """The best trial by the model that neither failed nor broke a limit.
 
-        Those come first of which no other trial with the same parameters did so either, and of
-        which all limits were entered.
+        Those come first of which no other trial with the same parameters did so either,
+        and of which all limits were entered.
 
         Raises:
             InputError: there is none.
@@ -128,7 +137,11 @@ class Advice:
         if not good:
             allowed = "a finished trial that neither failed nor broke a limit"
             context = f" in context {self.state.context!r}" * bool(self.state.context)
-            found = f"none of {len(self.told)} trials" if self.told else f"no trial yet{context}"
+            found = (
+                f"none of {len(self.told)} trials"
+                if self.told
+                else f"no trial yet{context}"
+            )
             raise InputError("recommend", found, allowed)
         doubts = {trial.number: self._doubts_of(trial) for trial in good}
         least = min(map(len, doubts.values()))
@@ -141,7 +154,9 @@ class Advice:
         chosen = self.here[best.number]
         others = [trial for trial in good if trial.number not in named]
         remarks = [*doubts[chosen.number], *self._passed_over(chosen, others)]
-        return Recommended(**vars(best) | {"number": chosen.number}, remark=" ".join(remarks))
+        return Recommended(
+            **vars(best) | {"number": chosen.number}, remark=" ".join(remarks)
+        )
 
     def repeat(self) -> int | None:
         """The trial of which a repeat would tell most: the least sure one that may be the best."""
@@ -151,7 +166,11 @@ class Advice:
         best = self.best()
         study = study_of(self.here, self.space, self.plan)
         found = self.sampler.predict(study, [trial.params for trial in good])
-        may_be = found.high >= best.value if self.plan.goal.maximise else found.low <= best.value
+        may_be = (
+            found.high >= best.value
+            if self.plan.goal.maximise
+            else found.low <= best.value
+        )
         sure = np.where(may_be, found.low - found.high, np.inf)
         return good[int(sure.argmin())].number if may_be.any() else None
 
@@ -193,12 +212,16 @@ class Advice:
         """What speaks against a trial that may be named."""
         same = [other for other in self.told if other.params == trial.params]
         bad = [other.number for other in same if not self.plan.may_be_named(other)]
-        found = [f"But {_trials(bad)} of the same parameters failed or broke a limit."] * bool(bad)
+        found = [
+            f"But {_trials(bad)} of the same parameters failed or broke a limit."
+        ] * bool(bad)
         unknown = self.unknown_limits([trial])
         return [*found, unknown] if unknown else found
 
     def _expected(self, found: Prediction, place: int) -> str:
-        value, low, high = (float(x[place]) for x in (found.value, found.low, found.high))
+        value, low, high = (
+            float(x[place]) for x in (found.value, found.low, found.high)
+        )
         parts = list[str]()
         if np.isfinite(value):
             known = np.isfinite(low) and np.isfinite(high)
@@ -208,7 +231,9 @@ class Advice:
             parts.append(f"{value:.4g} ({interval})")
             if self.simulated is not None and self._is_beyond(value):
                 least, most = self.simulated
-                parts.append(f"beyond all that was simulated, {least:.4g} to {most:.4g}")
+                parts.append(
+                    f"beyond all that was simulated, {least:.4g} to {most:.4g}"
+                )
         if np.isfinite(found.success[place]):
             parts.append(f"success {100 * found.success[place]:.0f} %")
         if limits := self._expected_limits(float(found.kept[place])):
@@ -223,7 +248,9 @@ class Advice:
     def _expected_limits(self, kept: float) -> str:
         """The chance that limits are kept, where trials tell of them; what is unknown, by name."""
         limited = self.plan.limited
-        told = {name for trial in (*self.told, *self.elsewhere) for name in trial.columns}
+        told = {
+            name for trial in (*self.told, *self.elsewhere) for name in trial.columns
+        }
         known = [name for name in limited if name in told]
         unknown = [name for name in limited if name not in told]
         if not known or not np.isfinite(kept):
@@ -243,7 +270,9 @@ class Advice:
                 known = "the best simulated, or "
             return f"The first one: {known}one of several to begin with."
         unknown = self.unknown_limits(self.told)
-        kept = [trial for trial in self.told if self.plan.kept(trial.columns) is not False]
+        kept = [
+            trial for trial in self.told if self.plan.kept(trial.columns) is not False
+        ]
         if not kept:
             why = "No trial has kept all limits yet: the one that most likely does."
         elif self.plan.goal.success is not None and not self._successful(kept):
@@ -270,22 +299,30 @@ class Advice:
         """Rows within the limits of [safety]; one at least."""
         safety, rows = self.plan.safety, self.candidates.rows
         found = self.sampler.predict(study_of(trials, self.space, self.plan))
-        keeps = ~(found.kept < safety.least_kept) & ~(found.success < safety.least_success)
+        keeps = ~(found.kept < safety.least_kept) & ~(
+            found.success < safety.least_success
+        )
         if self._limits_were_broken_elsewhere:
             others = ~np.isin(found.rows, self._broken_elsewhere())
             for wanted in (others, others & ~(found.kept < LIKELY)):
                 keeps &= wanted | ~(wanted & keeps).any()
         good = self._anchors()
         if good and safety.most_step < 1.0:
-            places = rows.space.unit(np.array([rows.space.row(trial.params) for trial in good]))
+            places = rows.space.unit(
+                np.array([rows.space.row(trial.params) for trial in good])
+            )
             steps = np.abs(rows.unit[:, None] - places[None]).max(axis=2).min(axis=1)
             keeps &= steps <= safety.most_step
         allowed = np.zeros(len(rows), dtype=bool)
         allowed[found.rows[keeps]] = True
-        tried = [row for trial in trials if (row := rows.find(trial.params)) is not None]
+        tried = [
+            row for trial in trials if (row := rows.find(trial.params)) is not None
+        ]
         allowed[tried] = False
         if not allowed.any():
-            raise InputError("safety", "no candidate within the limits", "wider limits in [safety]")
+            raise InputError(
+                "safety", "no candidate within the limits", "wider limits in [safety]"
+            )
         return allowed
 
     def _anchors(self) -> list[Trial]:
@@ -295,7 +332,9 @@ class Advice:
         """
         for told in (self.told, self.elsewhere):
             good = self._successful(told)
-            kept = [trial for trial in good if self.plan.kept(trial.columns) is not False]
+            kept = [
+                trial for trial in good if self.plan.kept(trial.columns) is not False
+            ]
             if good:
                 return kept or good
         return []
@@ -305,7 +344,9 @@ class Advice:
         return [
             trial
             for trial in told
-            if trial.value is not None and not trial.failed and self.plan.goal.is_good(trial.value)
+            if trial.value is not None
+            and not trial.failed
+            and self.plan.goal.is_good(trial.value)
         ]
 
     @cached_property
@@ -329,14 +370,22 @@ class Advice:
             told.append(column)
         if not told:
             return found
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # rows left out
-            return with_before(found, np.column_stack(told), maximise=self.plan.goal.maximise)
+        with warnings.catch_warnings(
+            action="ignore", category=UserWarning
+        ):  # rows left out
+            return with_before(
+                found, np.column_stack(told), maximise=self.plan.goal.maximise
+            )
 
 
 def _trials(numbers: Sequence[int]) -> str:
     """Numbers of trials, in words."""
     shown = ", ".join(map(str, numbers[:SHOWN_NUMBERS]))
-    more = f" and {len(numbers) - SHOWN_NUMBERS} more" if len(numbers) > SHOWN_NUMBERS else ""
+    more = (
+        f" and {len(numbers) - SHOWN_NUMBERS} more"
+        if len(numbers) > SHOWN_NUMBERS
+        else ""
+    )
     return f"trial{'s' if len(numbers) > 1 else ''} {shown}{more}"
 
 
@@ -347,7 +396,8 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
 
     Args:
         candidates: as they are.
-        told: predicted values of the rows, in the study's units, [n, k]; NaN where unknown.
+        told: predicted values of the rows, in the study's units, [n, k]; NaN where
+            unknown.
         maximise: high values are good.
     """
     rows, k = candidates.rows, told.shape[1]
@@ -361,7 +411,9 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
         told = sign * (told - np.nanmean(told)) / spread * np.nanstd(own.costs)
         told = told + np.nanmean(own.costs)
     weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
-    worlds = Worlds((*own.names, *before), np.hstack([own.costs, told]), weights, own.better)
+    worlds = Worlds(
+        (*own.names, *before), np.hstack([own.costs, told]), weights, own.better
+    )
     return FeatureTable(replace(rows, worlds=worlds))
 
 

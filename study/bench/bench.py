@@ -1,7 +1,7 @@
 """A bench: what to try next on a real machine, what came of it, and what all of it tells.
 
-The entries are kept by `journal`; `advice` computes from them what comes next and what is best, and
-`doubts` what was perhaps entered wrongly.
+The entries are kept by `journal`; `advice` computes from them what comes next and what
+is best, and `doubts` what was perhaps entered wrongly.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -72,7 +72,8 @@ class Bench:
         operator: the same; it may be changed between entries.
 
     Raises:
-        InputError: naming the key of the file; or the bench was begun with another file.
+        InputError: naming the key of the file; or the bench was begun with another
+            file.
     """
 
     def __init__(self, path: str | Path, operator: str | None = None) -> None:
@@ -83,7 +84,10 @@ class Bench:
         if not self._entries:
             return
         with read_errors(self.plan.url):  # which somebody may have edited
-            begun, _ = self._begun["plan"], (self.space, self._begun["range"], self.state)
+            begun, _ = (
+                self._begun["plan"],
+                (self.space, self._begun["range"], self.state),
+            )
             found = difference(self.plan.document, begun)
         if found:
             field, ours, theirs = found
@@ -111,7 +115,9 @@ class Bench:
                 begun = {
                     "plan": bench.plan.document,
                     "digest": candidates.digest,
-                    "space": {name: distribution_to_json(of) for name, of in space.items()},
+                    "space": {
+                        name: distribution_to_json(of) for name, of in space.items()
+                    },
                     "range": simulated,
                 }
                 bench._add("begin", begun)
@@ -142,7 +148,10 @@ class Bench:
     @property
     def space(self) -> dict[str, BaseDistribution]:
         """The distributions of the parameters, by name; the candidates are not read for them."""
-        return {name: json_to_distribution(text) for name, text in self._begun["space"].items()}
+        return {
+            name: json_to_distribution(text)
+            for name, text in self._begun["space"].items()
+        }
 
     @property
     def entries(self) -> Sequence[Entry]:
@@ -201,7 +210,9 @@ class Bench:
         pending = [trial for trial in state.trials.values() if trial.value is None]
         for context in dict.fromkeys(trial.context for trial in pending):
             trials = [trial for trial in pending if trial.context == context]
-            found += _with_expectations(self._advice(replace(state, context=context)), trials)
+            found += _with_expectations(
+                self._advice(replace(state, context=context)), trials
+            )
         return found
 
     def expected(self, params: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -221,13 +232,20 @@ class Bench:
         ]
 
     def _new(
-        self, state: State, place: int, params: dict[str, Any], notes: dict[str, Any], why: str
+        self,
+        state: State,
+        place: int,
+        params: dict[str, Any],
+        notes: dict[str, Any],
+        why: str,
     ) -> Trial:
         """The trial of this place among those of an entry that is about to be made."""
         number = state.count + place
         return Trial(number, params, notes, state.context, self.operator, why)
 
-    @checks.checked(number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text)
+    @checks.checked(
+        number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text
+    )
     def record(
         self,
         number: int,
@@ -248,14 +266,19 @@ class Bench:
             note: of whoever enters it.
 
         Raises:
-            InputError: no pending trial, no finite number, or a column that the file has not.
+            InputError: no pending trial, no finite number, or a column that the file
+                has not.
         """
         if value is None and failed_s is None:
-            raise InputError("value", None, "the trial's value, or after how long it failed")
+            raise InputError(
+                "value", None, "the trial's value, or after how long it failed"
+            )
         kind = "record" if failed_s is None else "fail"
         self._tell(kind, number, self._checked(value, columns, note, failed_s))
 
-    @checks.checked(number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text)
+    @checks.checked(
+        number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text
+    )
     def correct(
         self,
         number: int,
@@ -267,7 +290,8 @@ class Bench:
     ) -> None:
         """Replace what was entered of a finished trial; what is not given stays.
 
-        With a value, a trial that failed is a failure no longer; with `failed_s`, it is one.
+        With a value, a trial that failed is a failure no longer; with `failed_s`, it is
+        one.
 
         Args:
             number: of a finished trial.
@@ -299,26 +323,29 @@ class Bench:
     def add(self, rows: Sequence[Own | tuple[Any, ...]]) -> list[int]:
         """Enter trials that nobody proposed, as `Own` has them; their numbers.
 
-        Parameters are those of a row, or of an earlier trial, if they are as printed (8 digits).
+        Parameters are those of a row, or of an earlier trial, if they are as printed (8
+        digits).
 
         Raises:
-            InputError: a parameter is missing, unknown or out of its range, by name; or a result
-                as of `record`. Nothing is entered then.
+            InputError: a parameter is missing, unknown or out of its range, by name; or
+                a result as of `record`. Nothing is entered then.
         """
         return self._add_own([Own(*row) for row in rows], twice=True)[0]
 
     def add_new(self, rows: Sequence[Own]) -> tuple[list[int], list[int]]:
         """The same for those that are not there yet, such as the rows of a file that has grown.
 
-        A trial with these parameters, in this context, of which this value was ever entered, is one
-        of the rows; each trial is one row at most.
+        A trial with these parameters, in this context, of which this value was ever
+        entered, is one of the rows; each trial is one row at most.
 
         Returns:
             Numbers of the new trials, and of those that were there.
         """
         return self._add_own(rows, twice=False)
 
-    def _add_own(self, own: Sequence[Own], *, twice: bool) -> tuple[list[int], list[int]]:
+    def _add_own(
+        self, own: Sequence[Own], *, twice: bool
+    ) -> tuple[list[int], list[int]]:
         """Numbers of the trials that were entered, and of those that were there, if that counts."""
         for row in own:
             checks.flag("failed", row.failed)
@@ -326,7 +353,8 @@ class Bench:
                 checks.optional(checks.text)(name, getattr(row, name))
         checked = [self._params(row.params) for row in own]
         results = [
-            self._checked(checks.number()("value", row.value), row.columns, row.note) for row in own
+            self._checked(checks.number()("value", row.value), row.columns, row.note)
+            for row in own
         ]
         with self._turn() as state:
             trials = list[dict[str, Any]]()
@@ -360,8 +388,8 @@ class Bench:
         """Undo an entry, by default the operator's own last one; an undoing can be undone.
 
         Raises:
-            InputError: no such entry stands, a later one is about the same trial, or all that stand
-                are of others: these are undone by their numbers.
+            InputError: no such entry stands, a later one is about the same trial, or
+                all that stand are of others: these are undone by their numbers.
         """
         with self._turn():
             chosen = undoable(self._entries, number, self.operator)
@@ -387,11 +415,15 @@ class Bench:
     def simulated(self) -> dict[int, float]:
         """The mean over the worlds of each finished trial; none without worlds."""
         rows = self.candidates.rows
-        told = [trial for trial in self.state.trials.values() if trial.value is not None]
+        told = [
+            trial for trial in self.state.trials.values() if trial.value is not None
+        ]
         if not told or rows.worlds is None:
             return {}
         known = rows.worlds.costs @ rows.worlds.weights
-        places = rows.space.unit(np.array([rows.space.row(trial.params) for trial in told]))
+        places = rows.space.unit(
+            np.array([rows.space.row(trial.params) for trial in told])
+        )
         values = rows.mixed(known[rows.numbers][:, None], places, places)[:, 0].tolist()
         return dict(zip([trial.number for trial in told], values, strict=True))
 
@@ -415,13 +447,19 @@ class Bench:
             raise InputError("seconds", failed_s, allowed)
         for name, given in (COLUMNS("columns", columns) or {}).items():
             if name not in self.plan.columns:
-                known = listed(self.plan.columns, name) or "none: [columns] of the file names them"
+                known = (
+                    listed(self.plan.columns, name)
+                    or "none: [columns] of the file names them"
+                )
                 raise InputError(name, given, f"one of the columns {known}")
         note = checks.text("note", note)
         result = {"value": value, "columns": dict(columns or {}), "note": note}
         if failed_s is None:
             return result
-        return result | {"value": self.plan.goal.of_failure(failed_s), "seconds": failed_s}
+        return result | {
+            "value": self.plan.goal.of_failure(failed_s),
+            "seconds": failed_s,
+        }
 
     def _params(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of the operator's own, each of its type and in its range."""
@@ -429,7 +467,9 @@ class Bench:
         for name in dict.fromkeys([*space, *params]):
             if name not in space or name not in params:
                 what = params.get(name, "missing")
-                raise InputError(name, what, f"one value of each of {listed(space, name)}")
+                raise InputError(
+                    name, what, f"one value of each of {listed(space, name)}"
+                )
         found = dict[str, Any]()
         for name, of in space.items():
             try:
@@ -450,7 +490,8 @@ class Bench:
         """What was perhaps entered wrongly, a line each.
 
         Args:
-            number: of the trial that is asked about; None: all, and the file of the bench.
+            number: of the trial that is asked about; None: all, and the file of the
+                bench.
         """
         found = doubts(self.plan, self.state, self._simulated)
         if number is not None:
@@ -465,7 +506,9 @@ class Bench:
 
     def shown(self) -> optuna.Study:
         """The study that the dashboard shows."""
-        return optuna.load_study(study_name=self.plan.name, storage=self._journal.storage)
+        return optuna.load_study(
+            study_name=self.plan.name, storage=self._journal.storage
+        )
 
     @property
     def _begun(self) -> Mapping[str, Any]:
@@ -514,7 +557,9 @@ def _is_same(new: Trial, value: float, other: Trial) -> bool:
 def _as_known(params: dict[str, Any], trials: Iterable[Trial]) -> dict[str, Any]:
     """Parameters that are as printed those of an earlier trial are that trial's."""
     for trial in trials:
-        if all(_stands_for(params[name], value) for name, value in trial.params.items()):
+        if all(
+            _stands_for(params[name], value) for name, value in trial.params.items()
+        ):
             return trial.params
     return params
 
@@ -522,7 +567,9 @@ def _as_known(params: dict[str, Any], trials: Iterable[Trial]) -> dict[str, Any]
 def _given(trial: Trial) -> dict[str, Any]:
     """A new trial as an entry has it."""
     fields = asdict(trial)
-    return {name: fields[name] for name in ("number", "params", "notes", "why", "context")}
+    return {
+        name: fields[name] for name in ("number", "params", "notes", "why", "context")
+    }
 
 
 def _require_failures(goal: Goal, simulated: Range | None) -> None:
@@ -532,7 +579,9 @@ def _require_failures(goal: Goal, simulated: Range | None) -> None:
         if goal.success is not None and sign * value < sign * goal.success:
             allowed = f"a value worse than goal.success, {goal.success:g}"
             raise InputError(f"goal.{key}", value, allowed)
-        if simulated is not None and sign * value < min(sign * end for end in simulated):
+        if simulated is not None and sign * value < min(
+            sign * end for end in simulated
+        ):
             least, most = simulated
             allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
             raise InputError(f"goal.{key}", value, allowed)

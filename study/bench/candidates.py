@@ -1,8 +1,8 @@
 """The candidates of a bench in a file: which columns they are, of what type, within which bounds.
 
-The values of a column suggest what a parameter is, and that is a guess. What the bench's file
-declares (type, bounds, step, log) wins. A row that does not keep to it is refused by name; nothing
-outside of it is ever proposed.
+The values of a column suggest what a parameter is, and that is a guess. What the
+bench's file declares (type, bounds, step, log) wins. A row that does not keep to it is
+refused by name; nothing outside of it is ever proposed.
 """
 
 import math
@@ -54,15 +54,23 @@ class Declared:
         """The distribution of the parameter that a column of a table has.
 
         Raises:
-            InputError: a column or a declaration that this kind of parameter cannot have.
+            InputError: a column or a declaration that this kind of parameter cannot
+                have.
         """
         if self.kind == "choice":
             for key, given in (("bounds", self.bounds), ("step", self.step)):
                 if given is not None:
-                    raise InputError(f"candidates.{key}.{name}", given, "none of a choice")
+                    raise InputError(
+                        f"candidates.{key}.{name}", given, "none of a choice"
+                    )
             if self.log:
-                raise InputError("candidates.log", name, "parameters that are no choices")
-            listed = [None if value != value else value for value in table.values(name).tolist()]
+                raise InputError(
+                    "candidates.log", name, "parameters that are no choices"
+                )
+            listed = [
+                None if value != value else value
+                for value in table.values(name).tolist()
+            ]
             return CategoricalDistribution(tuple(dict.fromkeys(listed)))
         numbers = table.numbers(name)
         known = numbers[np.isfinite(numbers)]
@@ -70,7 +78,9 @@ class Declared:
             raise InputError(f"candidates.{name}", "no number", "a column of numbers")
         low, high = self.bounds or (float(known.min()), float(known.max()))
         if self.log and low <= 0.0:
-            raise InputError("candidates.log", name, f"a column above 0; its least value is {low}")
+            raise InputError(
+                "candidates.log", name, f"a column above 0; its least value is {low}"
+            )
         if self.log and self.step is not None:
             allowed = "none on a logarithmic scale"
             raise InputError(f"candidates.step.{name}", self.step, allowed)
@@ -85,11 +95,15 @@ class Declared:
         if self.kind is not None:
             return self.kind == "whole"
         declared = [*(self.bounds or ()), *([] if self.step is None else [self.step])]
-        return values.dtype.kind in "iu" and all(number.is_integer() for number in declared)
+        return values.dtype.kind in "iu" and all(
+            number.is_integer() for number in declared
+        )
 
     def _whole_numbers(self, name: str, low: float, high: float) -> IntDistribution:
         if self.step is not None and not self.step.is_integer():
-            raise InputError(f"candidates.step.{name}", self.step, "a whole number, as its type")
+            raise InputError(
+                f"candidates.step.{name}", self.step, "a whole number, as its type"
+            )
         least, most = math.ceil(low), math.floor(high)
         if least > most:
             allowed = "bounds with a whole number between them, as its type"
@@ -97,7 +111,9 @@ class Declared:
         return IntDistribution(least, most, log=self.log, step=int(self.step or 1))
 
 
-def _require_steps(name: str, values: NDArray[np.float64], low: float, step: float) -> None:
+def _require_steps(
+    name: str, values: NDArray[np.float64], low: float, step: float
+) -> None:
     """Refuse a value that lies between two steps."""
     steps = (values - low) / step
     for row in np.flatnonzero(np.abs(steps - np.round(steps)) > OFF_STEP)[:1].tolist():
@@ -115,10 +131,14 @@ def choices_of(distribution: BaseDistribution) -> dict[str, Any]:
     """The choices of a parameter by what a file has for them; none where it is a number."""
     if not isinstance(distribution, CategoricalDistribution):
         return {}
-    return {"" if choice is None else str(choice): choice for choice in distribution.choices}
+    return {
+        "" if choice is None else str(choice): choice for choice in distribution.choices
+    }
 
 
-def beyond_bounds(candidates: Table, begun: Mapping[str, BaseDistribution]) -> Iterator[str]:
+def beyond_bounds(
+    candidates: Table, begun: Mapping[str, BaseDistribution]
+) -> Iterator[str]:
     """Parameters of a bench that go beyond the bounds which its file declares, a line each.
 
     Until version 0.3.0 bounds of whole numbers were made whole, downwards.
@@ -138,8 +158,8 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
 
     Args:
         table: of the bench's file.
-        begun: the parameters of a bench that was begun, perhaps by an earlier version, which took
-            other guesses: they hold. None: it begins now.
+        begun: the parameters of a bench that was begun, perhaps by an earlier version,
+            which took other guesses: they hold. None: it begins now.
 
     Raises:
         InputError: naming the key of the file, or the column and row.
@@ -154,7 +174,9 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
     columns = {name: found.values(name) for name in names}
     space = begun
     if space is None:
-        space = {name: each.distribution(name, found) for name, each in declared.items()}
+        space = {
+            name: each.distribution(name, found) for name, each in declared.items()
+        }
     outcomes, taken = {}, set(names)  # each pattern is a family
     for pattern in patterns:
         named = [name for name in found.names if fnmatch(name, pattern)]
@@ -162,17 +184,23 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
             named = [pattern]
         if not named:
             raise InputError(
-                "candidates.outcomes", pattern, f"some of {listed(found.names, pattern)}"
+                "candidates.outcomes",
+                pattern,
+                f"some of {listed(found.names, pattern)}",
             )
         twice = [name for name in named if name in taken]
         if twice and begun is None:
-            allowed = f"each column once: {twice[0]} is a parameter or in another pattern"
+            allowed = (
+                f"each column once: {twice[0]} is a parameter or in another pattern"
+            )
             raise InputError("candidates.outcomes", pattern, allowed)
         taken.update(named)
         outcomes[pattern] = np.column_stack([found.numbers(name) for name in named])
     return FeatureTable.from_arrays(
         columns,
-        np.column_stack([found.numbers(name) for name in features]) if features else None,
+        np.column_stack([found.numbers(name) for name in features])
+        if features
+        else None,
         features or None,
         outcomes=outcomes or None,
         better=better,
@@ -184,18 +212,31 @@ def _declared(table: Table, names: tuple[str, ...]) -> dict[str, Declared]:
     """What the file says of parameters, by the name of each of which it says something."""
     logarithmic = table.texts("log")
     kinds, bounds, steps = (table.table(key) for key in ("type", "bounds", "step"))
-    keys = {"log": logarithmic, "type": kinds.unread, "bounds": bounds.unread, "step": steps.unread}
+    keys = {
+        "log": logarithmic,
+        "type": kinds.unread,
+        "bounds": bounds.unread,
+        "step": steps.unread,
+    }
     for key, named in keys.items():
         for name in named:
             if name not in names:
                 allowed = f"one of the parameters {listed(names, name) or '(none)'}"
                 raise InputError(f"candidates.{key}", name, allowed)
-    ends = {name: bounds.range(name, (0, 0), -FARTHEST, FARTHEST) for name in bounds.unread}
+    ends = {
+        name: bounds.range(name, (0, 0), -FARTHEST, FARTHEST) for name in bounds.unread
+    }
     found = {}
     for name in names:
         if not any(name in named for named in keys.values()):
             continue
         kind = kinds.text(name, choices=KINDS) if name in keys["type"] else None
-        step = steps.number(name, low=LEAST_STEP, high=FARTHEST) if name in keys["step"] else None
-        found[name] = Declared(cast(Kind, kind), ends.get(name), step, name in logarithmic)
+        step = (
+            steps.number(name, low=LEAST_STEP, high=FARTHEST)
+            if name in keys["step"]
+            else None
+        )
+        found[name] = Declared(
+            cast(Kind, kind), ends.get(name), step, name in logarithmic
+        )
     return found

@@ -1,8 +1,8 @@
 """Numbers of a bench that were perhaps entered wrongly, as far as the entries can tell.
 
-A number is questioned that no simulated world has, or that is far from those of all other trials:
-another unit, a lost decimal point, a clock in nanoseconds. A wrong number in the midst of others is
-not found.
+A number is questioned that no simulated world has, or that is far from those of all
+other trials: another unit, a lost decimal point, a clock in nanoseconds. A wrong number
+in the midst of others is not found.
 """
 
 import math
@@ -29,7 +29,8 @@ def odd_value(value: float, simulated: Range | None, others: Sequence[float]) ->
 
     Args:
         value: that was entered.
-        simulated: the least and the largest one in the worlds; None: in none of these units.
+        simulated: the least and the largest one in the worlds; None: in none of these
+            units.
         others: those of other trials.
     """
     if not abs(value) < LARGEST:
@@ -122,7 +123,9 @@ def _odd_among(value: float, others: Sequence[float]) -> str:
     nearest = low if value < low else high
     if nearest * value > 0.0 and 1.0 / FACTOR <= value / nearest <= FACTOR:
         return ""
-    return f"{value:g} is far from all other trials, {low:.4g} to {high:.4g}: is it right?"
+    return (
+        f"{value:g} is far from all other trials, {low:.4g} to {high:.4g}: is it right?"
+    )
 
 
 def _other_sign(value: float, low: float, high: float) -> bool:

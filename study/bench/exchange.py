@@ -36,14 +36,17 @@ def export_text(bench: Bench) -> str:
 def read_trials(bench: Bench, path: Path) -> list[Own]:
     """The finished trials of a file; those without a value are left out.
 
-    It needs the parameters and `value`. Columns of the bench, and the others of an export, count
-    where they are there: without `context` the trials are of the present one.
+    It needs the parameters and `value`. Columns of the bench, and the others of an
+    export, count where they are there: without `context` the trials are of the present
+    one.
 
     Raises:
         InputError: naming the column and what is wrong.
     """
     columns = bench.plan.columns
-    choices = {name: choices_of(distribution) for name, distribution in bench.space.items()}
+    choices = {
+        name: choices_of(distribution) for name, distribution in bench.space.items()
+    }
     named = [name for name, known in choices.items() if known]
     file = ForeignTable.read("import", path, words=[*WORDS, *named])
     _require_used(file.names, [*choices, *columns, "trial", "value", "failed", *WORDS])
@@ -57,7 +60,9 @@ def read_trials(bench: Bench, path: Path) -> list[Own]:
         if not np.isin(failed, (0.0, 1.0)).all():
             raise InputError("import: failed", "other numbers", "0 or 1 in each row")
     for row in np.flatnonzero(np.isnan(values) & (failed > 0.0))[:1].tolist():
-        raise InputError(f"import.value[{row}]", "nothing", "the value of each trial that failed")
+        raise InputError(
+            f"import.value[{row}]", "nothing", "the value of each trial that failed"
+        )
     if np.isnan(values).all():
         raise InputError("import", str(path), "a file with a value in one row at least")
     found = list[Own]()
@@ -66,7 +71,11 @@ def read_trials(bench: Bench, path: Path) -> list[Own]:
         own = Own(
             params={name: given[place] for name, given in params.items()},
             value=float(values[place]),
-            columns={name: float(n[place]) for name, n in told.items() if not np.isnan(n[place])},
+            columns={
+                name: float(n[place])
+                for name, n in told.items()
+                if not np.isnan(n[place])
+            },
             failed=bool(failed[place]),
             note=said.get("note", ""),
             context=said.get("context"),
@@ -87,9 +96,13 @@ def _require_used(names: Sequence[str], known: Sequence[str]) -> None:
     meant = {plain(name): name for name in known}
     for name in others:
         if plain(name) in meant:
-            raise InputError("import", name, f"{meant[plain(name)]}, as the bench has it")
+            raise InputError(
+                "import", name, f"{meant[plain(name)]}, as the bench has it"
+            )
     if others:
-        warnings.warn(f"columns that are no part of a trial: {listed(others)}", stacklevel=3)
+        warnings.warn(
+            f"columns that are no part of a trial: {listed(others)}", stacklevel=3
+        )
 
 
 def _parameter(file: ForeignTable, name: str, choices: Mapping[str, Any]) -> list[Any]:
@@ -98,5 +111,7 @@ def _parameter(file: ForeignTable, name: str, choices: Mapping[str, Any]) -> lis
     if choices:
         said = ["" if word is None else str(word) for word in given.tolist()]
         return [choices.get(word, word) for word in said]
-    found: list[Any] = (file.numbers(name) if given.dtype.kind == "O" else given).tolist()
+    found: list[Any] = (
+        file.numbers(name) if given.dtype.kind == "O" else given
+    ).tolist()
     return found

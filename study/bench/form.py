@@ -1,9 +1,10 @@
 """The bench as a page with forms, for a phone beside the machine.
 
-A page of HTML without a script, made anew for each request. On the loopback it answers this machine
-alone, as the dashboard does; on any other address only a browser that has opened the link with the
-token, which is printed once. Requests take turns. Candidates are filmed in their simulator when a
-film is first asked for, to look at before the machine tries them.
+A page of HTML without a script, made anew for each request. On the loopback it answers
+this machine alone, as the dashboard does; on any other address only a browser that has
+opened the link with the token, which is printed once. Requests take turns. Candidates
+are filmed in their simulator when a film is first asked for, to look at before the
+machine tries them.
 """
 
 import secrets
@@ -32,13 +33,19 @@ from taichi_nmm import typed
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
 
-PAGE = bottle.SimpleTemplate(Path(__file__).with_suffix(".html").read_text(encoding="utf-8"))
+PAGE = bottle.SimpleTemplate(
+    Path(__file__).with_suffix(".html").read_text(encoding="utf-8")
+)
 PROTECTION = [
-    ("Content-Security-Policy", "default-src 'none'; style-src 'unsafe-inline'; media-src 'self'; "
-                                "form-action 'self'; frame-ancestors 'none'"),
-    ("X-Content-Type-Options", "nosniff"), ("Referrer-Policy", "same-origin"),
+    (
+        "Content-Security-Policy",
+        "default-src 'none'; style-src 'unsafe-inline'; media-src 'self'; "
+        "form-action 'self'; frame-ancestors 'none'",
+    ),
+    ("X-Content-Type-Options", "nosniff"),
+    ("Referrer-Policy", "same-origin"),
     ("Cache-Control", "no-store"),
-]  # fmt: skip
+]
 OPERATOR, COOKIE_S = "bench_operator", 30 * 24 * 3600
 SHOWN_ENTRIES, LONGEST_NAME = 20, 60
 Fields = Mapping[str, str]
@@ -52,7 +59,8 @@ def filming_of(bench: Bench, simulator: str | None) -> Filming | None:
     """What films a bench's candidates; None where nothing can.
 
     Args:
-        bench: whose candidates may be a store of our walker, which walks on level ground.
+        bench: whose candidates may be a store of our walker, which walks on level
+            ground.
         simulator: of MuJoCo, as `FILE:NAME`; its base setting is filmed.
 
     Raises:
@@ -71,7 +79,11 @@ def filming_of(bench: Bench, simulator: str | None) -> Filming | None:
 
 def of_walker(fixed: Mapping[str, float], params: Mapping[str, Any]) -> bytes:
     """An MP4 of our walker on level ground, with the nominal body; `fixed` gains count too."""
-    level = {"seed": 0, "simulation": {"duration_s": SECONDS}, "terrain": {"kind": "flat"}}
+    level = {
+        "seed": 0,
+        "simulation": {"duration_s": SECONDS},
+        "terrain": {"kind": "flat"},
+    }
     experiment = experiment_of(Table(level), "candidate")
     walk = recorded_walk(
         named_gains("candidate", {**fixed, **params}), experiment, 0, SMALL.rate_hz
@@ -93,10 +105,14 @@ class Films:
         Raises:
             InputError: what the simulator or the film's encoder refuses.
         """
-        path = self._folder / f"{trial.number}.mp4"  # a number is given to one trial for ever
+        path = (
+            self._folder / f"{trial.number}.mp4"
+        )  # a number is given to one trial for ever
         with self._turn:
             if not path.exists():
-                path.write_bytes(self._makers.submit(self._filming, trial.params).result())
+                path.write_bytes(
+                    self._makers.submit(self._filming, trial.params).result()
+                )
         return path
 
 
@@ -117,11 +133,17 @@ def application(
 
     def require_token() -> None:
         request = bottle.request
-        given = request.get_cookie(cookie) or (request.path == "/" and request.query.token) or ""
+        given = (
+            request.get_cookie(cookie)
+            or (request.path == "/" and request.query.token)
+            or ""
+        )
         if not secrets.compare_digest(given.encode() if token else b"", token.encode()):
             bottle.abort(403, "open the link that the command has printed")
         host, origin = request.get_header("Host"), request.get_header("Origin")
-        if origin is not None and origin.partition("://")[2] != host:  # https behind a proxy
+        if (
+            origin is not None and origin.partition("://")[2] != host
+        ):  # https behind a proxy
             bottle.abort(403, "only the page itself may make entries")
 
     @contextmanager
@@ -199,7 +221,9 @@ def error_page(error: Any) -> str:
 def protected(app: Application) -> Application:
     """An application whose answers tell browsers what the page may do."""
 
-    def answer(environment: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+    def answer(
+        environment: dict[str, Any], start: Callable[..., Any]
+    ) -> Iterable[bytes]:
         def begin(status: str, headers: list[tuple[str, str]], *error: Any) -> Any:
             return start(status, [*headers, *PROTECTION], *error)
 
@@ -209,9 +233,12 @@ def protected(app: Application) -> Application:
 
 
 def page(
-    bench: Bench, entry: str = "", error: str = "", given: Fields | None = None,
+    bench: Bench,
+    entry: str = "",
+    error: str = "",
+    given: Fields | None = None,
     filmed: bool = False,
-) -> str:  # fmt: skip
+) -> str:
     """The page after an entry of this number, or with an error and what was typed."""
     state = bench.look()
     told = list[str]()
@@ -222,14 +249,24 @@ def page(
         doubts = bench.doubts(made.data["trial"]) if "trial" in made.data else []
         told = [str(made).strip(), *([odd] if odd else doubts)]
     trials = list(state.trials.values())
-    return str(PAGE.render(
-        plan=bench.plan, context=state.context, operator=bench.operator, told=" ".join(told),
-        error=error, given=given or {}, shown=shown, undone=state.undone, filmed=filmed,
-        times=times, remark=bench.plan.horizon_note(),
-        pending=bench.pending(),
-        finished=[trial for trial in reversed(trials) if trial.value is not None],
-        entries=bench.entries[: -SHOWN_ENTRIES - 1 : -1],
-    ))  # fmt: skip
+    return str(
+        PAGE.render(
+            plan=bench.plan,
+            context=state.context,
+            operator=bench.operator,
+            told=" ".join(told),
+            error=error,
+            given=given or {},
+            shown=shown,
+            undone=state.undone,
+            filmed=filmed,
+            times=times,
+            remark=bench.plan.horizon_note(),
+            pending=bench.pending(),
+            finished=[trial for trial in reversed(trials) if trial.value is not None],
+            entries=bench.entries[: -SHOWN_ENTRIES - 1 : -1],
+        )
+    )
 
 
 def number(given: Fields, name: str) -> float | None:
@@ -265,9 +302,13 @@ def result(bench: Bench, given: Fields) -> dict[str, Any]:
 
 ENTRIES: dict[str, Callable[[Bench, Fields], Any]] = {
     "next": lambda bench, given: bench.next(trial_of(given, "batch")),
-    "record": lambda bench, given: bench.record(trial_of(given), **result(bench, given)),
+    "record": lambda bench, given: bench.record(
+        trial_of(given), **result(bench, given)
+    ),
     "abort": lambda bench, given: bench.abort(trial_of(given), given.get("note", "")),
-    "correct": lambda bench, given: bench.correct(trial_of(given), **result(bench, given)),
+    "correct": lambda bench, given: bench.correct(
+        trial_of(given), **result(bench, given)
+    ),
     "undo": lambda bench, given: bench.undo(trial_of(given, "entry")),
     "context": lambda bench, given: bench.context(given.get("name", "").strip()),
 }

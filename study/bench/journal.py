@@ -1,8 +1,9 @@
 """The entries of a bench, of which none is ever changed, and the trials that follow from them.
 
-An entry is one attribute of an Optuna study, `NAME (log)`, written in one transaction: it is there,
-or it is not. A correction and an undoing are entries too. The trials are read from all entries that
-are not undone, in their order. What a clock says decides nothing.
+An entry is one attribute of an Optuna study, `NAME (log)`, written in one transaction:
+it is there, or it is not. A correction and an undoing are entries too. The trials are
+read from all entries that are not undone, in their order. What a clock says decides
+nothing.
 """
 
 import time
@@ -73,7 +74,9 @@ def result_text(data: Mapping[str, Any]) -> str:
         parts.append(f"failed after {data['seconds']:.12g} s")
     if data.get("value") is not None:
         parts.append(f"{data['value']:.12g}")
-    if data.get("failed") is False and "params" not in data:  # the correction of a failure
+    if (
+        data.get("failed") is False and "params" not in data
+    ):  # the correction of a failure
         parts.append("no longer a failure")
     if data.get("failed") and data.get("seconds") is None:  # of an import
         parts.append("failed")
@@ -93,8 +96,8 @@ class Trial:
         operator: who has it, or had it.
         why: it was proposed, in words.
         value: in the unit of the goal; None: nobody has entered a result.
-        columns: other numbers that were entered, by the names of the bench's columns, in
-            their units.
+        columns: other numbers that were entered, by the names of the bench's columns,
+            in their units.
         failed: whether it failed.
         note: of whoever entered its result.
         aborted: times that it was broken off and nothing learned.
@@ -141,17 +144,26 @@ class State:
         """A trial of this number.
 
         Raises:
-            InputError: there is none, or it is finished where it must not be, or the reverse.
+            InputError: there is none, or it is finished where it must not be, or the
+                reverse.
         """
         waiting = [n for n, trial in self.trials.items() if trial.value is None]
         pending = listed(waiting, number)
         if number not in self.trials:
             known = f"0 to {self.count - 1}; pending: {pending or 'none'}"
-            raise InputError("trial", number, known if self.count else "none: ask for the next one")
+            raise InputError(
+                "trial", number, known if self.count else "none: ask for the next one"
+            )
         found = self.trials[number]
         if (found.value is not None) != finished:
-            allowed = "a finished trial" if finished else f"a pending trial ({pending or 'none'})"
-            other = "" if finished else "; `correct` changes the result of a finished one"
+            allowed = (
+                "a finished trial"
+                if finished
+                else f"a pending trial ({pending or 'none'})"
+            )
+            other = (
+                "" if finished else "; `correct` changes the result of a finished one"
+            )
             raise InputError("trial", number, allowed + other)
         return found
 
@@ -167,7 +179,8 @@ class Journal:
     def storage(self) -> RDBStorage:
         """The database, to be written; it is made where it is missing.
 
-        Reading does without: also where nothing may be written, and before Optuna is loaded.
+        Reading does without: also where nothing may be written, and before Optuna is
+        loaded.
         """
         return open_studies(self.url)
 
@@ -176,7 +189,8 @@ class Journal:
         """Be the only one who writes; wait for others.
 
         Raises:
-            InputError: another command holds the bench for long, or the database cannot be written.
+            InputError: another command holds the bench for long, or the database cannot
+                be written.
         """
         deadline_s = time.monotonic() + WAIT_S
         with ExitStack() as held:
@@ -202,8 +216,12 @@ class Journal:
         found, number = list[Entry](), 0
         with read_errors(self.url):
             while (data := known.get(KEY.format(number))) is not None:
-                rest = {key: data[key] for key in data if key not in ("kind", "time", "by")}
-                found.append(Entry(number, data["kind"], data["time"], data["by"], rest))
+                rest = {
+                    key: data[key] for key in data if key not in ("kind", "time", "by")
+                }
+                found.append(
+                    Entry(number, data["kind"], data["time"], data["by"], rest)
+                )
                 number += 1
         return found
 
@@ -282,24 +300,38 @@ def undoable(entries: list[Entry], number: int | None, operator: str) -> Entry:
         InputError: there is none, or a later entry stands on it.
     """
     undone = read_state(entries).undone
-    standing = [entry for entry in entries if entry.number not in undone and entry.number]
+    standing = [
+        entry for entry in entries if entry.number not in undone and entry.number
+    ]
     done = [entry for entry in standing if entry.kind != "undo"]
     own = [entry for entry in done if entry.operator == operator]
     if number is None and done and not own:
         last = " ".join(str(done[-1]).split())
         allowed = f"the number of an entry, none of which is {operator}'s; the last one is {last}"
         raise InputError("undo", "the last", allowed)
-    found = own[-1:] if number is None else [one for one in standing if one.number == number]
+    found = (
+        own[-1:]
+        if number is None
+        else [one for one in standing if one.number == number]
+    )
     if not found:
         standing_numbers = [entry.number for entry in standing]
         numbers = listed(standing_numbers, number or "") or "there is none"
-        raise InputError("undo", "the last" if number is None else number,
-                         f"an entry that stands: {numbers}")  # fmt: skip
+        raise InputError(
+            "undo",
+            "the last" if number is None else number,
+            f"an entry that stands: {numbers}",
+        )
     (chosen,) = found
     about = _changed_by(chosen, entries)
-    # An undoing counts if what it undid is earlier: what comes back must find its trial there.
-    later = [one for one in standing if one.data.get("entry", 0) < chosen.number < one.number]
-    stands_on = next((entry for entry in later if about & _changed_by(entry, entries)), None)
+    # An undoing counts if what it undid is earlier: what comes back must find its trial
+    # there.
+    later = [
+        one for one in standing if one.data.get("entry", 0) < chosen.number < one.number
+    ]
+    stands_on = next(
+        (entry for entry in later if about & _changed_by(entry, entries)), None
+    )
     if stands_on is not None:
         allowed = f"entry {stands_on.number} first, which is about the same trial"
         raise InputError("undo", chosen.number, allowed)

@@ -92,8 +92,8 @@ class Goal:
     def in_worlds(self, term: "Term") -> "Cost":
         """Values by a column of a store, or a function of them; runs that fell are failures.
 
-        They count by how far they came. None that lasted is worse than a failure at the end.
-        Without `failed` the numbers are taken as they are.
+        They count by how far they came. None that lasted is worse than a failure at the
+        end. Without `failed` the numbers are taken as they are.
         """
 
         def values(given: Mapping[str, Floats], horizon_s: float) -> Floats:
@@ -102,7 +102,9 @@ class Goal:
                 return found
             (first, last), lasted = self.failed, given[SURVIVED]
             paid = (np.maximum if self.maximise else np.minimum)(found, last)
-            return np.asarray(np.where(lasted >= 1.0, paid, first + (last - first) * lasted))
+            return np.asarray(
+                np.where(lasted >= 1.0, paid, first + (last - first) * lasted)
+            )
 
         return values
 
@@ -123,7 +125,10 @@ class Column:
 
     def limits(self, name: str, value: float) -> dict[str, float]:
         """What is above zero where a limit is broken, by name."""
-        both = {f"{name} at least": self.least - value, f"{name} at most": value - self.most}
+        both = {
+            f"{name} at least": self.least - value,
+            f"{name} at most": value - self.most,
+        }
         return {limit: excess for limit, excess in both.items() if excess > -math.inf}
 
 
@@ -224,9 +229,13 @@ class Plan:
     @property
     def direction(self) -> StudyDirection:
         """As Optuna has it."""
-        return StudyDirection.MAXIMIZE if self.goal.maximise else StudyDirection.MINIMIZE
+        return (
+            StudyDirection.MAXIMIZE if self.goal.maximise else StudyDirection.MINIMIZE
+        )
 
-    def read_candidates(self, begun: Mapping[str, BaseDistribution] | None = None) -> FeatureTable:
+    def read_candidates(
+        self, begun: Mapping[str, BaseDistribution] | None = None
+    ) -> FeatureTable:
         """What may be tried, and what is known of it before.
 
         Args:
@@ -236,7 +245,9 @@ class Plan:
             InputError: naming the key of the file, or the column and row.
         """
         table = Table(self.candidates.unread, "candidates", self.candidates.folder)
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of rows left out
+        with warnings.catch_warnings(
+            action="ignore", category=UserWarning
+        ):  # of rows left out
             is_store = "store" in table.unread
             found = _of_store(table, self.goal) if is_store else of_file(table, begun)
         table.done()
@@ -257,7 +268,9 @@ class Plan:
         if "store" not in given or given.get("features"):
             return ""
         store = open_store(self.candidates.folder / given["store"])
-        runs_s = [float(store.settings_of(name)["horizon_s"]) for name in store.families]
+        runs_s = [
+            float(store.settings_of(name)["horizon_s"]) for name in store.families
+        ]
         return horizon(runs_s, self.goal.duration_s)
 
     def sampler(
@@ -316,7 +329,9 @@ def _plan_of(table: Table, path: Path) -> Plan:
     shown_url(storage)  # refuses what is no study database
     if is_named:
         storage = _beside(path, storage, name)
-    off_grid = table.integer("off_grid", 0, 0, MOST_OFF_GRID) if "off_grid" in data else None
+    off_grid = (
+        table.integer("off_grid", 0, 0, MOST_OFF_GRID) if "off_grid" in data else None
+    )
     plan = Plan(
         path,
         {key: value for key, value in data.items() if key not in FREE},
@@ -346,7 +361,8 @@ def _plan_of(table: Table, path: Path) -> Plan:
 def _beside(path: Path, url: str, name: str) -> str:
     """The URL of a database whose relative file lies beside the file of the bench.
 
-    Until version 0.3.0 it lay in the working folder: a bench that was begun there is found there.
+    Until version 0.3.0 it lay in the working folder: a bench that was begun there is
+    found there.
     """
     if is_postgresql(url):
         return url
@@ -365,8 +381,12 @@ def _goal(table: Table) -> Goal:
 
     success, duration_s = optional("success"), optional("duration_s")
     ends = optional("failed_at_once"), optional("failed_at_end")
-    if ends != (None, None) and (None in ends or duration_s is None or duration_s <= 0.0):
-        allowed = "all of failed_at_once, failed_at_end and duration_s (above 0), or none"
+    if ends != (None, None) and (
+        None in ends or duration_s is None or duration_s <= 0.0
+    ):
+        allowed = (
+            "all of failed_at_once, failed_at_end and duration_s (above 0), or none"
+        )
         raise InputError("goal", "a part", allowed)
     failed = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
     maximise, value = table.boolean("maximise", False), table.text("value", "value")

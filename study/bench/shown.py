@@ -1,7 +1,7 @@
 """The trials of a bench as studies of Optuna: the one that the dashboard shows, and those to learn.
 
-What is shown follows from the entries alone. It is made anew whenever it does not, also after a
-command that was killed between an entry and what it shows.
+What is shown follows from the entries alone. It is made anew whenever it does not, also
+after a command that was killed between an entry and what it shows.
 """
 
 from collections.abc import Iterable, Mapping
@@ -61,7 +61,10 @@ def require_shown(storage: RDBStorage, plan: Plan) -> None:
 def show(storage: RDBStorage, plan: Plan, space: Space, state: State) -> None:
     """Bring the study that the dashboard shows up to date; its trials are those of the bench."""
     study = optuna.create_study(
-        storage=storage, study_name=plan.name, direction=plan.direction, load_if_exists=True
+        storage=storage,
+        study_name=plan.name,
+        direction=plan.direction,
+        load_if_exists=True,
     )
     gone = create_trial(state=TrialState.FAIL, user_attrs={"note": "undone"})
     wanted = [
@@ -82,7 +85,9 @@ def _shows(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool
     parts = ("state", "values", "params", "user_attrs")
     if all(getattr(trial, part) == getattr(wanted, part) for part in parts):
         return True
-    unfinished = trial.state is TrialState.RUNNING and wanted.state is not TrialState.FAIL
+    unfinished = (
+        trial.state is TrialState.RUNNING and wanted.state is not TrialState.FAIL
+    )
     if not unfinished or trial.params != wanted.params:
         return False
     storage, number = study._storage, trial._trial_id

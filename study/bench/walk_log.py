@@ -11,8 +11,12 @@ from taichi_nmm.result import RESULT_DTYPE, smooth_cost
 
 TIME, POSITION = "time", "position"  # columns of a log: a clock, and metres
 MOST_TRIALS = 10.0  # that a log may last: one in milliseconds would last a thousand
-LONGEST_S = 3600.0  # where a trial has no end: milliseconds, or a clock that jumps by an hour
-LONGEST_GAP_S = 30.0  # between rows of which the others are near: 143059, 143100 is no second
+LONGEST_S = (
+    3600.0  # where a trial has no end: milliseconds, or a clock that jumps by an hour
+)
+LONGEST_GAP_S = (
+    30.0  # between rows of which the others are near: 143059, 143100 is no second
+)
 USUAL_GAPS = 10.0  # times the median
 FASTEST_MPS = 30.0  # a cheetah (Sharp 1997): a position in centimetres would be faster
 
@@ -21,12 +25,13 @@ def cost_of_log(path: Path, duration_s: float) -> float:
     """The walker's smooth cost of a walk that was logged.
 
     Args:
-        path: of a table with the columns `time` (seconds, or clock times) and `position` (m).
+        path: of a table with the columns `time` (seconds, or clock times) and
+            `position` (m).
         duration_s: of a whole trial; infinite where it has no end.
 
     Raises:
-        InputError: no such table; a clock that does not rise, or of other units; fewer than two
-            rows; a position that is no number.
+        InputError: no such table; a clock that does not rise, or of other units; fewer
+            than two rows; a position that is no number.
     """
     log = ForeignTable.read("log", path)
     if len(log) < 2:
@@ -37,17 +42,23 @@ def cost_of_log(path: Path, duration_s: float) -> float:
     if elapsed_s > most_s:
         allowed = f"seconds, of a trial of {duration_s:g} s: up to {most_s:g}"
         raise InputError(f"log.{TIME}", f"{elapsed_s:g} from first to last", allowed)
-    for row in np.flatnonzero(gaps_s > max(LONGEST_GAP_S, USUAL_GAPS * np.median(gaps_s)))[:1]:
+    for row in np.flatnonzero(
+        gaps_s > max(LONGEST_GAP_S, USUAL_GAPS * np.median(gaps_s))
+    )[:1]:
         allowed = "rows without such a gap; a clock in seconds, not as hhmmss"
         found = f"{gaps_s[row]:g} s after the row before"
         raise InputError(f"log.{TIME}[{row + 1}]", found, allowed)
     position_m = log.numbers(POSITION)
     for row in np.flatnonzero(~np.isfinite(position_m))[:1].tolist():
-        raise InputError(f"log.{POSITION}[{row}]", float(position_m[row]), "a finite number")
+        raise InputError(
+            f"log.{POSITION}[{row}]", float(position_m[row]), "a finite number"
+        )
     distance_m = float(position_m[-1] - position_m[0])
     speed_mps = distance_m / elapsed_s
     if not math.isfinite(speed_mps) or abs(speed_mps) > FASTEST_MPS:
-        allowed = f"metres and seconds of a walk: a mean speed within {FASTEST_MPS:g} m/s"
+        allowed = (
+            f"metres and seconds of a walk: a mean speed within {FASTEST_MPS:g} m/s"
+        )
         raise InputError(f"log.{POSITION}", f"{speed_mps:g} m/s", allowed)
     walk = np.zeros(1, RESULT_DTYPE)
     walk["duration_s"] = elapsed_s

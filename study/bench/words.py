@@ -1,7 +1,7 @@
 """What a bench says to people, in a terminal and on its page; and names that can be typed.
 
-A column of a bench is an option of the command (`--torque 81`), a field of the page and a column of
-an export. So its name must not be one that these have already.
+A column of a bench is an option of the command (`--torque 81`), a field of the page and
+a column of an export. So its name must not be one that these have already.
 """
 
 import getpass
@@ -20,8 +20,17 @@ from taichi_nmm.errors import InputError
 PROGRAM = ("taichi-nmm", "bench")
 TIMES = {1: "once", 2: "twice"}
 EXPORTED = (
-    "trial", "number", "context", "value", "failed", "seconds", "operator", "time", "note", "why",
-)  # fmt: skip
+    "trial",
+    "number",
+    "context",
+    "value",
+    "failed",
+    "seconds",
+    "operator",
+    "time",
+    "note",
+    "why",
+)
 """Columns that an export has, or may have, beside parameters and columns of the bench."""
 
 OF_THE_SAMPLER = ("row",)  # what a trial notes beside them
@@ -31,7 +40,11 @@ def operator_here() -> str:
     """The user and the machine, or the user's number where the machine has no name for it."""
     try:
         user = getpass.getuser()
-    except (KeyError, OSError, ImportError):  # no entry in the password file, as in a container
+    except (
+        KeyError,
+        OSError,
+        ImportError,
+    ):  # no entry in the password file, as in a container
         user = f"uid-{os.getuid()}"
     return f"{user}@{socket.gethostname() or 'localhost'}"
 
@@ -51,7 +64,8 @@ def clashes(
 ) -> Iterator[tuple[str, str, str]]:
     """Names that something else has, or that nobody can type: field, name, and why.
 
-    Names that differ in small and capital letters, dashes, underscores and spaces alone are one.
+    Names that differ in small and capital letters, dashes, underscores and spaces alone
+    are one.
     """
     taken = {plain(name): f"an export has a column {name}" for name in EXPORTED}
     for name in parameters:
@@ -61,8 +75,15 @@ def clashes(
     taken |= {plain(name): f"--{name} is an option of `bench`" for name in _options()}
     taken |= {plain(name): f"{name} is a parameter" for name in parameters}
     for name in columns:
-        if not name.strip("- ") or "=" in name or name[0] in "- " or not is_printable(name):
-            why = "one that can be typed as an option, without = and with a letter first"
+        if (
+            not name.strip("- ")
+            or "=" in name
+            or name[0] in "- "
+            or not is_printable(name)
+        ):
+            why = (
+                "one that can be typed as an option, without = and with a letter first"
+            )
             yield "columns", name, why
         elif plain(name) in taken:
             yield "columns", name, taken[plain(name)]
@@ -74,9 +95,14 @@ def _options() -> list[str]:
     declared = [
         each
         for option in COMMANDS["bench"]["options"]
-        for each in (DECLARED["shared"][option["like"]] if "like" in option else [option])
+        for each in (
+            DECLARED["shared"][option["like"]] if "like" in option else [option]
+        )
     ]
-    return [flag.lstrip("-") for option in declared for flag in option["flags"]] + ["help", "h"]
+    return [flag.lstrip("-") for option in declared for flag in option["flags"]] + [
+        "help",
+        "h",
+    ]
 
 
 def plain(name: str) -> str:
@@ -85,9 +111,14 @@ def plain(name: str) -> str:
 
 
 def sheet(
-    trial: Trial, *, name: str, columns: Collection[str], parameters: Collection[str],
-    remark: str = "", file: Path | None = None,
-) -> str:  # fmt: skip
+    trial: Trial,
+    *,
+    name: str,
+    columns: Collection[str],
+    parameters: Collection[str],
+    remark: str = "",
+    file: Path | None = None,
+) -> str:
     """A trial to run, for paper, with the command line that enters its result.
 
     Args:
@@ -102,8 +133,12 @@ def sheet(
     if trial.aborted:
         head += f" (again: broken off {times(trial.aborted)})"
     width = max(map(len, trial.params))
-    values = [f"  {name:<{width}}  {shown(value)}" for name, value in trial.params.items()]
-    untyped = {name for field, name, _ in clashes(columns, parameters) if field == "columns"}
+    values = [
+        f"  {name:<{width}}  {shown(value)}" for name, value in trial.params.items()
+    ]
+    untyped = {
+        name for field, name, _ in clashes(columns, parameters) if field == "columns"
+    }
     words = [*PROGRAM, "record", str(trial.number)]
     if file is not None:
         words += ["--bench", str(file)]
@@ -113,7 +148,9 @@ def sheet(
     lines = [head, *values, trial.why, remark, f"enter: {enter}"]
     if untyped:
         # A bench of 0.3.0: its options of these names are something else.
-        lines.append(f"on the page of `bench serve` alone: {', '.join(sorted(untyped))}")
+        lines.append(
+            f"on the page of `bench serve` alone: {', '.join(sorted(untyped))}"
+        )
     return "\n".join([*filter(None, lines), ""])
 
 

@@ -39,11 +39,15 @@ def main(args: Namespace) -> None:
     used = COMMANDS["bench"]["uses"][args.action]
     if args.action == "new":
         require_used(args, used, args.action)
-        bench = Bench.new(needed(args.what, "what", "the TOML file of the bench"), args.operator)
+        bench = Bench.new(
+            needed(args.what, "what", "the TOML file of the bench"), args.operator
+        )
         rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
         warn([*bench.plan.cautions(), *bench.doubts()])
-        print(f"next: {shlex.join([*PROGRAM, 'next', '--bench', str(bench.plan.path)])}")
+        print(
+            f"next: {shlex.join([*PROGRAM, 'next', '--bench', str(bench.plan.path)])}"
+        )
         return
     require_used(args, [*used, "--bench"], args.action)
     bench = Bench(args.bench or only_bench(), args.operator)
@@ -56,9 +60,11 @@ def main(args: Namespace) -> None:
 def only_bench() -> Path:
     """The TOML file of the working folder that describes a bench."""
     found = [
-        path for path in sorted(Path().glob("*.toml"))
-        if {"candidates", "goal"} <= toml_document("bench", path, "readable TOML").keys()
-    ]  # fmt: skip
+        path
+        for path in sorted(Path().glob("*.toml"))
+        if {"candidates", "goal"}
+        <= toml_document("bench", path, "readable TOML").keys()
+    ]
     if len(found) != 1:
         names = listed(found) or "none in this folder"
         raise InputError("bench", names, "one: give --bench FILE")
@@ -81,9 +87,13 @@ def sheet(bench: Bench, trial: Trial, file: Path | None = None) -> str:
     """A trial to run, for paper; the command line on it names the file of the bench, if any."""
     plan = bench.plan
     return words.sheet(
-        trial, name=plan.name, columns=plan.columns, parameters=bench.space,
-        remark=plan.horizon_note(), file=file,
-    )  # fmt: skip
+        trial,
+        name=plan.name,
+        columns=plan.columns,
+        parameters=bench.space,
+        remark=plan.horizon_note(),
+        file=file,
+    )
 
 
 def record(bench: Bench, args: Namespace) -> None:
@@ -94,16 +104,22 @@ def record(bench: Bench, args: Namespace) -> None:
         from study.bench.walk_log import cost_of_log
 
         if value is not None:
-            raise InputError("value", value, "the value, or --log, which gives it, not both")
+            raise InputError(
+                "value", value, "the value, or --log, which gives it, not both"
+            )
         value = cost_of_log(args.log, bench.plan.goal.duration_s)
     which = None if args.action == "add" else number(args)
     if args.action == "fail":
         seconds = needed(args.seconds, "seconds", "a time")
         bench.record(number(args), failed_s=seconds, columns=columns, note=args.note)
     elif args.action == "correct":
-        bench.correct(number(args), value, failed_s=args.seconds, columns=columns, note=args.note)
+        bench.correct(
+            number(args), value, failed_s=args.seconds, columns=columns, note=args.note
+        )
     elif args.action == "add":
-        gains = json_document("gains", needed(args.gains, "gains", PARAMETERS), PARAMETERS)
+        gains = json_document(
+            "gains", needed(args.gains, "gains", PARAMETERS), PARAMETERS
+        )
         value = needed(value, "value", "the trial's value")
         (which,) = bench.add([(gains, value, columns, args.note)])
         print(f"trial {which}")
@@ -130,8 +146,12 @@ def status(bench: Bench, args: Namespace) -> None:
     warn(list(beyond_bounds(bench.plan.candidates, bench.space)))
     for trial in state.trials.values():
         value = "pending" if trial.value is None else f"{trial.value:.6g}"
-        marks = ", ".join(filter(None, ["failed" * trial.failed, trial.context, trial.note]))
-        columns = "".join(f"  {name} {given:g}" for name, given in trial.columns.items())
+        marks = ", ".join(
+            filter(None, ["failed" * trial.failed, trial.context, trial.note])
+        )
+        columns = "".join(
+            f"  {name} {given:g}" for name, given in trial.columns.items()
+        )
         print(f"trial {trial.number:>3}  {value:<10}{columns}  {marks}".rstrip())
     for entry in bench.entries:
         print(f"{entry}{' (undone)' if entry.number in state.undone else ''}")
@@ -142,7 +162,9 @@ def recommend(bench: Bench, args: Namespace) -> None:
     """Print the best gains by the model, and what to repeat; or that nothing is known yet."""
     state = bench.state
     where = f" in {state.context}" if state.context else ""
-    finished = [trial for trial in state.of_context(state.context) if trial.value is not None]
+    finished = [
+        trial for trial in state.of_context(state.context) if trial.value is not None
+    ]
     if not finished:
         print(f"Nothing to recommend yet: no trial is finished{where}.")
         return
@@ -167,10 +189,16 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
 
     trials, simulated = bench.state.trials, bench.simulated()
     told = np.array([(simulated[n], trials[n].value) for n in simulated], dtype=float)
-    lines = [f"trial {n:>3}  simulated {a:10.4g}  seen {b:10.4g}"
-             for n, (a, b) in zip(simulated, told.tolist(), strict=True)]  # fmt: skip
+    lines = [
+        f"trial {n:>3}  simulated {a:10.4g}  seen {b:10.4g}"
+        for n, (a, b) in zip(simulated, told.tolist(), strict=True)
+    ]
     r = RankCorrelation.of(told[:, 0], told[:, 1]) if len(told) else None
-    lines += [f"Rank correlation of simulated and seen: {r or 'too few trials'}", "", bench.worth()]
+    lines += [
+        f"Rank correlation of simulated and seen: {r or 'too few trials'}",
+        "",
+        bench.worth(),
+    ]
     print("\n".join(lines))
     path = bench.plan.path.with_name(f"{bench.plan.name}-simulator.png")
     figure = style.new_figure(4.5, 4.0)
@@ -200,7 +228,9 @@ def import_trials(bench: Bench, args: Namespace) -> None:
     if entered:
         print(f"trials {', '.join(map(str, entered))}")
     if known:
-        print(f"there already: trials {', '.join(map(str, known))}; `add` enters a trial again")
+        print(
+            f"there already: trials {', '.join(map(str, known))}; `add` enters a trial again"
+        )
 
 
 def other(bench: Bench, args: Namespace) -> None:
@@ -256,8 +286,19 @@ def others(args: Namespace) -> dict[str, float]:
 
 
 ACTIONS: dict[str, Callable[[Bench, Namespace], None]] = {
-    "new": other, "next": next_trials, "record": record, "fail": record, "abort": other,
-    "correct": record, "undo": other, "add": record, "context": other, "status": status,
-    "recommend": recommend, "compare-to-simulator": compare_to_simulator, "export": export,
-    "import": import_trials, "serve": serve,
-}  # fmt: skip
+    "new": other,
+    "next": next_trials,
+    "record": record,
+    "fail": record,
+    "abort": other,
+    "correct": record,
+    "undo": other,
+    "add": record,
+    "context": other,
+    "status": status,
+    "recommend": recommend,
+    "compare-to-simulator": compare_to_simulator,
+    "export": export,
+    "import": import_trials,
+    "serve": serve,
+}

@@ -20,7 +20,12 @@ from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.folder import PACKAGES
-from study.report.markdown import RobotResults, arms_documents, arms_text, dashboard_summary
+from study.report.markdown import (
+    RobotResults,
+    arms_documents,
+    arms_text,
+    dashboard_summary,
+)
 from study.report.numbers import numbers
 from study.report.runs import read_facts, read_results
 from taichi_nmm.errors import InputError
@@ -41,7 +46,9 @@ def main(args: Namespace) -> None:
         experiment = with_store(experiment, arms or experiment.arms, args.store)
     settings = experiment.conditions.settings
     require_engine(settings)
-    workers = Walker(settings).processes(cores()) if args.workers is None else args.workers
+    workers = (
+        Walker(settings).processes(cores()) if args.workers is None else args.workers
+    )
     cluster = Cluster.asked(args.cluster, args.mixed, args.workers)
     request = Request(out, args.storage, arms, args.runs, args.trials, workers, cluster)
     with closing(ProgressBar()) as bar:
@@ -51,15 +58,23 @@ def main(args: Namespace) -> None:
             bar.move("trial", progress.trials, progress.total, walkers)
 
         outcome = compare(experiment, request, show, dashboard_summary)
-    print(json.dumps(report(experiment, outcome, out)) if args.json else text(outcome, out))
+    print(
+        json.dumps(report(experiment, outcome, out))
+        if args.json
+        else text(outcome, out)
+    )
 
 
 def on_robots(args: Namespace) -> None:
     """Compare on robots of the simulator that the configuration names, or go on."""
     robots.refuse_walkers_options(args)
     if args.storage is not None:
-        raise InputError("storage", args.storage, "none: study runs robots in a database")
-    experiment = robots.read_robots(args.config, args.seed, args.arms, args.runs, args.trials)
+        raise InputError(
+            "storage", args.storage, "none: study runs robots in a database"
+        )
+    experiment = robots.read_robots(
+        args.config, args.seed, args.arms, args.runs, args.trials
+    )
     simulator = experiment.simulator
     simulator.require_machine()
     out = folder_of(args, experiment.name)
@@ -68,7 +83,9 @@ def on_robots(args: Namespace) -> None:
     opened = open_pool(workers, cluster, out, simulator, PACKAGES, [experiment.store])
     began_s = time.monotonic()
     with opened as pool, closing(ProgressBar()) as bar:
-        trials = robots.compare_robots(experiment, out, pool, partial(bar.move, "study"))
+        trials = robots.compare_robots(
+            experiment, out, pool, partial(bar.move, "study")
+        )
     results = RobotResults.of(experiment, trials)
     commit_text(out / "report.md", results.markdown())
     if args.json:

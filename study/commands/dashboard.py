@@ -10,7 +10,12 @@ from optuna.artifacts import FileSystemArtifactStore
 from optuna.storages import BaseStorage
 
 from storage.databases.bulk import study_ids
-from storage.databases.studies import open_studies, read_studies, shown_url, studies_path
+from storage.databases.studies import (
+    open_studies,
+    read_studies,
+    shown_url,
+    studies_path,
+)
 from storage.databases.urls import SQLITE, file_url
 from study.experiment.experiment import SUMMARY
 from study.experiment.folder import ARTIFACTS_NAME, DATABASE_NAME
@@ -27,7 +32,9 @@ def find_database(folder: Path | None, storage: str | None) -> str:
     if storage is None:
         folder = folder or newest()
         if not is_file(folder / DATABASE_NAME):
-            raise InputError("folder", str(folder), f"an experiment's folder, with {DATABASE_NAME}")
+            raise InputError(
+                "folder", str(folder), f"an experiment's folder, with {DATABASE_NAME}"
+            )
         return file_url(folder / DATABASE_NAME)
     shown = shown_url(storage)  # refuses any other text
     if storage.startswith(SQLITE) and not studies_path(storage).is_file():
@@ -37,13 +44,19 @@ def find_database(folder: Path | None, storage: str | None) -> str:
 
 def newest() -> Path:
     """The experiment whose database was written last."""
-    databases = sorted(EXPERIMENTS.glob(f"*/{DATABASE_NAME}"), key=lambda db: db.stat().st_mtime)
+    databases = sorted(
+        EXPERIMENTS.glob(f"*/{DATABASE_NAME}"), key=lambda db: db.stat().st_mtime
+    )
     if not databases:
-        raise InputError("folder", str(EXPERIMENTS), "a folder with experiments; or give one")
+        raise InputError(
+            "folder", str(EXPERIMENTS), "a folder with experiments; or give one"
+        )
     return databases[-1].parent
 
 
-def find_artifacts(folder: Path | None, url: str, artifacts: Path | None) -> Path | None:
+def find_artifacts(
+    folder: Path | None, url: str, artifacts: Path | None
+) -> Path | None:
     """The folder of pictures; None where an experiment has none yet."""
     if artifacts is not None:
         if not is_folder(artifacts):
@@ -66,7 +79,9 @@ def main(args: Namespace) -> None:
     """Serve until Ctrl-C."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     if args.storage is not None and args.artifacts is not None:
-        require_used(args, ("--storage", "--artifacts", "--port"), "--storage with --artifacts")
+        require_used(
+            args, ("--storage", "--artifacts", "--port"), "--storage with --artifacts"
+        )
     url = find_database(args.folder, args.storage)
     artifacts = find_artifacts(args.folder, url, args.artifacts)
     with read_studies(url) as known:  # a database that is refused is not changed
@@ -79,6 +94,8 @@ def main(args: Namespace) -> None:
         print(f"dashboard  {address}  (Ctrl-C ends it)", flush=True)
         for name, number in numbers.items():
             if str(name).endswith(SUMMARY):  # a damaged database may have bytes for it
-                print(f"summary    {address}/studies/{number}/note  ({name})", flush=True)
+                print(
+                    f"summary    {address}/studies/{number}/note  ({name})", flush=True
+                )
         with suppress(KeyboardInterrupt):
             server.serve_forever()

@@ -29,7 +29,10 @@ def main(args: Namespace) -> None:
             from taichi_nmm.kernel_cache import require_kernel_cache
         require_kernel_cache()
         page = page_of(args.folder, args.study, args.simulator)
-        with Processes(1) as walkers, Processes(1) as makers:  # a walk does not wait for a film
+        with (
+            Processes(1) as walkers,
+            Processes(1) as makers,
+        ):  # a walk does not wait for a film
             loop, address = serve(partial(page, walkers, makers), taken)
             walkers.submit(warm_up)
             print(f"explore     {address}", flush=True)

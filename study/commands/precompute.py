@@ -19,7 +19,8 @@ from taichi_nmm.config import read_toml, read_whole
 def main(args: Namespace) -> None:
     """Compute, or go on."""
     specification = read_whole(
-        read_toml(args.config), lambda table: read_specification(table, args.samples, args.arch)
+        read_toml(args.config),
+        lambda table: read_specification(table, args.samples, args.arch),
     )
     simulator = specification.simulator
     simulator.require_machine()
@@ -43,8 +44,15 @@ def text(summary: Summary) -> str:
     lines = [
         ("points", points),
         ("lasted", lasted),
-        *([("searched", f"{summary.walks_searched} runs")] if summary.walks_searched else []),
-        *((name, f"{count} points in its worlds") for name, count in summary.evaluated.items()),
+        *(
+            [("searched", f"{summary.walks_searched} runs")]
+            if summary.walks_searched
+            else []
+        ),
+        *(
+            (name, f"{count} points in its worlds")
+            for name, count in summary.evaluated.items()
+        ),
         ("speed", f"{summary.walkers_per_s:.0f} runs/s over {summary.wall_s:.1f} s"),
         ("store", summary.path),
     ]

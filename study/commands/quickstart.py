@@ -24,7 +24,9 @@ def run(command: str, *words: str | Path | int) -> None:
     """Show a command line, and do what it says."""
     line = [command, *map(str, words)]
     print(f"\n{command_line(*line)}", flush=True)
-    import_module(f"study.commands.{command}").main(parser_of(command).parse_args(line[1:]))
+    import_module(f"study.commands.{command}").main(
+        parser_of(command).parse_args(line[1:])
+    )
 
 
 def main(args: Namespace) -> None:
@@ -34,21 +36,39 @@ def main(args: Namespace) -> None:
     experiment, store = read_experiment(config_path(CONFIG)), out / "store"
     url = f"sqlite:///{out / 'studies.db'}"
     names = [study_name(experiment.name, arm, RUN) for arm in ARMS]
-    for name in names:  # those that cannot be resumed are refused before the store is made
+    for (
+        name
+    ) in names:  # those that cannot be resumed are refused before the store is made
         require_lockable(url, name)
     with read_studies(url):
         pass
     run("precompute", "--config", STORE_CONFIG, "--out", store)
     for arm in ARMS:
         given = ("--store", store) if find_arm(arm).store else ()
-        run("study", "--config", CONFIG, "--arm", arm, "--storage", url, "--out", out, *given)
+        run(
+            "study",
+            "--config",
+            CONFIG,
+            "--arm",
+            arm,
+            "--storage",
+            url,
+            "--out",
+            out,
+            *given,
+        )
     with read_studies(url) as storage:
         assert storage is not None
-        studies = [optuna.load_study(study_name=name, storage=storage) for name in names]
+        studies = [
+            optuna.load_study(study_name=name, storage=storage) for name in names
+        ]
         costs = [study.best_value for study in studies]
         told = [study_line(experiment.objective, study) for study in studies]
     best = ARMS[costs.index(min(costs))]
-    found, drawn = out / f"{best}-run-{RUN:03d}-best.json", ("--movie-seconds", 0, "--out")
+    found, drawn = (
+        out / f"{best}-run-{RUN:03d}-best.json",
+        ("--movie-seconds", 0, "--out"),
+    )
     run("walk", "--gains", found, "--config", CONFIG, *drawn, out / "found")
     run("walk", "--gains", "reference", "--duration", 30, *drawn, out / "reference")
     print(

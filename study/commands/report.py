@@ -12,7 +12,9 @@ def main(args: Namespace) -> None:
     """Report on every folder."""
     if args.out is not None and len(args.folders) == 1:
         raise InputError(
-            "out", str(args.out), f"two folders or more; of one, it is DIR/{REPORT_NAME}"
+            "out",
+            str(args.out),
+            f"two folders or more; of one, it is DIR/{REPORT_NAME}",
         )
     everything = [read_results(folder) for folder in args.folders]
     if args.out is not None:
@@ -20,7 +22,11 @@ def main(args: Namespace) -> None:
     found = []
     for results in everything:
         found.append(write_report(results, stores=known_stores(results)))
-        state = "" if results.complete else f" ({results.found:,} of {results.planned:,} trials)"
+        state = (
+            ""
+            if results.complete
+            else f" ({results.found:,} of {results.planned:,} trials)"
+        )
         print(f"{results.folder / REPORT_NAME}: {results.name}{state}", flush=True)
     if args.out is not None:
         write_overview(args.out, found)

@@ -49,7 +49,8 @@ def main(args: Namespace) -> None:
         line = progress_line(experiment.objective, study, trial, trials)
         print(line, file=sys.stderr, flush=True)
 
-    # A sampler with a state of its own (CMA-ES) needs its trials in one order, from one process.
+    # A sampler with a state of its own (CMA-ES) needs its trials in one order, from one
+    # process.
     shared = is_postgresql(args.storage) and not arm.replayed
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
     with taken as crew, storage_errors(args.storage):
@@ -62,12 +63,18 @@ def main(args: Namespace) -> None:
             draw_best(experiment, args.run, study, args.storage, folder)
         commands = {
             "film": film_command(gains, args.config, args.run, args.seed),
-            "dashboard": dashboard_command(args.storage, live_artifacts(args.storage, folder)),
+            "dashboard": dashboard_command(
+                args.storage, live_artifacts(args.storage, folder)
+            ),
         }
         database = public_url(args.storage)
         if args.json:
             known = study_facts(experiment.objective, study)
-            print(json.dumps(known | {"gains": str(gains), "storage": database} | commands))
+            print(
+                json.dumps(
+                    known | {"gains": str(gains), "storage": database} | commands
+                )
+            )
             return
         print(study_line(experiment.objective, study))
         print(lines({"gains": gains, "database": database, **commands}))
@@ -78,7 +85,10 @@ def on_robot(args: Namespace) -> None:
     robots.refuse_walkers_options(args)
     experiment = robots.read_robots(args.config, args.seed, trials=args.trials)
     experiment.simulator.require_machine()
-    storage, folder = open_studies(args.storage), args.out or Path("out") / experiment.name
+    storage, folder = (
+        open_studies(args.storage),
+        args.out or Path("out") / experiment.name,
+    )
 
     def report(study: optuna.Study, trial: FrozenTrial) -> None:
         lasted = 100.0 * trial.user_attrs[experiment.simulator.survived]
@@ -91,8 +101,12 @@ def on_robot(args: Namespace) -> None:
         study = robots.live_study(experiment, args.arm, args.run, storage, report)
     best = folder / f"{args.arm}-run-{args.run:03d}-best.json"
     keep_best(study.best_params, best)
-    known = {"study": name, "best_cost": study.best_value, "best": str(best),
-             "dashboard": dashboard_command(args.storage, folder)}  # fmt: skip
+    known = {
+        "study": name,
+        "best_cost": study.best_value,
+        "best": str(best),
+        "dashboard": dashboard_command(args.storage, folder),
+    }
     print(json.dumps(known) if args.json else lines(known))
 
 
@@ -108,7 +122,9 @@ def lines(known: dict[str, Any]) -> str:
     return "\n".join(f"{name + ':':<10} {value}" for name, value in known.items())
 
 
-def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = None) -> str:
+def film_command(
+    gains: Path, config: Path, run: int = 0, seed: int | None = None
+) -> str:
     """A command line: films gains on body and ground of a run of a configuration."""
     shown = config.stem if config_path(config.stem) == config else str(config)
     words = ["walk", "--gains", str(gains), "--config", shown]
@@ -119,7 +135,9 @@ def film_command(gains: Path, config: Path, run: int = 0, seed: int | None = Non
 def dashboard_command(url: str, artifacts: Path) -> str:
     """A command line: opens the studies of a database, and their pictures, in a browser."""
     words = ["dashboard", "--storage", public_url(url)]
-    return command_line(*words, *(["--artifacts", str(artifacts)] if is_postgresql(url) else []))
+    return command_line(
+        *words, *(["--artifacts", str(artifacts)] if is_postgresql(url) else [])
+    )
 
 
 def command_line(*words: str) -> str:

@@ -70,9 +70,15 @@ def show(measured: Iterable[Figure], how: str, as_json: bool) -> None:
             bar.set_postfix_str(figure.what)
             bar.update()
     if as_json:
-        print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in figures]))
+        print(
+            json.dumps(
+                [{**asdict(figure), "holds": figure.holds} for figure in figures]
+            )
+        )
         return
-    machine = f"{date.today()}, {platform.machine()}, Python {platform.python_version()}"
+    machine = (
+        f"{date.today()}, {platform.machine()}, Python {platform.python_version()}"
+    )
     print(f"{how}; {machine}.", "", "| what | measured | bar | holds |", sep="\n")
     print("|---|---|---|---|", *(figure.row() for figure in figures), sep="\n")
 
@@ -106,19 +112,26 @@ def of_our_engine(samples: int, draws: int, seed: int) -> Iterator[Figure]:
     yield Figure("walk 100 s, flat", 100 * walks.mean(), 4.7, 7.1, "%")
     for score in ("phi_printed", "phi_corrected"):
         area = roc_auc_score(walks, short[score])
-        yield Figure(f"area under the ROC curve of {score} for walks 100 s", area, 0.95, 1.0)
+        yield Figure(
+            f"area under the ROC curve of {score} for walks 100 s", area, 0.95, 1.0
+        )
     yield from rough_ground(gains, short["phi_printed"], draws, seed)
     yield from agreement(gains[:AGREEMENT_POINTS])
 
 
 def known_gait(
-    name: str, speed_mps: tuple[float, float], load_bw: tuple[float, float], settings: Settings
+    name: str,
+    speed_mps: tuple[float, float],
+    load_bw: tuple[float, float],
+    settings: Settings,
 ) -> Iterator[Figure]:
     """A gait that ships, on flat ground; its speed and its mean load have bars."""
     gains = taichi_nmm.load_gains(name)
     row = taichi_nmm.simulate(gains, duration_s=LONG_S, settings=settings).rows[0]
     yield Figure(f"{name} gains, flat: walked", row["duration_s"], LONG_S, LONG_S, "s")
-    yield Figure(f"{name} gains, flat: mean speed", row["mean_speed_mps"], *speed_mps, "m/s")
+    yield Figure(
+        f"{name} gains, flat: mean speed", row["mean_speed_mps"], *speed_mps, "m/s"
+    )
     force = row["grf_vertical_mean_bw"]
     yield Figure(f"{name} gains: mean vertical ground reaction", force, *load_bw, "BW")
 
@@ -132,13 +145,17 @@ def rough_ground(
     for draw in range(draws):
         body, ground = np.random.SeedSequence(seed, spawn_key=(draw,)).spawn(2)
         bodies, rough = Bodies.disturbed([body]), terrain.rough(ground)
-        rows = taichi_nmm.simulate(gains, duration_s=LONG_S, bodies=bodies, terrains=rough).rows
+        rows = taichi_nmm.simulate(
+            gains, duration_s=LONG_S, bodies=bodies, terrains=rough
+        ).rows
         walks = rows["end_reason"] == COMPLETED
         everyone.append(100 * walks.mean())
         top.append(100 * walks[best].mean())
     what = f"walk 100 s, rough +-8 cm, disturbed body, mean of {draws} draws"
     yield Figure(what, float(np.mean(everyone)), 0.4, 1.6, "%")
-    yield Figure("the same among the top 5 % by phi_printed", float(np.mean(top)), 7.0, 15.0, "%")
+    yield Figure(
+        "the same among the top 5 % by phi_printed", float(np.mean(top)), 7.0, 15.0, "%"
+    )
 
 
 def agreement(gains: NDArray[np.float64]) -> Iterator[Figure]:
@@ -151,8 +168,20 @@ def agreement(gains: NDArray[np.float64]) -> Iterator[Figure]:
     base = verdicts(Settings())
     fine = verdicts(Settings(physics_step_s=0.25e-3))
     double = verdicts(Settings(precision="float64"))
-    yield Figure("same verdict at 1 ms and 0.25 ms", 100 * (base == fine).mean(), 94.0, 100.0, "%")
-    yield Figure("same verdict in float32 and float64", 100 * (base == double).mean(), 97, 100, "%")
+    yield Figure(
+        "same verdict at 1 ms and 0.25 ms",
+        100 * (base == fine).mean(),
+        94.0,
+        100.0,
+        "%",
+    )
+    yield Figure(
+        "same verdict in float32 and float64",
+        100 * (base == double).mean(),
+        97,
+        100,
+        "%",
+    )
 
 
 def of_mujoco(samples: int, seed: int) -> Iterator[Figure]:
@@ -167,7 +196,9 @@ def of_mujoco(samples: int, seed: int) -> Iterator[Figure]:
     yield Figure("walk 100 s", 100 * theirs[1].mean(), unit="%")
     same = 100 * (theirs[1] == ours[1]).mean()
     yield Figure("same verdict 'walks 100 s' as our engine", same, 93, 100, "%")
-    for name, one, other in zip(("alive at 5 s", "walks 100 s"), theirs, half, strict=True):
+    for name, one, other in zip(
+        ("alive at 5 s", "walks 100 s"), theirs, half, strict=True
+    ):
         same = 100 * (one == other).mean()
         yield Figure(f"same verdict '{name}' at 1 and 0.5 ms", same, unit="%")
 
@@ -176,8 +207,12 @@ def lasting(
     points: NDArray[np.float64], settings: Settings
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Whether each point is alive at 5 s, and whether it walks 100 s."""
-    rows = np.concatenate([
-        taichi_nmm.simulate(batch, duration_s=LONG_S, settings=settings).rows
-        for batch in np.split(points, range(MUJOCO_BATCH, len(points), MUJOCO_BATCH))
-    ])  # fmt: skip
+    rows = np.concatenate(
+        [
+            taichi_nmm.simulate(batch, duration_s=LONG_S, settings=settings).rows
+            for batch in np.split(
+                points, range(MUJOCO_BATCH, len(points), MUJOCO_BATCH)
+            )
+        ]
+    )
     return rows["duration_s"] >= SHORT_S, walked(rows)

@@ -30,7 +30,14 @@ from study.experiment.gains import (
 )
 from study.experiment.trials import OUTCOMES, row_text
 from study.options import BOTH_ENGINES, require_used
-from study.pictures import find_ffmpeg, strip, style, write_gait_cycle, write_movie, write_strip
+from study.pictures import (
+    find_ffmpeg,
+    strip,
+    style,
+    write_gait_cycle,
+    write_movie,
+    write_strip,
+)
 from study.pictures.fall import fall_text
 from study.pictures.trajectory_files import (
     RECORD_RATE_HZ,
@@ -49,22 +56,47 @@ from taichi_nmm.terrain import Terrain
 from taichi_nmm.walker_simulator import require_engine
 
 # Pictures by their names, in their folder.
-FILES = {"strip": "strip.png", "gait_cycle": "gait_cycle.png", "movie": "movie.mp4",
-         "strips": "strips.png"}  # fmt: skip
+FILES = {
+    "strip": "strip.png",
+    "gait_cycle": "gait_cycle.png",
+    "movie": "movie.mp4",
+    "strips": "strips.png",
+}
 DIGEST_LENGTH = 8  # of a folder's name: two walks of a million have the same
 MUSCLES_ALONE = (
     "{} lacks {}, the energy with that of the motors: the row spends least with its muscles alone; "
     "compute the store anew, or ask for that by name: --least {}"
 )
-ANGLES = ("knee_peak_swing_rad", "ankle_strike_rad", "ankle_takeoff_rad", "trunk_mean_rad")
+ANGLES = (
+    "knee_peak_swing_rad",
+    "ankle_strike_rad",
+    "ankle_takeoff_rad",
+    "trunk_mean_rad",
+)
 LONGEST_MOVIE_S = 120.0
-CHOICES = ("gains", "row", "speed", "trial")  # options, of which one may name the controller
+CHOICES = (
+    "gains",
+    "row",
+    "speed",
+    "trial",
+)  # options, of which one may name the controller
 REPORTED = (
-    *OUTCOMES, ENERGY, "step_count", "phi_printed", "phi_corrected", *dict(FURTHER_FIELDS),
-)  # fmt: skip
+    *OUTCOMES,
+    ENERGY,
+    "step_count",
+    "phi_printed",
+    "phi_corrected",
+    *dict(FURTHER_FIELDS),
+)
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 COLUMN = 10  # characters
-OF_THE_FRONT = ("--front", "--store", "--config", "--arch", "--json")  # options that it uses
+OF_THE_FRONT = (
+    "--front",
+    "--store",
+    "--config",
+    "--arch",
+    "--json",
+)  # options that it uses
 
 
 def find_gains(args: Namespace) -> NamedGains:
@@ -76,7 +108,9 @@ def find_gains(args: Namespace) -> NamedGains:
         is_needed = given[0] in kinds if given else False
         if is_needed == (getattr(args, where) is None):
             missing, kind = (where, given[0]) if is_needed else (kinds[0], kinds[0])
-            raise InputError(missing, None, f"a value: --{kind} and --{where} belong together")
+            raise InputError(
+                missing, None, f"a value: --{kind} and --{where} belong together"
+            )
     if args.least is not None and args.speed is None:
         raise InputError("least", args.least, "none without --speed")
     if args.speed is not None:
@@ -96,7 +130,9 @@ def priced(store: Path) -> str:
     """What a row of a store is to have the least of; a line is printed where that lacks motors."""
     if has_worlds_of(open_store(store), ENERGY):
         return ENERGY
-    print(f"warning: {MUSCLES_ALONE.format(store, ENERGY, OF_MUSCLES)}", file=sys.stderr)
+    print(
+        f"warning: {MUSCLES_ALONE.format(store, ENERGY, OF_MUSCLES)}", file=sys.stderr
+    )
     return OF_MUSCLES
 
 
@@ -143,7 +179,11 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
     total_s = experiment.conditions.duration_s
     with tqdm(total=total_s, unit="s", desc="walking", disable=None) as bar:
         walked = recorded_walk(
-            gains, experiment, run, RECORD_RATE_HZ, lambda done_s, _: bar.update(done_s - bar.n)
+            gains,
+            experiment,
+            run,
+            RECORD_RATE_HZ,
+            lambda done_s, _: bar.update(done_s - bar.n),
         )
     return replace(walked, trajectories=tuple(map(kept, walked.trajectories)))
 
@@ -160,21 +200,31 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
 
 
 def write_pictures(
-    result: taichi_nmm.Result, experiment: Experiment, run: int, folder: Path, title: str,
+    result: taichi_nmm.Result,
+    experiment: Experiment,
+    run: int,
+    folder: Path,
+    title: str,
     movie_s: float,
-) -> dict[str, str]:  # fmt: skip
+) -> dict[str, str]:
     """Draw, and return the paths of the pictures by their names."""
     trajectory, terrain = result.trajectories[0], experiment.terrain(run)
     weight_n = experiment.weight_n(run)
     files = {shows: folder / name for shows, name in FILES.items()}
-    for file in files.values():  # of an earlier walk: if we are stopped, none stays beside ours
+    for file in (
+        files.values()
+    ):  # of an earlier walk: if we are stopped, none stays beside ours
         file.unlink(missing_ok=True)
     paths = {
         "strip": write_strip(files["strip"], trajectory, terrain, title),
-        "gait_cycle": write_gait_cycle(files["gait_cycle"], trajectory, weight_n, title),
+        "gait_cycle": write_gait_cycle(
+            files["gait_cycle"], trajectory, weight_n, title
+        ),
     }
     if movie_s > 0:
-        paths["movie"] = write_movie(files["movie"], trajectory, terrain, movie_s, title)
+        paths["movie"] = write_movie(
+            files["movie"], trajectory, terrain, movie_s, title
+        )
     return {name: str(path) for name, path in paths.items()}
 
 
@@ -188,18 +238,26 @@ def summary(
     name: str, walks: dict[str, taichi_nmm.Result], terrain: Terrain, mass_kg: float
 ) -> str:
     """For people: how the walk of each engine ended, then a line each number and a column each."""
-    ends = [f"{name}, {engine}: {ended(walk, terrain)}" for engine, walk in walks.items()]
+    ends = [
+        f"{name}, {engine}: {ended(walk, terrain)}" for engine, walk in walks.items()
+    ]
     columns = [["", *FIGURES]]
     for engine, walk in walks.items():
         values = known_numbers(walk.rows[0]) | {"mass_kg": mass_kg}
         for field in ANGLES:
             angle = values[field]
             values[field] = None if angle is None else math.degrees(angle)
-        values["double_support_percent"] = 100 * (values["double_support_fraction"] or 0.0)
-        columns.append([engine, *(figure_text(figure, values) for figure in FIGURES.values())])
+        values["double_support_percent"] = 100 * (
+            values["double_support_fraction"] or 0.0
+        )
+        columns.append(
+            [engine, *(figure_text(figure, values) for figure in FIGURES.values())]
+        )
     wide = max(map(len, FIGURES))
-    lines = [label.ljust(wide) + "".join(each.rjust(COLUMN) for each in numbers)
-             for label, *numbers in zip(*columns, strict=True)]  # fmt: skip
+    lines = [
+        label.ljust(wide) + "".join(each.rjust(COLUMN) for each in numbers)
+        for label, *numbers in zip(*columns, strict=True)
+    ]
     return "\n".join([*ends, *lines])
 
 
@@ -211,9 +269,12 @@ def figure_text(figure: str, values: Mapping[str, float | int | None]) -> str:
 
 
 def report(
-    gains: NamedGains, walk: taichi_nmm.Result, terrain: Terrain, mass_kg: float,
+    gains: NamedGains,
+    walk: taichi_nmm.Result,
+    terrain: Terrain,
+    mass_kg: float,
     paths: dict[str, str],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """The same for programs: one object of plain values; null: unknown."""
     numbers = known_numbers(walk.rows[0])
     return {
@@ -238,9 +299,13 @@ def show_front(args: Namespace, experiment: Experiment) -> None:
     if not goals:
         raise InputError("front", experiment.name, "a configuration with two goals")
     store = open_store(args.store)
-    front = front_of(feature_table(store, WORLDS, experiment.space, experiment.objective))
+    front = front_of(
+        feature_table(store, WORLDS, experiment.space, experiment.objective)
+    )
     if args.json:
-        print(json.dumps([dict(zip(["row", *goals], row, strict=True)) for row in front]))
+        print(
+            json.dumps([dict(zip(["row", *goals], row, strict=True)) for row in front])
+        )
         return
     print("".join(name.rjust(COLUMN) for name in ["row", *goals]))
     for row, *means in front:
@@ -281,29 +346,45 @@ def main(args: Namespace) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
     result = simulate(gains, experiment, args.run)
-    terrain, mass_kg = experiment.terrain(args.run), float(experiment.body(args.run).mass_kg.sum())
+    terrain, mass_kg = (
+        experiment.terrain(args.run),
+        float(experiment.body(args.run).mass_kg.sum()),
+    )
     name = f"{gains.name} on {terrain.name}"
     title = f"{name}: {row_text(result.rows[0])}"
-    paths = write_pictures(result, experiment, args.run, folder, title, args.movie_seconds)
+    paths = write_pictures(
+        result, experiment, args.run, folder, title, args.movie_seconds
+    )
     walks = {experiment.conditions.settings.engine: result}
     if args.engine == BOTH_ENGINES:
-        walks[ENGINES[1]] = simulate(gains, experiment.with_settings(engine=ENGINES[1]), args.run)
+        walks[ENGINES[1]] = simulate(
+            gains, experiment.with_settings(engine=ENGINES[1]), args.run
+        )
         shown = [
-            strip.Shown(engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0])
+            strip.Shown(
+                engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0]
+            )
             for engine, walk in walks.items()
         ]
-        figure = strip.strips_figure(shown, terrain, f"{name}, run {args.run}: two engines")
+        figure = strip.strips_figure(
+            shown, terrain, f"{name}, run {args.run}: two engines"
+        )
         paths["strips"] = str(style.save_png(figure, folder / FILES["strips"]))
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
     for file in args.trajectory:
-        write_trajectory(file, result.trajectories[0], gains.name, experiment.world(args.run))
+        write_trajectory(
+            file, result.trajectories[0], gains.name, experiment.world(args.run)
+        )
         paths[file.suffix.removeprefix(".")] = str(file)
     if args.opensim is not None:
         write_opensim(
-            args.opensim, result.trajectories[0], experiment.body(args.run), gains.name,
+            args.opensim,
+            result.trajectories[0],
+            experiment.body(args.run),
+            gains.name,
             experiment.world(args.run),
-        )  # fmt: skip
+        )
         paths["opensim"] = str(args.opensim)
     if args.json:
         print(json.dumps(report(gains, result, terrain, mass_kg, paths)))

@@ -1,6 +1,7 @@
 """The arms: ways of choosing trials. Each has a sampler, a store that it reads, and a label.
 
-An arm is added here and nowhere else: studies, comparisons and reports take it from this list.
+An arm is added here and nowhere else: studies, comparisons and reports take it from
+this list.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +24,9 @@ from taichi_nmm.errors import InputError, listed
 
 PAPER_ARM = "dog"  # the paper's
 OUR_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing
-Kind = Literal["ours", "peer", "control"]  # peers are of others, or plain; controls: no model
+Kind = Literal[
+    "ours", "peer", "control"
+]  # peers are of others, or plain; controls: no model
 
 PRINTED = "phi_printed"
 NOTHING = "nothing but its own trials"  # what an arm without a store has seen
@@ -39,7 +42,8 @@ class Arm:
         kind: "ours", "peer" (of others, or plain) or "control" (without a model).
         summary: in a line.
         new_sampler: makes the sampler of a study or, where it is `fresh`, of one trial.
-        store: key of the store that it reads, in the configuration's [stores]; "": none.
+        store: key of the store that it reads, in the configuration's [stores]; "":
+            none.
         feature: a column of that store, or one of `IN_WORLDS`; "": none.
         fresh: whether each trial has a new sampler, since the library keeps a state in
             it.
@@ -65,8 +69,14 @@ class Arm:
     def definition(self) -> dict[str, Any]:
         """All that decides its proposals, as JSON values; trials of two definitions never mix."""
         in_worlds = [self.feature, f"cost of a trial of {TRIAL_S:g} s"]
-        features = [in_worlds if self.feature in IN_WORLDS else self.feature] * bool(self.feature)
-        return {"store": self.store, "features": features, "options": dict(self.options)}
+        features = [in_worlds if self.feature in IN_WORLDS else self.feature] * bool(
+            self.feature
+        )
+        return {
+            "store": self.store,
+            "features": features,
+            "options": dict(self.options),
+        }
 
 
 def find_arm(name: str) -> Arm:
@@ -89,8 +99,17 @@ def _worlds_arm(name: str, label: str, summary: str, store: str) -> Arm:
         return FeatureKernelSampler(task.table, seed=task.seed, success=success)
 
     options = {"success_speed_mps": SUCCESS_SPEED_MPS}
-    return Arm(name, label, "ours", summary, new_sampler, store, WORLDS, takes_goals=True,
-               options=options)  # fmt: skip
+    return Arm(
+        name,
+        label,
+        "ours",
+        summary,
+        new_sampler,
+        store,
+        WORLDS,
+        takes_goals=True,
+        options=options,
+    )
 
 
 def _plain(task: Task) -> BaseSampler:
@@ -99,68 +118,123 @@ def _plain(task: Task) -> BaseSampler:
 
 _ALL = (
     Arm(
-        "random", "random", "peer", "uniform random",
-        lambda task: ReproducibleRandomSampler(seed=task.seed), takes_goals=True,
-    ),
-    Arm(
-        "cmaes-cold", "CMA-ES", "peer", "CMA-ES from a random mean", samplers.ColdCmaEsSampler,
-        fresh=True, replayed=True, options={"sigma": samplers.SIGMA_COLD},
-    ),
-    Arm(
-        "cmaes-warm", "CMA-ES, warm", "peer", "CMA-ES from one of the 100 best rows",
-        samplers.WarmCmaEsSampler, "flat", PRINTED,
-        options={"sigma": samplers.SIGMA_WARM, "rows": samplers.START_ROWS},
-    ),
-    Arm(
-        "bo-euclidean", "plain BO", "peer", "Bayesian optimisation over the gains, ours", _plain,
+        "random",
+        "random",
+        "peer",
+        "uniform random",
+        lambda task: ReproducibleRandomSampler(seed=task.seed),
         takes_goals=True,
     ),
     Arm(
-        "tpe", "TPE", "peer", "Optuna's TPESampler",
-        lambda task: TPESampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)),
-        fresh=True, takes_goals=True,
+        "cmaes-cold",
+        "CMA-ES",
+        "peer",
+        "CMA-ES from a random mean",
+        samplers.ColdCmaEsSampler,
+        fresh=True,
+        replayed=True,
+        options={"sigma": samplers.SIGMA_COLD},
     ),
     Arm(
-        "nsga2", "NSGA-II", "peer", "Optuna's NSGAIISampler",
-        lambda task: NSGAIISampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)),
-        fresh=True, replayed=True, takes_goals=True,
+        "cmaes-warm",
+        "CMA-ES, warm",
+        "peer",
+        "CMA-ES from one of the 100 best rows",
+        samplers.WarmCmaEsSampler,
+        "flat",
+        PRINTED,
+        options={"sigma": samplers.SIGMA_WARM, "rows": samplers.START_ROWS},
     ),
     Arm(
-        PAPER_ARM, "DoG, as printed", "ours", "the paper's method: kernel over the score",
+        "bo-euclidean",
+        "plain BO",
+        "peer",
+        "Bayesian optimisation over the gains, ours",
+        _plain,
+        takes_goals=True,
+    ),
+    Arm(
+        "tpe",
+        "TPE",
+        "peer",
+        "Optuna's TPESampler",
+        lambda task: TPESampler(
+            seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)
+        ),
+        fresh=True,
+        takes_goals=True,
+    ),
+    Arm(
+        "nsga2",
+        "NSGA-II",
+        "peer",
+        "Optuna's NSGAIISampler",
+        lambda task: NSGAIISampler(
+            seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)
+        ),
+        fresh=True,
+        replayed=True,
+        takes_goals=True,
+    ),
+    Arm(
+        PAPER_ARM,
+        "DoG, as printed",
+        "ours",
+        "the paper's method: kernel over the score",
         lambda task: FeatureKernelSampler(task.table, seed=task.seed, **PAPER),
-        "flat", PRINTED, options=PAPER,
+        "flat",
+        PRINTED,
+        options=PAPER,
     ),
     _worlds_arm(
-        "worlds", "worlds", "learns which world of its store the robot is like", "worlds",
+        "worlds",
+        "worlds",
+        "learns which world of its store the robot is like",
+        "worlds",
     ),
     Arm(
-        "ranking", "ranking", "control", "the rows of worlds by their mean cost, without a model",
-        samplers.RankedSampler, "worlds", RANKING,
+        "ranking",
+        "ranking",
+        "control",
+        "the rows of worlds by their mean cost, without a model",
+        samplers.RankedSampler,
+        "worlds",
+        RANKING,
     ),
     Arm(
-        "bo-ranking", "plain BO after 3", "peer",
+        "bo-ranking",
+        "plain BO after 3",
+        "peer",
         "the ranking's first three rows, then Bayesian optimisation over the gains",
-        lambda task: samplers.RankedSampler(task, then=_plain(task)), "worlds", RANKING,
+        lambda task: samplers.RankedSampler(task, then=_plain(task)),
+        "worlds",
+        RANKING,
     ),
     _worlds_arm(
-        "worlds-stairs", "worlds, stairs' store", "worlds, having seen other stairs alone",
+        "worlds-stairs",
+        "worlds, stairs' store",
+        "worlds, having seen other stairs alone",
         "stairs",
     ),
-)  # fmt: skip
+)
 
 ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}
 
 
-def check_arms(experiment: Experiment, names: Sequence[str], trials: int) -> tuple[Arm, ...]:
+def check_arms(
+    experiment: Experiment, names: Sequence[str], trials: int
+) -> tuple[Arm, ...]:
     """The arms of these names, each found able to run `trials` trials of the experiment.
 
     Raises:
-        InputError: no arm at all, an unknown one, one that takes no goals where there are two, or
-            one whose store is missing, of other parameters, without a feature, or with fewer rows
-            than trials.
+        InputError: no arm at all, an unknown one, one that takes no goals where there
+            are two, or one whose store is missing, of other parameters, without a
+            feature, or with fewer rows than trials.
     """
     if not names:
-        raise InputError("arms", "none", "one arm or more, in the configuration or by --arms")
+        raise InputError(
+            "arms", "none", "one arm or more, in the configuration or by --arms"
+        )
     arms = tuple(find_arm(name) for name in dict.fromkeys(names))
     for arm in arms:
         if experiment.objective.goals and not arm.takes_goals:
@@ -192,7 +266,8 @@ def with_store(experiment: Experiment, names: Sequence[str], path: Path) -> Expe
 def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
     """The bodies and grounds that an arm's store had seen before the first trial, in words.
 
-    `stores` are folders by key. If the arm's store is missing or cannot be read, its key is given.
+    `stores` are folders by key. If the arm's store is missing or cannot be read, its
+    key is given.
     """
     if not arm.store:
         return NOTHING
@@ -204,11 +279,15 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
         families = store.families if in_worlds else ()
         for setting in (base, *map(store.settings_of, families)):
             percent = 100.0 * setting["body"]["disturbance"]
-            body = f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
+            body = (
+                f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
+            )
             body += ", in worlds that differ" * ("world" in setting)
             ground = str(setting["terrain"]["name"])
             name = "level ground" if ground == "flat" else ground
             grounds.setdefault(body, {})[name] = None  # once each, in their order
     except (KeyError, TypeError, InputError):  # of another simulator, or edited
-        return f"base setting of the store {arm.store}{', and its families' * in_worlds}"
+        return (
+            f"base setting of the store {arm.store}{', and its families' * in_worlds}"
+        )
     return "; ".join(f"{body}: {'; '.join(found)}" for body, found in grounds.items())

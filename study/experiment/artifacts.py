@@ -1,6 +1,7 @@
 """A picture of the best trial of a live study, where the dashboard looks for it.
 
-The trial is simulated once more, recorded. A file that is there is whole, and is not made again.
+The trial is simulated once more, recorded. A file that is there is whole, and is not
+made again.
 """
 
 import json
@@ -30,11 +31,14 @@ NAMESPACE = uuid.UUID("6f1d2b3c-5d0e-4b57-9a52-0f4a7f6f3b11")
 STRIP = {"filename": "strip.png", "mimetype": "image/png"}
 
 
-def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, out: Path) -> None:
+def draw_best(
+    experiment: Experiment, run: int, study: optuna.Study, url: str, out: Path
+) -> None:
     """Draw the best trial of a live study of the database, and attach the picture.
 
-    The picture goes to `live_artifacts`; `out` is the folder of the study. The same walk has the
-    same file in all calls. A walk that diverged before its first sample has no picture.
+    The picture goes to `live_artifacts`; `out` is the folder of the study. The same
+    walk has the same file in all calls. A walk that diverged before its first sample
+    has no picture.
 
     Raises:
         InputError: no place to write.
@@ -51,7 +55,9 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
     if not file.exists():
         short = replace(conditions, duration_s=min(RECORDED_S, conditions.duration_s))
         named = named_gains("best", experiment.fixed_by_name | best.params)
-        begun = recorded_walk(named, replace(experiment, conditions=short), run, RECORD_RATE_HZ)
+        begun = recorded_walk(
+            named, replace(experiment, conditions=short), run, RECORD_RATE_HZ
+        )
         (trajectory,) = begun.trajectories
         if not np.isfinite(trajectory.q).all(axis=1).any():
             return
@@ -64,7 +70,9 @@ def draw_best(experiment: Experiment, run: int, study: optuna.Study, url: str, o
         _note(storage, study.study_name, best.number, title, file.name)
 
 
-def _note(storage: RDBStorage, study_name: str, number: int, title: str, file: str) -> None:
+def _note(
+    storage: RDBStorage, study_name: str, number: int, title: str, file: str
+) -> None:
     """Write the note of the trial's page: how the walk ended, and the picture in full width."""
     from optuna_dashboard import get_note, save_note  # a second
     from optuna_dashboard.artifact import get_artifact_path

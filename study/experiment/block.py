@@ -1,7 +1,8 @@
 """A block of an experiment's studies: all propose, one batch is simulated, all are told, and again.
 
-A block is the unit of work of a comparison. It depends on nothing but its own fields, so blocks
-go on side by side in any process, and no result depends on how studies are cut into blocks.
+A block is the unit of work of a comparison. It depends on nothing but its own fields,
+so blocks go on side by side in any process, and no result depends on how studies are
+cut into blocks.
 """
 
 import json
@@ -40,16 +41,20 @@ Rows = NDArray[np.void]
 class Walks:
     """Results of walks by run and gains: a walk that several arms try in a run is simulated once.
 
-    Arms that read one store often propose the same row. All arms have the same robot in a run, and
-    a walk has the same bits in any batch, so one walk stands for all.
+    Arms that read one store often propose the same row. All arms have the same robot in
+    a run, and a walk has the same bits in any batch, so one walk stands for all.
     """
 
     def __init__(self) -> None:
         self._found: dict[tuple[int, bytes], tuple[np.void, list[float]]] = {}
 
-    def add(self, runs: Sequence[int], gains: Floats, rows: Rows, costs: Floats) -> None:
+    def add(
+        self, runs: Sequence[int], gains: Floats, rows: Rows, costs: Floats
+    ) -> None:
         """Keep n walks: runs [n], gains [n, 16 + m], rows [n], costs [n, k]."""
-        for run, tried, row, cost in zip(runs, gains, rows, costs.tolist(), strict=True):
+        for run, tried, row, cost in zip(
+            runs, gains, rows, costs.tolist(), strict=True
+        ):
             self._found.setdefault((run, tried.tobytes()), (row.copy(), cost))
 
     def walk(
@@ -57,13 +62,19 @@ class Walks:
     ) -> tuple[Rows, Floats]:
         """Of n trials rows, finite, [n], and costs [n, k]; new ones are simulated."""
         keys = [(run, tried.tobytes()) for run, tried in zip(runs, gains, strict=True)]
-        new = [k for k, key in enumerate(keys) if key not in self._found and key not in keys[:k]]
+        new = [
+            k
+            for k, key in enumerate(keys)
+            if key not in self._found and key not in keys[:k]
+        ]
         if new:
             tried = [runs[place] for place in new]
             rows = simulate_trials(experiment, tried, gains[new])
             self.add(tried, gains[new], rows, experiment.objective.values(rows))
         found = [self._found[key] for key in keys]
-        return np.array([row for row, _ in found]), np.array([cost for _, cost in found])
+        return np.array([row for row, _ in found]), np.array(
+            [cost for _, cost in found]
+        )
 
 
 @dataclass(frozen=True)
@@ -93,8 +104,8 @@ class Block:
 class Advanced:
     """The outcome of a block.
 
-    With the studies the next stretch need not repeat the trials of libraries that keep a state, and
-    with the walks it need not simulate them again.
+    With the studies the next stretch need not repeat the trials of libraries that keep
+    a state, and with the walks it need not simulate them again.
 
     Attributes:
         table: the trials that its studies lacked, `state_schema`.
@@ -136,10 +147,14 @@ def advance(block: Block) -> Advanced:
         return Advanced(pa.concat_tables(tables), handed_on, walks)
 
 
-def _restore(experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks) -> None:
+def _restore(
+    experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks
+) -> None:
     """Give a study its trials of earlier sessions."""
     gains = np.column_stack([table[name].to_numpy() for name in experiment.names])
-    costs = np.column_stack([table[name].to_numpy() for name in experiment.objective.columns])
+    costs = np.column_stack(
+        [table[name].to_numpy() for name in experiment.objective.columns]
+    )
     rows = outcomes_of(table)
     walks.add([study.run] * len(table), gains, rows, costs)
     for place, notes in enumerate(table[NOTES].to_pylist()):
@@ -169,7 +184,10 @@ def _round(
         "run": runs,
         "trial": trials,
         THETA_REF.name: np.full(len(gains), THETA_REF.default),
-        **{name: np.full(len(gains), gain) for name, gain in experiment.fixed_by_name.items()},
+        **{
+            name: np.full(len(gains), gain)
+            for name, gain in experiment.fixed_by_name.items()
+        },
         **dict(zip(experiment.names, gains.T, strict=True)),
         "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
         **dict(zip(objective.columns, costs.T, strict=True)),

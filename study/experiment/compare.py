@@ -37,8 +37,8 @@ Found = TypeVar("Found")
 CHECKPOINT_S = 20.0
 EXPORT_S = 60.0  # between two renewals of the study database
 
-# How studies are cut into units of work, of some 20 s each: what a kill loses. Walkers of a block
-# share the simulator's packs; no result depends on either number.
+# How studies are cut into units of work, of some 20 s each: what a kill loses. Walkers
+# of a block share the simulator's packs; no result depends on either number.
 BLOCK_STUDIES = 64
 STRETCH_TRIALS = 5
 
@@ -63,12 +63,15 @@ class Progress:
 class FinishedTrials:
     """Finished trials by study; each `commit` writes all trials of the arms that have new ones.
 
-    The studies, by arm and run, are those of this call; others of their arms are kept too. With
-    `until_walker` a study ends with its first walker.
+    The studies, by arm and run, are those of this call; others of their arms are kept
+    too. With `until_walker` a study ends with its first walker.
     """
 
     def __init__(
-        self, folder: ExperimentFolder, studies: Iterable[Key], until_walker: bool = False
+        self,
+        folder: ExperimentFolder,
+        studies: Iterable[Key],
+        until_walker: bool = False,
     ) -> None:
         self.studies = tuple(studies)
         self._until_walker = until_walker
@@ -95,7 +98,9 @@ class FinishedTrials:
 
     def lacks(self, key: Key, trials: int) -> bool:
         """Whether a study has not yet come to its end, if each is to have so many trials."""
-        return self.done(key) < trials and not (self._until_walker and key in self._walkers)
+        return self.done(key) < trials and not (
+            self._until_walker and key in self._walkers
+        )
 
     @property
     def count(self) -> int:
@@ -105,7 +110,10 @@ class FinishedTrials:
     def progress(self, trials: int) -> Progress:
         """How far they are, if each is to have so many trials."""
         found = sum(key in self._walkers for key in self.studies)
-        total = sum(trials if self.lacks(key, trials) else self.done(key) for key in self.studies)
+        total = sum(
+            trials if self.lacks(key, trials) else self.done(key)
+            for key in self.studies
+        )
         return Progress(self.count, total, len(self.studies), found)
 
     def results(self) -> pa.Table:
@@ -177,11 +185,14 @@ def compare(
     database has no summary study.
 
     Raises:
-        InputError: before anything is written: see `check_arms`, `ExperimentFolder.check` and
-            `check_database`; later: see `advance`.
+        InputError: before anything is written: see `check_arms`,
+            `ExperimentFolder.check` and `check_database`; later: see `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
-    runs, trials = range(request.runs or experiment.runs), request.trials or experiment.trials
+    runs, trials = (
+        range(request.runs or experiment.runs),
+        request.trials or experiment.trials,
+    )
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
     identity = document(experiment, arms)
     url = request.storage or file_url(request.out / DATABASE_NAME)
@@ -189,16 +200,22 @@ def compare(
     check_database(experiment, url, arms, runs)
     read = sorted({arm.store for arm in arms if arm.store})
     opened = open_pool(
-        request.workers, request.cluster, request.out,
-        Walker(experiment.on_one_thread().conditions.settings), deciding_packages(experiment),
+        request.workers,
+        request.cluster,
+        request.out,
+        Walker(experiment.on_one_thread().conditions.settings),
+        deciding_packages(experiment),
         [store_path(experiment, key) for key in read],
-    )  # fmt: skip
+    )
     with opened as pool, ExperimentFolder.claim(request.out, identity) as folder:
         pool.agree(folder.path)
         studies = [(arm.name, run) for run in runs for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)
         before, began_s = finished.count, time.monotonic()
-        started, exported_s = datetime.now(UTC).isoformat(timespec="milliseconds"), began_s
+        started, exported_s = (
+            datetime.now(UTC).isoformat(timespec="milliseconds"),
+            began_s,
+        )
 
         def note_session() -> None:
             """A line of run.json; a session that computed nothing leaves none."""
@@ -208,9 +225,13 @@ def compare(
                     "trials": computed,
                     "wall_s": round(time.monotonic() - began_s, 1),
                     "machine": machine(),
-                    "stores": {key: str(path) for key, path in experiment.stores.items()},
+                    "stores": {
+                        key: str(path) for key, path in experiment.stores.items()
+                    },
                 }
-                folder.note_session(session | ({"cluster": pool.kinds} if pool.kinds else {}))
+                folder.note_session(
+                    session | ({"cluster": pool.kinds} if pool.kinds else {})
+                )
 
         def commit(goes_on: bool) -> None:
             nonlocal exported_s
@@ -231,9 +252,13 @@ def compare(
 
 
 def _go_on(
-    experiment: Experiment, finished: FinishedTrials, trials: int, pool: Pool,
-    report: Callable[[Progress], None], commit: Callable[[bool], None],
-) -> None:  # fmt: skip
+    experiment: Experiment,
+    finished: FinishedTrials,
+    trials: int,
+    pool: Pool,
+    report: Callable[[Progress], None],
+    commit: Callable[[bool], None],
+) -> None:
     """Work until every study has its trials."""
     experiment = experiment.on_one_thread() if pool.shares_machine else experiment
     stores = {key: pool.there(path) for key, path in experiment.stores.items()}
@@ -253,22 +278,29 @@ def _go_on(
         if going_on:
             keys, handed_on = zip(*going_on, strict=True)
             target = min(block.trials + STRETCH_TRIALS, trials)
-            yield Block(experiment, keys, finished.known(()), target, handed_on, advanced.walks)
+            yield Block(
+                experiment, keys, finished.known(()), target, handed_on, advanced.walks
+            )
         report(finished.progress(trials))
 
     unfinished = [key for key in finished.studies if finished.lacks(key, trials)]
-    work_through(pool, advance, map(first_stretch, cut(unfinished, pool.slots)), take, commit)
+    work_through(
+        pool, advance, map(first_stretch, cut(unfinished, pool.slots)), take, commit
+    )
 
 
 def work_through(
-    pool: Pool, work: Callable[[Unit], Found], units: Iterable[Unit],
-    take: Callable[[Unit, Found], Iterable[Unit]], commit: Callable[[bool], None],
-) -> None:  # fmt: skip
+    pool: Pool,
+    work: Callable[[Unit], Found],
+    units: Iterable[Unit],
+    take: Callable[[Unit, Found], Iterable[Unit]],
+    commit: Callable[[bool], None],
+) -> None:
     """Do units of work, and those that follow from them.
 
-    `take` keeps the outcome of a unit, and gives the units that follow from it. `commit` writes all
-    that was taken, every `CHECKPOINT_S` and at the end, however this ends; it is told whether the
-    work goes on.
+    `take` keeps the outcome of a unit, and gives the units that follow from it.
+    `commit` writes all that was taken, every `CHECKPOINT_S` and at the end, however
+    this ends; it is told whether the work goes on.
     """
     queue = deque(units)
     written_s = time.monotonic()
@@ -286,4 +318,6 @@ def cut(studies: Sequence[Key], slots: int) -> list[tuple[Key, ...]]:
     """Studies as blocks of equal size, as many in each slot, none too large."""
     rounds = -(-len(studies) // (slots * BLOCK_STUDIES))
     size = -(-len(studies) // (slots * rounds)) if rounds else 1
-    return [tuple(studies[first : first + size]) for first in range(0, len(studies), size)]
+    return [
+        tuple(studies[first : first + size]) for first in range(0, len(studies), size)
+    ]

@@ -1,6 +1,7 @@
 """An experiment in a study database, for the dashboard and Optuna's own tools.
 
-The database gets all trials, a study that compares the arms, and notes on the features' worth.
+The database gets all trials, a study that compares the arms, and notes on the features'
+worth.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -40,20 +41,26 @@ from taichi_nmm.errors import InputError
 CONFIG_ATTRIBUTE = "experiment_config"
 
 Summarise = Callable[[str, pa.Table, bool, Mapping[str, int]], str]
-"""Makes a note, in Markdown, of an experiment's name, its results, whether these are all, and the
-numbers that the dashboard's addresses have for studies, by name."""
+"""Makes a note, in Markdown, of an experiment's name, its results, whether these are
+all, and the numbers that the dashboard's addresses have for studies, by name."""
 
 
 def export(
-    experiment: Experiment, trials: pa.Table, url: str, summarise: Summarise | None, final: bool
+    experiment: Experiment,
+    trials: pa.Table,
+    url: str,
+    summarise: Summarise | None,
+    final: bool,
 ) -> None:
     """Add new results to the study database, and renew the experiment's summary.
 
-    The trials are rows of the results table, every study from its trial 0 on without a gap; `final`
-    says whether these are all. Without `summarise` there is no summary study.
+    The trials are rows of the results table, every study from its trial 0 on without a
+    gap; `final` says whether these are all. Without `summarise` there is no summary
+    study.
 
     Raises:
-        InputError: the database cannot be used, or has the experiment with another configuration.
+        InputError: the database cannot be used, or has the experiment with another
+            configuration.
     """
     with opened(url) as storage:
         _check(experiment, storage, url)
@@ -127,7 +134,14 @@ def _new_studies(
     """Each study of the table, with those of its trials that the database does not have."""
     attributes = (ROW_ATTRIBUTE, *ATTRIBUTES)
     objective = experiment.objective
-    columns = ["arm", "run", "trial", *experiment.space, *objective.columns, *attributes]
+    columns = [
+        "arm",
+        "run",
+        "trial",
+        *experiment.space,
+        *objective.columns,
+        *attributes,
+    ]
     for arm, run, rows in by_study(trials.select(columns)):
         name = study_name(experiment.name, arm, run)
         first = counts.get(name, 0)
@@ -141,13 +155,23 @@ def _new_studies(
             for row in rows.slice(first).to_pylist()
         ]
         first = min(first, len(rows))
-        known = {"experiment": experiment.name, "arm": arm, "run": run,
-                 CONFIG_ATTRIBUTE: fingerprint(experiment)}  # fmt: skip
-        yield FinishedStudy(name, new, first=first, user_attrs=known, metrics=objective.metrics)
+        known = {
+            "experiment": experiment.name,
+            "arm": arm,
+            "run": run,
+            CONFIG_ATTRIBUTE: fingerprint(experiment),
+        }
+        yield FinishedStudy(
+            name, new, first=first, user_attrs=known, metrics=objective.metrics
+        )
 
 
 def note_worths(
-    experiment: Experiment, arms: Sequence[Arm], runs: Sequence[int], url: str, renew: bool
+    experiment: Experiment,
+    arms: Sequence[Arm],
+    runs: Sequence[int],
+    url: str,
+    renew: bool,
 ) -> None:
     """Write or renew the notes of exported studies; arms without features have none.
 
@@ -162,13 +186,18 @@ def note_worths(
 
     with opened(url) as storage:
         for arm, run, name in _noted(storage, experiment, arms, runs):
-            if not renew and get_note(optuna.load_study(study_name=name, storage=storage)):
+            if not renew and get_note(
+                optuna.load_study(study_name=name, storage=storage)
+            ):
                 continue  # without a look at its trials, which take far longer
             note_worth(experiment, arm, run, _checked(storage, name, experiment, url))
 
 
 def _noted(
-    storage: RDBStorage, experiment: Experiment, arms: Iterable[Arm], runs: Sequence[int]
+    storage: RDBStorage,
+    experiment: Experiment,
+    arms: Iterable[Arm],
+    runs: Sequence[int],
 ) -> Iterator[tuple[Arm, int, str]]:
     """Each study that has trials and gets a note, by its name."""
     counts = trial_counts(storage)
@@ -178,7 +207,9 @@ def _noted(
             yield arm, run, name
 
 
-def _checked(storage: RDBStorage, name: str, experiment: Experiment, url: str) -> optuna.Study:
+def _checked(
+    storage: RDBStorage, name: str, experiment: Experiment, url: str
+) -> optuna.Study:
     """The study, its trials and its note as this project writes them."""
     with read_errors(url):
         study = load_whole(storage, name)

@@ -1,7 +1,8 @@
 """An experiment: the bodies, the grounds and the cost that its studies share, and its stores.
 
-This is the one reader of experiments' configurations: one study, many, and a single walk all take
-the same file. The stores that its arms read are checked before the work, and read once a process.
+This is the one reader of experiments' configurations: one study, many, and a single
+walk all take the same file. The stores that its arms read are checked before the work,
+and read once a process.
 """
 
 import hashlib
@@ -41,10 +42,16 @@ from taichi_nmm.world import Worlds
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
-SUMMARY = "/summary"  # end of a study's name that has no trials and compares other studies
+SUMMARY = (
+    "/summary"  # end of a study's name that has no trials and compares other studies
+)
 MOST_TRIALS = 100_000
-ADDED = tuple(each.name for each in (*DEVICE, *ASYMMETRIES))  # none, unless they are searched
-PAID = tuple(name for name in RESULT_DTYPE.names or () if name not in ("end_reason", SURVIVED))
+ADDED = tuple(
+    each.name for each in (*DEVICE, *ASYMMETRIES)
+)  # none, unless they are searched
+PAID = tuple(
+    name for name in RESULT_DTYPE.names or () if name not in ("end_reason", SURVIVED)
+)
 
 
 @dataclass(frozen=True)
@@ -109,7 +116,9 @@ class Experiment:
 
     def world(self, run: int) -> Worlds:
         """The one world of a run."""
-        return self.conditions.world_ranges.draw([stream(self.seed, Purpose.WORLD, run)])
+        return self.conditions.world_ranges.draw(
+            [stream(self.seed, Purpose.WORLD, run)]
+        )
 
     def terrain(self, run: int) -> Terrain:
         """The ground of a run."""
@@ -135,7 +144,9 @@ class Experiment:
             InputError: naming the run.
         """
         if not 0 <= run < self.runs:
-            raise InputError("run", run, f"0 to {self.runs - 1}, the runs of {self.name}")
+            raise InputError(
+                "run", run, f"0 to {self.runs - 1}, the runs of {self.name}"
+            )
 
 
 @lru_cache(maxsize=1024)  # 50 kB each
@@ -158,13 +169,16 @@ def read_experiment(
 ) -> Experiment:
     """Read and check an experiment's TOML; `arch` and `seed` override the file's.
 
-    Which arms there are, and what their stores hold, is checked by `study.experiment.arms`.
+    Which arms there are, and what their stores hold, is checked by
+    `study.experiment.arms`.
 
     Raises:
         InputError: an unknown key, a wrong type, or a value out of range.
     """
     name = Path(path).stem
-    return read_whole(read_toml(path), lambda table: experiment_of(table, name, arch, seed))
+    return read_whole(
+        read_toml(path), lambda table: experiment_of(table, name, arch, seed)
+    )
 
 
 def experiment_of(
@@ -189,7 +203,9 @@ def experiment_of(
     objective.done()
     table.done()
     if experiment.until_walker and experiment.objective.goals:
-        raise InputError("until_walker", "true", "false with two goals: one walker is no front")
+        raise InputError(
+            "until_walker", "true", "false with two goals: one walker is no front"
+        )
     return experiment
 
 
@@ -228,14 +244,19 @@ def candidates(experiment: Experiment, store: str, feature: str) -> FeatureTable
         written_ns = written.stat().st_mtime_ns
     except OSError:
         written_ns = 0  # opening the store tells what is missing
-    return _candidates(path, written_ns, feature, experiment.parameters, experiment.objective)
+    return _candidates(
+        path, written_ns, feature, experiment.parameters, experiment.objective
+    )
 
 
 @lru_cache(maxsize=16)
 def _candidates(
-    path: Path, _written_ns: int, feature: str, parameters: tuple[Parameter, ...],
+    path: Path,
+    _written_ns: int,
+    feature: str,
+    parameters: tuple[Parameter, ...],
     objective: Objective,
-) -> FeatureTable:  # fmt: skip
+) -> FeatureTable:
     return feature_table(open_store(path), feature, search_space(parameters), objective)
 
 
@@ -270,7 +291,9 @@ def check_store(experiment: Experiment, store: str) -> Store:
         raise InputError(f"stores.{store}", found, allowed)
     opened.require_bounds()
     if opened.specification.get("fixed_gains", {}) != experiment.fixed_by_name:
-        raise InputError(f"stores.{store}", str(opened.path), "a store of the same fixed gains")
+        raise InputError(
+            f"stores.{store}", str(opened.path), "a store of the same fixed gains"
+        )
     return opened
 
 

@@ -24,18 +24,22 @@ from taichi_nmm.walker_simulator import KEPT
 Floats = NDArray[np.float64]
 
 
-# Features that are no columns: what a trial costs in each world, and minus its mean over them.
+# Features that are no columns: what a trial costs in each world, and minus its mean
+# over them.
 WORLDS, RANKING = "worlds", "mean_over_worlds"
 IN_WORLDS = (WORLDS, RANKING)
 
 
 def feature_table(
-    store: Store, feature: str, space: Mapping[str, BaseDistribution], objective: Objective
+    store: Store,
+    feature: str,
+    space: Mapping[str, BaseDistribution],
+    objective: Objective,
 ) -> FeatureTable:
     """The rows of a store as candidates; those that no world ran are not proposed.
 
-    `space` has the columns that studies suggest, with distributions; low-level gains that the store
-    lacks have their defaults.
+    `space` has the columns that studies suggest, with distributions; low-level gains
+    that the store lacks have their defaults.
 
     Raises:
         InputError: the store has no such feature.
@@ -60,8 +64,14 @@ def _table(
     """A table of the rows of a store, with what is known of them."""
     columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
     if space is not None:
-        defaults = {each.name: np.full(len(store), each.default) for each in LOW_LEVEL_GAINS}
-        columns, bounds, own = {name: (defaults | columns)[name] for name in space}, {}, dict(space)
+        defaults = {
+            each.name: np.full(len(store), each.default) for each in LOW_LEVEL_GAINS
+        }
+        columns, bounds, own = (
+            {name: (defaults | columns)[name] for name in space},
+            {},
+            dict(space),
+        )
     with warnings.catch_warnings():
         # Rows are left out on purpose; stores themselves have no gaps.
         warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
@@ -71,21 +81,24 @@ def _table(
 Cost = Callable[[Mapping[str, Floats], float], Floats]
 """Costs [n, w] of a trial, from what a run gave, by column [n, w], and its horizon in s.
 
-Columns are NaN for the rows that did not run, whose costs do not count, and for runs that failed.
+Columns are NaN for the rows that did not run, whose costs do not count, and for runs
+that failed.
 """
 
 
 class Given(Mapping[str, Floats]):
     """What the worlds of a family gave, by column [n, w], and the parameters of the rows, likewise.
 
-    A column is read when it is asked for. NaN: a row that did not run, or a number that a failed
-    run did not give.
+    A column is read when it is asked for. NaN: a row that did not run, or a number that
+    a failed run did not give.
 
     Raises:
         InputError: the worlds have not kept the column.
     """
 
-    def __init__(self, store: Store, family: str, read: Callable[[str], dict[str, Floats]]) -> None:
+    def __init__(
+        self, store: Store, family: str, read: Callable[[str], dict[str, Floats]]
+    ) -> None:
         self._store, self._family, self._read = store, family, read
         self._known: dict[str, Floats] = {}
 
@@ -107,8 +120,8 @@ class Given(Mapping[str, Floats]):
 def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     """Costs [n, w] of the rows in the worlds of each family, by name; NaN: no family ran a row.
 
-    A family that ran the best rows of another one alone has the other's mean (of the logarithms,
-    if costs are positive) for the rest.
+    A family that ran the best rows of another one alone has the other's mean (of the
+    logarithms, if costs are positive) for the rest.
     """
     if not store.families:
         raise InputError("store", str(store.path), "a store with families of worlds")
@@ -118,7 +131,10 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     found: dict[str, Floats] = {}
     for family in sorted(store.families, key=lambda name: "after" in known[name]):
         settings = known[family]
-        given, shape = Given(store, family, read), (len(store), int(settings["settings"]))
+        given, shape = (
+            Given(store, family, read),
+            (len(store), int(settings["settings"])),
+        )
         costs = _costs(cost(given, float(settings["horizon_s"])), shape)
         missing = ~ran[family]
         costs[missing] = np.nan  # whatever the function makes of rows that did not run
@@ -154,18 +170,23 @@ def _in_families(
 ) -> dict[str, Floats]:
     """A column or a parameter [n, w] by family; NaN where a row did not run."""
     if column in store.gain_names:
-        worlds = {family: int(store.settings_of(family)["settings"]) for family in store.families}
+        worlds = {
+            family: int(store.settings_of(family)["settings"])
+            for family in store.families
+        }
         values = store.numpy([column])[column].astype(np.float64)
-        one = {family: np.where(ran[family], values, np.nan)[:, None] for family in worlds}
+        one = {
+            family: np.where(ran[family], values, np.nan)[:, None] for family in worlds
+        }
         return {family: np.tile(each, worlds[family]) for family, each in one.items()}
     for family in store.families:
         if column not in (kept := store.kept(family)):
             names = listed(kept, column) or "nothing, in a store older than 0.3.0"
-            allowed = (
-                f"a parameter, or what the worlds of {shortened(str(store.path))} keep: {names}"
-            )
+            allowed = f"a parameter, or what the worlds of {shortened(str(store.path))} keep: {names}"
             if _can_be_kept(store, column):
-                allowed += f'; a store of a configuration with kept = ["{column}"] has it'
+                allowed += (
+                    f'; a store of a configuration with kept = ["{column}"] has it'
+                )
             raise InputError("cost", column, allowed)
     found = store.all_outcomes(column, store.families)
     return {family: values.astype(np.float64) for family, values in found.items()}
@@ -188,25 +209,29 @@ def _ran(store: Store) -> dict[str, NDArray[np.bool_]]:
 
 
 @checks.checked(path=checks.path, cost=checks.optional(checks.function))
-def world_table(path: str | Path, cost: Cost | None = None, *others: Cost) -> FeatureTable:
+def world_table(
+    path: str | Path, cost: Cost | None = None, *others: Cost
+) -> FeatureTable:
     """The rows of a store as candidates, with what a trial costs in each of its worlds.
 
     Args:
         path: of a store with families; rows that no family ran are not proposed.
-        cost: of a trial, `cost(given, horizon_s)`, [n, w]. `given` has columns by name, [n, w]:
-            what each world keeps (`Store.kept`), and the parameters. They are NaN for rows that did
-            not run: these are not proposed, whatever the function returns for them. None is the
-            walker's smooth cost.
+        cost: of a trial, `cost(given, horizon_s)`, [n, w]. `given` has columns by name,
+            [n, w]: what each world keeps (`Store.kept`), and the parameters. They are
+            NaN for rows that did not run: these are not proposed, whatever the function
+            returns for them. None is the walker's smooth cost.
         others: in a study of several goals, the cost by each further one.
 
     Raises:
-        InputError: no store, or one without families or with other bounds; a cost of a column that
-            the worlds do not keep, or of another shape.
+        InputError: no store, or one without families or with other bounds; a cost of a
+            column that the worlds do not keep, or of another shape.
     """
     store = open_store(path)
     store.require_bounds()
     for line in cautions_of(store):
-        warnings.warn(line, stacklevel=3)  # of the caller, beyond the check of arguments
+        warnings.warn(
+            line, stacklevel=3
+        )  # of the caller, beyond the check of arguments
     return table_of_worlds(store, (cost or Objective().in_worlds, *others))
 
 
@@ -217,13 +242,17 @@ def cautions_of(store: Store) -> list[str]:
 
 
 def table_of_worlds(
-    store: Store, costs: Sequence[Cost], space: Mapping[str, BaseDistribution] | None = None
+    store: Store,
+    costs: Sequence[Cost],
+    space: Mapping[str, BaseDistribution] | None = None,
 ) -> FeatureTable:
     """`world_table` of an opened store; `space` as for `feature_table`, None: the store's own."""
     goals = [outcomes_of(store, cost) for cost in costs]
     outcomes = goals[0]
     if len(goals) > 1:
-        outcomes = {name: np.stack([goal[name] for goal in goals], axis=-1) for name in outcomes}
+        outcomes = {
+            name: np.stack([goal[name] for goal in goals], axis=-1) for name in outcomes
+        }
     return _table(store, space, outcomes=outcomes)
 
 

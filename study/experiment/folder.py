@@ -1,7 +1,8 @@
 """The identity of an experiment, and its folder with its tables: the state of a comparison.
 
-The identity is all that decides the trials, as JSON values. There is one such document: the folder,
-a study database and a live study all keep it, or its digest, and refuse to go on with another.
+The identity is all that decides the trials, as JSON values. There is one such document:
+the folder, a study database and a live study all keep it, or its digest, and refuse to
+go on with another.
 
 experiment.json         written first: what is compared on what, with which stores and versions
 arms/NAME.parquet       all finished trials of an arm, rewritten whole at each checkpoint
@@ -11,8 +12,8 @@ run.json                when, on what machine, and how long
 studies.db              the study database, unless another one is asked for
 .lock                   held by the one process that writes
 
-The tables of arms have two columns more than the results: the seconds that the sampler took, and
-its notes in the trial, from which a stopped study is set up again.
+The tables of arms have two columns more than the results: the seconds that the sampler
+took, and its notes in the trial, from which a stopped study is set up again.
 """
 
 import os
@@ -58,29 +59,38 @@ ARTIFACTS_NAME = "artifacts"
 
 Key = tuple[str, int]  # arm, run: a study of an experiment
 
-THETA_REF = next(parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref")
+THETA_REF = next(
+    parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref"
+)
 PROPOSAL_TIME = "proposal_s"
 NOTES = "notes"
 
 STATE_SCHEMA = pa.schema(  # of columns without gaps
     pa.field(name, kind, nullable=False)
     for name, kind in (
-        ("experiment", pa.string()), ("arm", pa.string()), ("run", pa.int32()),
-        ("trial", pa.int32()), *((name, pa.float64()) for name in (*GAIN_NAMES, THETA_REF.name)),
-        ("row", pa.int64()), ("cost", pa.float64()), ("best_cost", pa.float64()),
-        ("walked", pa.bool_()), *((name, pa.float64()) for name in OUTCOMES),
+        ("experiment", pa.string()),
+        ("arm", pa.string()),
+        ("run", pa.int32()),
+        ("trial", pa.int32()),
+        *((name, pa.float64()) for name in (*GAIN_NAMES, THETA_REF.name)),
+        ("row", pa.int64()),
+        ("cost", pa.float64()),
+        ("best_cost", pa.float64()),
+        ("walked", pa.bool_()),
+        *((name, pa.float64()) for name in OUTCOMES),
         ("end_reason", pa.string()),
         *((name, pa.from_numpy_dtype(kind)) for name, kind in SCORE_FIELDS),
-        (PROPOSAL_TIME, pa.float64()), (NOTES, pa.string()),
+        (PROPOSAL_TIME, pa.float64()),
+        (NOTES, pa.string()),
     )
-)  # fmt: skip
+)
 
 
 def state_schema(searched: Iterable[str], goals: Iterable[str] = ()) -> pa.Schema:
     """`STATE_SCHEMA`, with a column of each further low-level gain that is searched.
 
-    Of goals, by name, there is a column each. Then `cost` is the front cost of the trial alone, and
-    `best_cost` that of the trials so far.
+    Of goals, by name, there is a column each. Then `cost` is the front cost of the
+    trial alone, and `best_cost` that of the trials so far.
     """
     schema = STATE_SCHEMA
     more = [name for name in searched if name != THETA_REF.name]
@@ -108,8 +118,8 @@ def walkers(table: pa.Table) -> set[Key]:
 def as_if_gone_on(table: pa.Table) -> pa.Table:
     """The table as if studies that ended with a walker had gone on, repeating their last trial.
 
-    Its trials are of an experiment with `until_walker`, without gaps, in any order; it has the
-    columns arm, run, trial and walked, and any others.
+    Its trials are of an experiment with `until_walker`, without gaps, in any order; it
+    has the columns arm, run, trial and walked, and any others.
     """
     ordered = in_order([table])
     arm, run, trial = (ordered[name].to_numpy() for name in ("arm", "run", "trial"))
@@ -120,7 +130,9 @@ def as_if_gone_on(table: pa.Table) -> pa.Table:
     index = np.repeat(np.arange(len(table)), repeats)
     first = np.repeat(np.cumsum(repeats) - repeats, repeats)
     place = table.schema.get_field_index("trial")
-    numbers = pa.array(trial[index] + np.arange(len(index)) - first, table.schema.types[place])
+    numbers = pa.array(
+        trial[index] + np.arange(len(index)) - first, table.schema.types[place]
+    )
     return ordered.take(index).set_column(place, "trial", numbers)
 
 
@@ -143,7 +155,9 @@ def outcomes_of(table: pa.Table) -> NDArray[np.void]:
     rows = np.zeros(len(table), RESULT_DTYPE)
     for name in KEPT:
         rows[name] = table[name].to_numpy()
-    rows["end_reason"] = [END_REASONS.index(reason) for reason in table["end_reason"].to_pylist()]
+    rows["end_reason"] = [
+        END_REASONS.index(reason) for reason in table["end_reason"].to_pylist()
+    ]
     return rows
 
 
@@ -153,7 +167,9 @@ def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
     Arrow's `group_by` promises no order.
     """
     ordered = in_order([table])
-    keys = list(zip(ordered["arm"].to_pylist(), ordered["run"].to_pylist(), strict=True))
+    keys = list(
+        zip(ordered["arm"].to_pylist(), ordered["run"].to_pylist(), strict=True)
+    )
     starts = [n for n in range(len(keys)) if n == 0 or keys[n] != keys[n - 1]]
     for start, end in pairwise([*starts, len(keys)]):
         yield *keys[start], ordered.slice(start, end - start)
@@ -161,7 +177,10 @@ def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
 
 def table_files(folder: Path) -> list[Path]:
     """The final table of a comparison, if there is one, and the checkpoints of its arms."""
-    return [*folder.glob(RESULTS_NAME), *sorted((folder / ARMS_NAME).glob("[!.]*.parquet"))]
+    return [
+        *folder.glob(RESULTS_NAME),
+        *sorted((folder / ARMS_NAME).glob("[!.]*.parquet")),
+    ]
 
 
 def live_artifacts(url: str, out: Path) -> Path:
@@ -175,14 +194,16 @@ def live_artifacts(url: str, out: Path) -> Path:
 
 PACKAGES = (COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy")
 FINGERPRINT_LENGTH = 16
-LIVE_ATTRIBUTE = "experiment"  # of a live study: its document; of a comparison's: a name
+LIVE_ATTRIBUTE = (
+    "experiment"  # of a live study: its document; of a comparison's: a name
+)
 
 
 def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
     """The identity of an experiment. Runs and trials may grow, so they are no part of it.
 
-    Arms and stores are those of one call; a folder gathers them. The architecture is no part of
-    it either: what was begun on one machine may go on on another.
+    Arms and stores are those of one call; a folder gathers them. The architecture is no
+    part of it either: what was begun on one machine may go on on another.
     """
     tables = as_written(experiment)
     ground = tables.pop("terrain")
@@ -194,7 +215,9 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
         **tables,
         "terrain": terrain_document((experiment.terrain(0),)),
         "ground": ground,
-        "parameters": {p.name: [float(p.low), float(p.high)] for p in experiment.parameters},
+        "parameters": {
+            p.name: [float(p.low), float(p.high)] for p in experiment.parameters
+        },
         "arms": {arm.name: arm.definition for arm in by_name},
         "stores": {key: store_digest(store_path(experiment, key)) for key in stores},
     }
@@ -238,7 +261,9 @@ class ExperimentFolder(Folder):
 
     @classmethod
     @contextmanager
-    def claim(cls, path: Path, document: dict[str, Any], fresh: bool = False) -> Iterator[Self]:
+    def claim(
+        cls, path: Path, document: dict[str, Any], fresh: bool = False
+    ) -> Iterator[Self]:
         """As of any folder; arms and stores may be added to the document."""
         with super().claim(path, document, fresh) as folder:
             with writable(path):
@@ -261,7 +286,9 @@ class ExperimentFolder(Folder):
     @property
     def schema(self) -> pa.Schema:
         """Of its finished trials."""
-        return state_schema(self.document["searched"], self.document["objective"].get("goals", ()))
+        return state_schema(
+            self.document["searched"], self.document["objective"].get("goals", ())
+        )
 
     def arms(self) -> list[str]:
         """Arms that have finished trials here."""
@@ -271,13 +298,15 @@ class ExperimentFolder(Folder):
         """The finished trials of an arm, by run and trial; empty for one that is new.
 
         Raises:
-            InputError: a damaged or edited file, one of another experiment or of something else, or
-                one with a gap.
+            InputError: a damaged or edited file, one of another experiment or of
+                something else, or one with a gap.
         """
         file, content = f"{ARMS_NAME}/{name}.parquet", f"finished trials of {name}"
         table = self.read_state(file, self.schema, content)
         if set(table["arm"].to_pylist()) - {name}:
-            raise InputError("out", str(self.path / file), f"{content}, and of no other arm")
+            raise InputError(
+                "out", str(self.path / file), f"{content}, and of no other arm"
+            )
         if not without_gaps(table):
             allowed = "every run's trials in their order, without a gap"
             raise InputError("out", str(self.path / file), allowed)
@@ -299,7 +328,9 @@ class ExperimentFolder(Folder):
         """Add a session to run.json, or replace the last one if that began at the same time."""
         path = self.path / RUN_NAME
         try:
-            sessions = list(json_document("out", path, "a list of sessions")["sessions"])
+            sessions = list(
+                json_document("out", path, "a list of sessions")["sessions"]
+            )
         except (InputError, KeyError, TypeError):  # run.json decides nothing
             sessions = []
         last = sessions[-1] if sessions else None

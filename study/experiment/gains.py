@@ -55,7 +55,9 @@ class NamedGains:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""
         changed = {
             parameter.name: value
-            for parameter, value in zip(LOW_LEVEL_GAINS, self.low_level.tolist(), strict=True)
+            for parameter, value in zip(
+                LOW_LEVEL_GAINS, self.low_level.tolist(), strict=True
+            )
             if value != parameter.default
         }
         return dict(zip(GAIN_NAMES, self.gains.tolist(), strict=True)) | changed
@@ -74,7 +76,8 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
     """The point of a store's row.
 
     Raises:
-        InputError: no such store or row, or a store of another simulator than the walker.
+        InputError: no such store or row, or a store of another simulator than the
+            walker.
     """
     opened = storage.open_store(store)
     known_simulator(opened.specification)
@@ -86,14 +89,15 @@ def gains_of_row(store: Path, row: int) -> NamedGains:
 def row_at_speed(store: Path, speed_mps: float, least: str = ENERGY) -> int:
     """The row of a store that walks at a speed with the least energy per metre.
 
-    It lasts in all worlds of the family that runs longest (without families, on level ground), and
-    its mean speed there is within `SPEED_TOLERANCE_MPS`.
+    It lasts in all worlds of the family that runs longest (without families, on level
+    ground), and its mean speed there is within `SPEED_TOLERANCE_MPS`.
 
     Args:
         store: its folder or file.
         speed_mps: that is asked for.
-        least: the column of which the row has the least, in the mean over these worlds. A store
-            that was made before version 0.4 may lack the energy of the motors: see `has_worlds_of`.
+        least: the column of which the row has the least, in the mean over these worlds.
+            A store that was made before version 0.4 may lack the energy of the motors:
+            see `has_worlds_of`.
 
     Raises:
         InputError: no such store, no such row, or no such column of its worlds.
@@ -105,22 +109,32 @@ def row_at_speed(store: Path, speed_mps: float, least: str = ENERGY) -> int:
         raise InputError("least", least, allowed)
     names = (SURVIVED, "mean_speed_mps", least)
     if opened.families:
-        lasted, speeds, spent = (opened.outcomes(longest_family(opened), name) for name in names)
+        lasted, speeds, spent = (
+            opened.outcomes(longest_family(opened), name) for name in names
+        )
     else:
         rows = opened.numpy(names)
         lasted, speeds, spent = (rows[name][:, None] for name in names)
-    lasts, speed, energy = (lasted >= 1.0).all(axis=1), speeds.mean(axis=1), spent.mean(axis=1)
+    lasts, speed, energy = (
+        (lasted >= 1.0).all(axis=1),
+        speeds.mean(axis=1),
+        spent.mean(axis=1),
+    )
     near = lasts & (np.abs(speed - speed_mps) <= SPEED_TOLERANCE_MPS)
     if not near.any():
         ends = (speed[lasts].min(), speed[lasts].max()) if lasts.any() else (0.0, 0.0)
-        allowed = f"near that of a row of {store} that lasts: {ends[0]:.2f} to {ends[1]:.2f}"
+        allowed = (
+            f"near that of a row of {store} that lasts: {ends[0]:.2f} to {ends[1]:.2f}"
+        )
         raise InputError("speed", speed_mps, allowed)
     return int(np.where(near, energy, np.inf).argmin())
 
 
 def longest_family(store: storage.Store) -> str:
     """The family of a store whose worlds last longest."""
-    return max(store.families, key=lambda name: float(store.settings_of(name)["horizon_s"]))
+    return max(
+        store.families, key=lambda name: float(store.settings_of(name)["horizon_s"])
+    )
 
 
 def has_worlds_of(store: storage.Store, column: str) -> bool:
@@ -163,16 +177,28 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
 
     paths = table_files(folder)
     if not paths:
-        raise InputError("storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}")
+        raise InputError(
+            "storage", str(folder), f"a comparison's folder, with {RESULTS_NAME}"
+        )
     named = TRIAL.fullmatch(trial)
     if named:
         experiment, arm, run, number = named.groups()
-        wanted = {"experiment": experiment, "arm": arm, "run": int(run), "trial": int(number)}
+        wanted = {
+            "experiment": experiment,
+            "arm": arm,
+            "run": int(run),
+            "trial": int(number),
+        }
         for path in paths:
             table = read_columns(path)
             with reading("storage", path, "a comparison's table of trials"):
-                for name, value in wanted.items():  # as text: a number may be too large for Arrow
-                    table = table.filter(pc.equal(table[name].cast("string"), str(value)))
+                for (
+                    name,
+                    value,
+                ) in wanted.items():  # as text: a number may be too large for Arrow
+                    table = table.filter(
+                        pc.equal(table[name].cast("string"), str(value))
+                    )
             if len(table):
                 row: dict[str, Any] = table.to_pylist()[0]
                 return row
@@ -186,30 +212,44 @@ def _of_database(url: str, name: str, number: int) -> dict[str, Any]:
 
     shown = shown_url(url)  # refuses what is no such URL
     if url.startswith(SQLITE) and not studies_path(url).is_file():
-        raise InputError("storage", shown, "a database that is there, or a comparison's folder")
+        raise InputError(
+            "storage", shown, "a database that is there, or a comparison's folder"
+        )
     with read_studies(url) as storage:
         if storage is None or name not in optuna.get_all_study_names(storage):
             raise InputError("trial", f"{name}/{number}", f"a study of {shown}")
         study = optuna.load_study(study_name=name, storage=storage)
-        trials, known = study.get_trials(deepcopy=False), study.user_attrs.get("experiment")
+        trials, known = (
+            study.get_trials(deepcopy=False),
+            study.user_attrs.get("experiment"),
+        )
     if number >= len(trials) or trials[number].state is not TrialState.COMPLETE:
         raise InputError("trial", f"{name}/{number}", f"a finished trial of {shown}")
-    fixed: dict[str, Any] = known.get("fixed_gains", {}) if isinstance(known, dict) else {}
+    fixed: dict[str, Any] = (
+        known.get("fixed_gains", {}) if isinstance(known, dict) else {}
+    )
     return fixed | trials[number].params
 
 
 def named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
     """Gains among other values; low-level gains that are not there have their defaults."""
     both = {parameter.name: parameter.default for parameter in LOW_LEVEL_GAINS}
-    both |= {key: values[key] for key in (*GAIN_NAMES, *LOW_LEVEL_NAMES) if key in values}
-    gains, low_level = np.split(check_gains(both, (*GAINS, *LOW_LEVEL_GAINS)), [len(GAINS)])
+    both |= {
+        key: values[key] for key in (*GAIN_NAMES, *LOW_LEVEL_NAMES) if key in values
+    }
+    gains, low_level = np.split(
+        check_gains(both, (*GAINS, *LOW_LEVEL_GAINS)), [len(GAINS)]
+    )
     return NamedGains(name, gains, low_level)
 
 
 def recorded_walk(
-    gains: NamedGains, experiment: Experiment, run: int, rate_hz: float,
+    gains: NamedGains,
+    experiment: Experiment,
+    run: int,
+    rate_hz: float,
     progress: Callable[[float, int], None] | None = None,
-) -> taichi_nmm.Result:  # fmt: skip
+) -> taichi_nmm.Result:
     """The result of one walker on the body and the ground of a run, with its trajectory.
 
     Args:
@@ -229,8 +269,15 @@ def recorded_walk(
         for number, later in enumerate(gains.later, start=1)
     ]
     return taichi_nmm.simulate(
-        gains.gains, low_level_gains=gains.low_level, duration_s=conditions.duration_s,
-        bodies=experiment.body(run), worlds=experiment.world(run),
-        terrains=experiment.terrain(run), switches=switches, settings=conditions.settings,
-        record=[0], record_rate_hz=rate_hz, progress=progress,
-    )  # fmt: skip
+        gains.gains,
+        low_level_gains=gains.low_level,
+        duration_s=conditions.duration_s,
+        bodies=experiment.body(run),
+        worlds=experiment.world(run),
+        terrains=experiment.terrain(run),
+        switches=switches,
+        settings=conditions.settings,
+        record=[0],
+        record_rate_hz=rate_hz,
+        progress=progress,
+    )

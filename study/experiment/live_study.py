@@ -1,7 +1,7 @@
 """One study, live: an arm in a run of an experiment, through any number of interruptions.
 
-Each trial is in the database as soon as it is finished. Its trials are those that a comparison of
-the same experiment has for this arm and run.
+Each trial is in the database as soon as it is finished. Its trials are those that a
+comparison of the same experiment has for this arm and run.
 """
 
 import re
@@ -16,7 +16,11 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna.distributions import check_distribution_compatibility
-from optuna.exceptions import ExperimentalWarning, StorageInternalError, UpdateFinishedTrialError
+from optuna.exceptions import (
+    ExperimentalWarning,
+    StorageInternalError,
+    UpdateFinishedTrialError,
+)
 from optuna.storages import BaseStorage, RetryHeartbeatStaleTrialCallback
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
@@ -28,7 +32,13 @@ from storage.tables import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
 from study.experiment.folder import LIVE_ATTRIBUTE, document
-from study.experiment.one_study import FELL_ATTRIBUTE, SHOWN_ATTRIBUTE, LiveStudy, note_worth, shown
+from study.experiment.one_study import (
+    FELL_ATTRIBUTE,
+    SHOWN_ATTRIBUTE,
+    LiveStudy,
+    note_worth,
+    shown,
+)
 from study.experiment.trials import ATTRIBUTES, attributes, simulate_trials
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
 from taichi_nmm import checks
@@ -40,24 +50,32 @@ Report = Callable[[optuna.Study, FrozenTrial], None]
 
 
 def run_study(
-    experiment: Experiment, arm: Arm, run: int, trials: int, storage: BaseStorage,
-    report: Report | None = None, crew: Crew | None = None,
-) -> optuna.Study:  # fmt: skip
+    experiment: Experiment,
+    arm: Arm,
+    run: int,
+    trials: int,
+    storage: BaseStorage,
+    report: Report | None = None,
+    crew: Crew | None = None,
+) -> optuna.Study:
     """Run the study until it has `trials` finished trials, and return it.
 
-    At the end its note in the dashboard says what the arm's features were worth, if it has any.
+    At the end its note in the dashboard says what the arm's features were worth, if it
+    has any.
 
-    Finished means COMPLETE. Trials found running are taken for dead (the caller sees to it that no
-    other process runs this study: `storage.databases.studies.only_run`); they are marked failed and
-    run again, with the same parameters, before anything else. Of a crew that is done with trials
-    whose process is gone, and a process that finds enough of them begun waits for the others.
+    Finished means COMPLETE. Trials found running are taken for dead (the caller sees to
+    it that no other process runs this study: `storage.databases.studies.only_run`);
+    they are marked failed and run again, with the same parameters, before anything
+    else. Of a crew that is done with trials whose process is gone, and a process that
+    finds enough of them begun waits for the others.
 
-    Trials are the total, not the number to add; an experiment may end a study before, with its
-    first walker. `report` is called after each finished trial. Without a crew this process works on
-    the study alone.
+    Trials are the total, not the number to add; an experiment may end a study before,
+    with its first walker. `report` is called after each finished trial. Without a crew
+    this process works on the study alone.
 
     Raises:
-        InputError: the run is none of the experiment's, or a study of that name was made otherwise.
+        InputError: the run is none of the experiment's, or a study of that name was
+            made otherwise.
     """
     experiment.require_run(run)
     one = LiveStudy(experiment, arm, run, open_study(experiment, arm, run, storage))
@@ -81,10 +99,17 @@ def _run_together(
         with ExitStack() as until_told:
             with crew.turn():
                 dead = crew.dead()
-                _repeat(experiment, one.study, [t for t in running(one.study) if t.number in dead])
+                _repeat(
+                    experiment,
+                    one.study,
+                    [t for t in running(one.study) if t.number in dead],
+                )
                 # One look: a trial that ends between two would be in neither.
                 states = [trial.state for trial in one.study.get_trials(deepcopy=False)]
-                done, begun = states.count(TrialState.COMPLETE), states.count(TrialState.RUNNING)
+                done, begun = (
+                    states.count(TrialState.COMPLETE),
+                    states.count(TrialState.RUNNING),
+                )
                 if done >= trials or _ended(experiment, one):
                     return
                 is_due = done + begun < trials
@@ -101,7 +126,9 @@ def _run_together(
                 pass  # it was taken for dead, and another process has it
             except BaseException:
                 with crew.turn():
-                    left = [trial for trial in running(one.study) if trial.number == number]
+                    left = [
+                        trial for trial in running(one.study) if trial.number == number
+                    ]
                     _repeat(experiment, one.study, left)
                 raise
 
@@ -112,11 +139,14 @@ def _ended(experiment: Experiment, one: LiveStudy) -> bool:
     return experiment.until_walker and any(walkers)
 
 
-def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage) -> optuna.Study:
+def open_study(
+    experiment: Experiment, arm: Arm, run: int, storage: BaseStorage
+) -> optuna.Study:
     """The study of an arm in a run, new or resumed; one that was made otherwise is refused.
 
     Raises:
-        InputError: naming the study, the first field that differs, and the value it has there.
+        InputError: naming the study, the first field that differs, and the value it has
+            there.
     """
     name, identity = _check_study(experiment, arm, run, storage)
     study = study_of_costs(storage, name, experiment.objective.metrics)
@@ -125,11 +155,14 @@ def open_study(experiment: Experiment, arm: Arm, run: int, storage: BaseStorage)
     return study
 
 
-def check_study(experiment: Experiment, arm: Arm, run: int, url: str, out: Path) -> None:
+def check_study(
+    experiment: Experiment, arm: Arm, run: int, url: str, out: Path
+) -> None:
     """Refuse a study that cannot go on, before anything is written; the database may be missing.
 
     Raises:
-        InputError: as `open_study`, or a file that cannot be read or written, in `out` as well.
+        InputError: as `open_study`, or a file that cannot be read or written, in `out`
+            as well.
     """
     require_folder(out)
     require_lockable(url, study_name(experiment.name, arm.name, run))
@@ -142,7 +175,10 @@ def _check_study(
     experiment: Experiment, arm: Arm, run: int, storage: BaseStorage
 ) -> tuple[str, dict[str, Any]]:
     """Name and document of the study, which is new or was begun with this document."""
-    name, identity = study_name(experiment.name, arm.name, run), document(experiment, (arm,))
+    name, identity = (
+        study_name(experiment.name, arm.name, run),
+        document(experiment, (arm,)),
+    )
     names = optuna.get_all_study_names(storage)
     if name not in names:
         return name, identity
@@ -151,13 +187,19 @@ def _check_study(
     known = study.user_attrs.get(LIVE_ATTRIBUTE)
     if known is None:
         if trials:
-            raise InputError("study", name, "a name that no study of another program has")
+            raise InputError(
+                "study", name, "a name that no study of another program has"
+            )
     elif not isinstance(known, dict):  # the experiment's name
-        allowed = "another --storage: this study is of a comparison, which goes on by itself"
+        allowed = (
+            "another --storage: this study is of a comparison, which goes on by itself"
+        )
         raise InputError("study", name, allowed)
     elif found := difference(identity, known):
         field, ours, theirs = found
-        allowed = f"{theirs!r}, with which it was made; or another name, or another database"
+        allowed = (
+            f"{theirs!r}, with which it was made; or another name, or another database"
+        )
         raise InputError(f"study {name}: {field}", ours, allowed)
     require_written(study, experiment)
     require_notes(name, storage)
@@ -175,7 +217,9 @@ def _run_trial(experiment: Experiment, one: LiveStudy) -> FrozenTrial:
         raise
 
 
-def _simulated(experiment: Experiment, one: LiveStudy, gains: list[float]) -> FrozenTrial:
+def _simulated(
+    experiment: Experiment, one: LiveStudy, gains: list[float]
+) -> FrozenTrial:
     """Try what was asked for, and tell."""
     rows = simulate_trials(experiment, [one.run], np.array([gains]))
     values = experiment.objective.values(rows)[0].tolist()
@@ -187,11 +231,13 @@ def running(study: optuna.Study) -> list[FrozenTrial]:
     return study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
 
 
-def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]) -> None:
+def _repeat(
+    experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]
+) -> None:
     """Fail trials that nobody runs, and queue others with the parameters that they had been given.
 
-    A trial that had been given only some of them is queued without any: samplers draw them one
-    after the other.
+    A trial that had been given only some of them is queued without any: samplers draw
+    them one after the other.
     """
     for trial in dead:
         given = copy(trial)
@@ -199,7 +245,8 @@ def _repeat(experiment: Experiment, study: optuna.Study, dead: list[FrozenTrial]
             given.params, given.distributions = {}, {}
         with warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
             retry = RetryHeartbeatStaleTrialCallback()
-            # First the successor: killed between the two steps, the next run must not lose it.
+            # First the successor: killed between the two steps, the next run must not
+            # lose it.
             waiting = study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
             if not any(trial.number in retry.retry_history(other) for other in waiting):
                 retry(study, given)
@@ -213,18 +260,22 @@ _numbers = checks.each(checks.optional(_number))
 
 # Attributes of a finished trial that must be there; of any trial, those that may be.
 FINISHED: Form = dict.fromkeys(ATTRIBUTES, _number) | {
-    "end_reason": checks.text, "walked": checks.flag,
-}  # fmt: skip
+    "end_reason": checks.text,
+    "walked": checks.flag,
+}
 IF_THERE: Form = {
-    SCORE_ATTRIBUTE: checks.optional(_number), FEATURES_ATTRIBUTE: _numbers,
-    FELL_ATTRIBUTE: checks.flag, SHOWN_ATTRIBUTE: _numbers,
-}  # fmt: skip
+    SCORE_ATTRIBUTE: checks.optional(_number),
+    FEATURES_ATTRIBUTE: _numbers,
+    FELL_ATTRIBUTE: checks.flag,
+    SHOWN_ATTRIBUTE: _numbers,
+}
 OF_OPTUNA: Form = {  # of the system
     FIXED_ATTRIBUTE: checks.by_name(checks.anything),
     "retry_history": checks.each(checks.whole(0)),
 }
 
-# The keys that optuna-dashboard keeps a note under, of a study or of a trial: a version, and parts.
+# The keys that optuna-dashboard keeps a note under, of a study or of a trial: a
+# version, and parts.
 NOTE = re.compile(r"(dashboard:(?:\d+:)?note_)(ver|str:(\d+))")
 
 
@@ -250,15 +301,22 @@ def require_written(study: optuna.Study, experiment: Experiment) -> None:
             try:
                 check_distribution_compatibility(distribution, ours)
             except ValueError:  # Optuna would take no value of ours beside it
-                raise InputError(f"{prefix}: {name}", str(distribution), str(ours)) from None
-        for form, found in ((IF_THERE, trial.user_attrs), (OF_OPTUNA, trial.system_attrs)):
+                raise InputError(
+                    f"{prefix}: {name}", str(distribution), str(ours)
+                ) from None
+        for form, found in (
+            (IF_THERE, trial.user_attrs),
+            (OF_OPTUNA, trial.system_attrs),
+        ):
             for name, check in form.items():
                 if name in found:
                     check(f"{prefix}: {name}", found[name])
 
 
 def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -> None:
-    checks.each(_number, len(experiment.objective.each))(f"{prefix}: values", trial.values)
+    checks.each(_number, len(experiment.objective.each))(
+        f"{prefix}: values", trial.values
+    )
     if trial.params.keys() != experiment.space.keys():
         allowed = f"one of each of {listed(experiment.names)}"
         raise InputError(f"{prefix}: parameters", list(trial.params), allowed)
@@ -289,4 +347,6 @@ def require_notes(study: str, storage: BaseStorage) -> None:
             parts.setdefault(found[1], set()).add(int(found[3]))
     for numbers in parts.values():
         if numbers != set(range(len(numbers))):
-            raise InputError(f"study {study}: note", sorted(numbers), "parts without a gap")
+            raise InputError(
+                f"study {study}: note", sorted(numbers), "parts without a gap"
+            )

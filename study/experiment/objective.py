@@ -8,7 +8,8 @@ fell_cost = 100.0       # of a run that falls at its end; twice that of one that
 cost_of_transport_jpkgpm = 1.0
 mean_speed_mps = {weight = 100.0, target = 0.8, tolerance = 0.02}    # the distance from a target
 
-A function "module:function", or "file.py:function", of the columns may stand for a column.
+A function "module:function", or "file.py:function", of the columns may stand for a
+column.
 
 [objective]
 cost = "front"          # a study of two goals: each is a table as above, by its name
@@ -52,10 +53,16 @@ GOAL_COLUMN = "goal_{}"  # of a table of trials: the cost by the goal of this na
 GOAL_NAME = re.compile(r"[A-Za-z]\w{0,30}", re.ASCII)
 FUNCTION = re.compile(r"[\w./-]+:\w+")
 IMPORTED = "a function that can be imported: module:function, or file.py:function"
-SUCCESS_SPEED_MPS = 1.0  # people walk at 1.3; with 1.1, up a ramp, first walkers come later
-WALKING_SUCCESS = 150.0  # walking_cost: who falls pays 300 less the distance, who lasts below 130
+SUCCESS_SPEED_MPS = (
+    1.0  # people walk at 1.3; with 1.1, up a ramp, first walkers come later
+)
+WALKING_SUCCESS = (
+    150.0  # walking_cost: who falls pays 300 less the distance, who lasts below 130
+)
 MOST_WEIGHT = 1e9
-TRIAL_DTYPE = np.dtype([(name, RESULT_DTYPE[name]) for name in NEEDED])  # by the paper's costs
+TRIAL_DTYPE = np.dtype(
+    [(name, RESULT_DTYPE[name]) for name in NEEDED]
+)  # by the paper's costs
 
 
 @dataclass(frozen=True)
@@ -82,13 +89,16 @@ class Term:
         """The numbers of runs, [n] or [n, w], from their columns by name.
 
         Raises:
-            InputError: a function that raises, or has no finite number for each run that lasted.
+            InputError: a function that raises, or has no finite number for each run
+                that lasted.
         """
         if self.function is None:
             return np.asarray(given[self.column], np.float64)
         lasted = np.asarray(given[survived], np.float64)
         try:
-            found = np.array(np.broadcast_to(self.function(given), lasted.shape), np.float64)
+            found = np.array(
+                np.broadcast_to(self.function(given), lasted.shape), np.float64
+            )
             if not np.isfinite(found[lasted >= 1.0]).all():
                 raise ValueError("NaN or infinity")
         except InputError:
@@ -102,13 +112,19 @@ class Term:
         """For numbers [...]."""
         if self.target is None:
             return np.asarray(self.weight * values)
-        return self.weight * np.maximum(np.abs(values - self.target) - self.tolerance, 0.0)
+        return self.weight * np.maximum(
+            np.abs(values - self.target) - self.tolerance, 0.0
+        )
 
     def document(self) -> Any:
         """As a configuration has it."""
         if self.target is None:
             return self.weight
-        return {"weight": self.weight, "target": self.target, "tolerance": self.tolerance}
+        return {
+            "weight": self.weight,
+            "target": self.target,
+            "tolerance": self.tolerance,
+        }
 
 
 @dataclass(frozen=True)
@@ -157,8 +173,8 @@ class Objective:
     def best(self, values: Floats) -> float:
         """What trials have reached together, from their values [n, k]: the least cost.
 
-        Of two goals, the front cost: minus the area that the trials dominate, from the `fell_cost`
-        of both on. It falls as the front grows.
+        Of two goals, the front cost: minus the area that the trials dominate, from the
+        `fell_cost` of both on. It falls as the front grows.
         """
         if not self.goals:
             return float(values.min())
@@ -194,7 +210,8 @@ class Objective:
     def success(self, duration_s: float) -> float | None:
         """The cost of a trial that has succeeded: of a run to the end; None: of a front.
 
-        With the smooth cost of a fast one, since a slow one costs more than a late fall.
+        With the smooth cost of a fast one, since a slow one costs more than a late
+        fall.
         """
         if self.goals:
             return None
@@ -210,7 +227,10 @@ class Objective:
     def document(self) -> dict[str, Any]:
         """The table [objective]; `read_objective` reads it back."""
         if self.goals:
-            return {"cost": FRONT, "goals": {goal.name: goal.document() for goal in self.goals}}
+            return {
+                "cost": FRONT,
+                "goals": {goal.name: goal.document() for goal in self.goals},
+            }
         if not self.terms:
             return {"cost": self.cost}
         document: dict[str, Any] = {"cost": self.cost, "fell_cost": self.fell_cost}
@@ -227,33 +247,41 @@ class Objective:
     def _weighted(self, given: Any) -> Floats:
         """Who falls early pays twice `fell_cost`, who lasts at most that.
 
-        So much pays also who lasted without what is paid for: no energy a metre is known of a
-        walker that stands still, and it is not 0.
+        So much pays also who lasted without what is paid for: no energy a metre is
+        known of a walker that stands still, and it is not 0.
         """
         lasted = np.asarray(given[self.survived], np.float64)
         paid = sum(term.paid(term.values(given, self.survived)) for term in self.terms)
         lasting = np.minimum(paid, self.fell_cost)
         for term in self.terms:
             if term.function is None:
-                lasting = np.where(unmeasured(term.column, given), self.fell_cost, lasting)
-        return np.asarray(np.where(lasted >= 1.0, lasting, self.fell_cost * (2.0 - lasted)))
+                lasting = np.where(
+                    unmeasured(term.column, given), self.fell_cost, lasting
+                )
+        return np.asarray(
+            np.where(lasted >= 1.0, lasting, self.fell_cost * (2.0 - lasted))
+        )
 
 
-def read_objective(table: Table, columns: Sequence[str], survived: str | None = None) -> Objective:
+def read_objective(
+    table: Table, columns: Sequence[str], survived: str | None = None
+) -> Objective:
     """The table [objective], whose keys `cost`, `fell_cost`, `terms` and `goals` are read.
 
     Args:
         table: with other keys perhaps, which are left.
         columns: numbers of a run that may be paid for.
-        survived: of another simulator than the walker, the column with the share that lasted; a
-            column may stand for a cost in place of the paper's.
+        survived: of another simulator than the walker, the column with the share that
+            lasted; a column may stand for a cost in place of the paper's.
 
     Raises:
         InputError: naming the key.
     """
     known = (*PRINTED, WEIGHTED, FRONT) if survived is None else (*columns, WEIGHTED)
     is_own = FUNCTION.fullmatch(str(table.unread.get("cost")))
-    cost = table.text("cost", REQUIRED if survived else "smooth", () if is_own else known)
+    cost = table.text(
+        "cost", REQUIRED if survived else "smooth", () if is_own else known
+    )
     if survived is None and cost in PRINTED:
         return Objective(cost)
     if survived is None and cost == FRONT:
@@ -264,11 +292,15 @@ def read_objective(table: Table, columns: Sequence[str], survived: str | None = 
     for name in given.unread:
         if name not in columns and not FUNCTION.fullmatch(name):
             raise InputError(
-                given.path(name), "no number of a run", f"one of {listed(columns, name)}"
+                given.path(name),
+                "no number of a run",
+                f"one of {listed(columns, name)}",
             )
     terms = tuple(_read_term(given, name) for name in list(given.unread))
     if not any(term.weight for term in terms) and not given.mistaken():
-        raise InputError(table.path("terms"), "nothing to pay for", "a weight other than zero")
+        raise InputError(
+            table.path("terms"), "nothing to pay for", "a weight other than zero"
+        )
     found = Objective(cost, terms, fell_cost, survived)
     if found.code:
         table.text("code", found.code, (found.code,))
@@ -279,7 +311,9 @@ def _read_goals(table: Table, columns: Sequence[str]) -> tuple[Objective, ...]:
     """Each in its table; in the order of their names, so that no digest depends on another one."""
     names, goals = sorted(table.unread), []
     if len(names) != 2 and not table.mistaken():
-        raise InputError("objective.goals", ", ".join(names) or "none", "two tables, a goal each")
+        raise InputError(
+            "objective.goals", ", ".join(names) or "none", "two tables, a goal each"
+        )
     for name in names:
         if not GOAL_NAME.fullmatch(name):
             allowed = "a name of up to 31 letters, digits and '_', first a letter"
@@ -296,7 +330,10 @@ def _read_goals(table: Table, columns: Sequence[str]) -> tuple[Objective, ...]:
 
 def _read_term(table: Table, column: str) -> Term:
     """The weight of a column, or a table with `weight`, `target` and `tolerance`."""
-    function, ends = named_function(table, column), {"low": -MOST_WEIGHT, "high": MOST_WEIGHT}
+    function, ends = (
+        named_function(table, column),
+        {"low": -MOST_WEIGHT, "high": MOST_WEIGHT},
+    )
     if not isinstance(table.unread[column], dict):
         return Term(column, table.number(column, **ends), function=function)
     term = table.table(column)
@@ -310,5 +347,7 @@ def named_function(table: Table, column: str) -> Callable[[Any], Any] | None:
     """The function of that path, whose file may lie beside the configuration; None: a column."""
     if not FUNCTION.fullmatch(column):
         return None
-    found: Callable[[Any], Any] = import_object(table.path(column), column, table.folder, IMPORTED)
+    found: Callable[[Any], Any] = import_object(
+        table.path(column), column, table.folder, IMPORTED
+    )
     return found

@@ -1,7 +1,7 @@
 """A study: an arm in a run of an experiment. It proposes its next trial, and is told of it.
 
-The study is in memory, one of many, or in a database, alone and live (`LiveStudy`): the same arm,
-run and experiment give the same trials in both.
+The study is in memory, one of many, or in a database, alone and live (`LiveStudy`): the
+same arm, run and experiment give the same trials in both.
 """
 
 import math
@@ -39,7 +39,11 @@ class OneStudy:
     """An arm in a run, over a study of this project's making; None: a new one in memory."""
 
     def __init__(
-        self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study | None = None
+        self,
+        experiment: Experiment,
+        arm: Arm,
+        run: int,
+        study: optuna.Study | None = None,
     ) -> None:
         self.arm = arm
         self.run = run
@@ -88,7 +92,9 @@ class OneStudy:
         self._sampler, self.study.sampler = None, RandomSampler(seed=0)
         return self.study
 
-    def restore(self, gains: list[float], values: list[float], noted: dict[str, Any]) -> None:
+    def restore(
+        self, gains: list[float], values: list[float], noted: dict[str, Any]
+    ) -> None:
         """Add a trial of an earlier session; where the library keeps a state, by asking again.
 
         It has searched parameters, costs [k], and all user attributes that it had.
@@ -99,12 +105,17 @@ class OneStudy:
         if self.arm.replayed:
             self.require_proposed(gains, self.ask())
             own = self.noted()
-            self.tell(values, {name: value for name, value in noted.items() if name not in own})
+            self.tell(
+                values,
+                {name: value for name, value in noted.items() if name not in own},
+            )
             return
         space: dict[str, BaseDistribution] = dict(self._experiment.space)
         params: dict[str, Any] = dict(zip(space, gains, strict=True))
         self.study.add_trial(
-            create_trial(params=params, distributions=space, values=values, user_attrs=noted)
+            create_trial(
+                params=params, distributions=space, values=values, user_attrs=noted
+            )
         )
         self.trials += 1
 
@@ -121,11 +132,15 @@ class OneStudy:
 
     def _sampler_of_turn(self) -> BaseSampler:
         if self._sampler is None or self.arm.fresh:
-            self._sampler = new_sampler(self._experiment, self.arm, self.run, self.trials)
+            self._sampler = new_sampler(
+                self._experiment, self.arm, self.run, self.trials
+            )
         return self._sampler
 
 
-def new_sampler(experiment: Experiment, arm: Arm, run: int, turn: int = 0) -> BaseSampler:
+def new_sampler(
+    experiment: Experiment, arm: Arm, run: int, turn: int = 0
+) -> BaseSampler:
     """The sampler of an arm in a run, for its trial of this number."""
     seed = sampler_seed(experiment.seed, arm.name, run)
     return arm.new_sampler(Task(experiment, seed, turn, arm.store, arm.feature))
@@ -134,15 +149,18 @@ def new_sampler(experiment: Experiment, arm: Arm, run: int, turn: int = 0) -> Ba
 class LiveStudy(OneStudy):
     """An arm in a run, over a study of a database, to which others may write as well.
 
-    Optuna's CMA-ES keeps its state in the trials, pickled, and unpickling may run any code. So a
-    sampler of such a library never sees a study of a database. It proposes in a twin, a study in
-    memory that this process has made and told the same trials, and its proposal is suggested here.
+    Optuna's CMA-ES keeps its state in the trials, pickled, and unpickling may run any
+    code. So a sampler of such a library never sees a study of a database. It proposes
+    in a twin, a study in memory that this process has made and told the same trials,
+    and its proposal is suggested here.
 
     Raises:
         InputError: trials of an arm that is replayed are not those that it proposes.
     """
 
-    def __init__(self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
+    def __init__(
+        self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study
+    ) -> None:
         super().__init__(experiment, arm, run, study)
         self._given: dict[str, float] = {}
         self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
@@ -206,8 +224,13 @@ def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) 
     worth = worth_of_study(experiment, arm, run, study)
     if worth is None:
         return
-    from optuna_dashboard import get_note, save_note  # a second, which other studies need not spend
+    from optuna_dashboard import (
+        get_note,
+        save_note,
+    )  # a second, which other studies need not spend
 
     known, note = get_note(study), worth.markdown()
-    if note != known and (not known or known.startswith((f"## {TITLE}", f"## {WORLDS_TITLE}"))):
+    if note != known and (
+        not known or known.startswith((f"## {TITLE}", f"## {WORLDS_TITLE}"))
+    ):
         save_note(study, note)

@@ -1,9 +1,10 @@
 """A comparison on robots of any simulator: worlds that its store has not seen, arms side by side.
 
-A configuration names a simulator, a store of it, and the ranges from which the robots' worlds are
-drawn. Every arm has the same trials on the same robots: a trial is one long run, and a robot's run
-of the same parameters is the same for all arms. Beside our sampler stand the ranking alone, and
-Optuna's samplers, which begin with nothing or with the ranking's first rows.
+A configuration names a simulator, a store of it, and the ranges from which the robots'
+worlds are drawn. Every arm has the same trials on the same robots: a trial is one long
+run, and a robot's run of the same parameters is the same for all arms. Beside our
+sampler stand the ranking alone, and Optuna's samplers, which begin with nothing or with
+the ranking's first rows.
 """
 
 import sys
@@ -20,7 +21,13 @@ import numpy as np
 import optuna
 import pyarrow as pa
 from numpy.typing import NDArray
-from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, RandomSampler, TPESampler
+from optuna.samplers import (
+    BaseSampler,
+    CmaEsSampler,
+    GPSampler,
+    RandomSampler,
+    TPESampler,
+)
 from optuna.storages import BaseStorage
 from optuna.trial import FrozenTrial, TrialState
 
@@ -33,9 +40,21 @@ from storage.store import open_store
 from storage.tables import difference
 from study.experiment.block import quiet
 from study.experiment.compare import work_through
-from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, read_name, store_digest, study_name
+from study.experiment.experiment import (
+    MOST_RUNS,
+    MOST_TRIALS,
+    read_name,
+    store_digest,
+    study_name,
+)
 from study.experiment.features import table_of_worlds
-from study.experiment.folder import LIVE_ATTRIBUTE, ROBOTS_NAME, by_study, in_order, versions
+from study.experiment.folder import (
+    LIVE_ATTRIBUTE,
+    ROBOTS_NAME,
+    by_study,
+    in_order,
+    versions,
+)
 from study.experiment.objective import Objective, read_objective
 from study.experiment.samplers import FIRST_ROWS
 from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
@@ -74,23 +93,30 @@ _RANKED = f"the ranking's first {FIRST_ROWS} rows"
 
 ARMS: dict[str, RobotArm] = {
     "worlds": RobotArm(
-        "worlds", "costs in each world",
+        "worlds",
+        "costs in each world",
         lambda t, s, lasts: FeatureKernelSampler(t, seed=s, success=lasts),
     ),
-    "ranking": RobotArm("ranking", "the ranking", lambda t, s, lasts: RandomSampler(seed=s), None),
+    "ranking": RobotArm(
+        "ranking", "the ranking", lambda t, s, lasts: RandomSampler(seed=s), None
+    ),
     "gp-ranking": RobotArm(
-        "GPSampler after 3", _RANKED,
-        lambda t, s, lasts: GPSampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        "GPSampler after 3",
+        _RANKED,
+        lambda t, s, lasts: GPSampler(seed=s, n_startup_trials=FIRST_ROWS),
+        FIRST_ROWS,
     ),
     "tpe-ranking": RobotArm(
-        "TPE after 3", _RANKED,
-        lambda t, s, lasts: TPESampler(seed=s, n_startup_trials=FIRST_ROWS), FIRST_ROWS,
+        "TPE after 3",
+        _RANKED,
+        lambda t, s, lasts: TPESampler(seed=s, n_startup_trials=FIRST_ROWS),
+        FIRST_ROWS,
     ),
     "gp": RobotArm("GPSampler", NOTHING, lambda t, s, lasts: GPSampler(seed=s)),
     "tpe": RobotArm("TPE", NOTHING, lambda t, s, lasts: TPESampler(seed=s)),
     "cmaes": RobotArm("CMA-ES", NOTHING, lambda t, s, lasts: CmaEsSampler(seed=s)),
     "random": RobotArm("random", NOTHING, lambda t, s, lasts: RandomSampler(seed=s)),
-}  # fmt: skip
+}
 NEED_TORCH = ("gp-ranking", "gp")
 
 
@@ -106,7 +132,8 @@ class RobotExperiment:
         store: folder of the scores that arms see.
         duration_s: of a trial.
         objective: what a trial costs.
-        noise: of a measured cost, relative: standard deviation of its logarithm, 0 to 1.
+        noise: of a measured cost, relative: standard deviation of its logarithm, 0 to
+            1.
         runs: robots.
         trials: of each arm on each robot.
         arms: that are compared, by name.
@@ -129,7 +156,10 @@ class RobotExperiment:
         """All that decides a trial, as JSON values; robots, trials and arms may grow."""
         first = self.rule.draw([stream(self.seed, Purpose.WORLD, 0)])
         return {
-            **{name: getattr(self, name) for name in ("name", "seed", "duration_s", "noise")},
+            **{
+                name: getattr(self, name)
+                for name in ("name", "seed", "duration_s", "noise")
+            },
             **self.objective.document(),
             "simulator": self.simulator.name,
             "code_version": self.simulator.code_version,
@@ -137,7 +167,7 @@ class RobotExperiment:
             "settings": self.simulator.document(),
             "store": store_digest(self.store),
             "first_robot": self.rule.document(first),
-        }  # fmt: skip
+        }
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -161,17 +191,22 @@ def refuse_walkers_options(args: Namespace) -> None:
     """Refuse options of commands that are of the walker's experiments alone."""
     for name in ("arch", "store"):
         if (given := getattr(args, name)) is not None:
-            raise InputError(name, str(given), "none: the configuration names another simulator")
+            raise InputError(
+                name, str(given), "none: the configuration names another simulator"
+            )
 
 
 def read_robots(
-    path: Path, seed: int | None = None, arms: str | None = None, runs: int | None = None,
+    path: Path,
+    seed: int | None = None,
+    arms: str | None = None,
+    runs: int | None = None,
     trials: int | None = None,
-) -> RobotExperiment:  # fmt: skip
+) -> RobotExperiment:
     """Read and check the configuration of a comparison; the other arguments override the file's.
 
-    Arms are names between commas. Those that need PyTorch are left out where it is missing, unless
-    they are asked for by name.
+    Arms are names between commas. Those that need PyTorch are left out where it is
+    missing, unless they are asked for by name.
 
     Raises:
         InputError: an unknown key, a wrong type, a value out of range, or no store.
@@ -207,10 +242,14 @@ def read_robots(
     experiment = read_whole(read_toml(path), read)
     store = open_store(experiment.store)
     require_parameters(store, experiment.simulator)
-    candidates(experiment.store, experiment.objective)  # a cost that the store lacks is refused
+    candidates(
+        experiment.store, experiment.objective
+    )  # a cost that the store lacks is refused
     for line in cautions(store, experiment.simulator.survived):
         print(f"warning: {line}", file=sys.stderr)
-    return replace(experiment, simulator=experiment.simulator.lasting(experiment.duration_s))
+    return replace(
+        experiment, simulator=experiment.simulator.lasting(experiment.duration_s)
+    )
 
 
 def _read_arms(configured: tuple[str, ...], asked: str | None) -> tuple[str, ...]:
@@ -220,12 +259,18 @@ def _read_arms(configured: tuple[str, ...], asked: str | None) -> tuple[str, ...
         if name not in ARMS:
             raise InputError("arm", name, f"one of {listed(ARMS, name)}")
     chosen = tuple(dict.fromkeys(named or ARMS))
-    lacking = [name for name in chosen if name in NEED_TORCH and find_spec("torch") is None]
+    lacking = [
+        name for name in chosen if name in NEED_TORCH and find_spec("torch") is None
+    ]
     if not lacking:
         return chosen
     if asked is not None:
-        raise InputError("arm", lacking[0], "PyTorch installed (pip install torch), or another")
-    print("GPSampler is left out: it needs PyTorch (pip install torch)", file=sys.stderr)
+        raise InputError(
+            "arm", lacking[0], "PyTorch installed (pip install torch), or another"
+        )
+    print(
+        "GPSampler is left out: it needs PyTorch (pip install torch)", file=sys.stderr
+    )
     return tuple(name for name in chosen if name not in lacking)
 
 
@@ -242,25 +287,35 @@ Unit = tuple[RobotExperiment, int]
 
 
 def compare_robots(
-    experiment: RobotExperiment, out: Path, pool: Pool, report: Callable[[int, int], None]
+    experiment: RobotExperiment,
+    out: Path,
+    pool: Pool,
+    report: Callable[[int, int], None],
 ) -> pa.Table:
     """Finish a comparison, or go on with it: all its trials, in the order of arm, run, trial.
 
-    A robot's trials are committed together; `report` is called with studies that have all trials,
-    and with how many there are to be.
+    A robot's trials are committed together; `report` is called with studies that have
+    all trials, and with how many there are to be.
 
     Raises:
-        InputError: a folder of another comparison, or what a sampler or the simulator refuses.
+        InputError: a folder of another comparison, or what a sampler or the simulator
+            refuses.
     """
     with RobotsFolder.claim(out, experiment.document) as folder:
         pool.agree(out)
         kept = [folder.read_state(TRIALS_NAME, experiment.schema, "trials")]
         known = by_study(kept[0])
-        done = {(arm, run) for arm, run, trials in known if len(trials) >= experiment.trials}
-        wanted = {(arm, run) for arm in experiment.arms for run in range(experiment.runs)}
+        done = {
+            (arm, run) for arm, run, trials in known if len(trials) >= experiment.trials
+        }
+        wanted = {
+            (arm, run) for arm in experiment.arms for run in range(experiment.runs)
+        }
         there, units = replace(experiment, store=pool.there(experiment.store)), []
         for run in range(experiment.runs):
-            if missing := tuple(arm for arm in experiment.arms if (arm, run) not in done):
+            if missing := tuple(
+                arm for arm in experiment.arms if (arm, run) not in done
+            ):
                 units.append((replace(there, arms=missing), run))
         report(len(wanted & done), len(wanted))
 
@@ -284,9 +339,13 @@ class Runs:
 
     def __init__(self, experiment: RobotExperiment, run: int) -> None:
         self._experiment = experiment
-        self._world = experiment.rule.draw([stream(experiment.seed, Purpose.WORLD, run)])
+        self._world = experiment.rule.draw(
+            [stream(experiment.seed, Purpose.WORLD, run)]
+        )
         errors = generator(experiment.seed, Purpose.COST_NOISE, run)
-        self.factors = np.exp(experiment.noise * errors.standard_normal(experiment.trials))
+        self.factors = np.exp(
+            experiment.noise * errors.standard_normal(experiment.trials)
+        )
         table = candidates(experiment.store, experiment.objective)
         self._space = table.rows.space.as_dict()
         self._known: dict[bytes, np.void] = {}
@@ -295,18 +354,28 @@ class Runs:
         """The next trial of each study, and its parameters as the simulator's numbers, [n, p]."""
         asked = [study.ask(self._space) for study in studies]
         names, space = self._experiment.names, self._space
-        return asked, np.array([
-            [space[name].to_internal_repr(trial.params[name]) for name in names] for trial in asked
-        ])  # fmt: skip
+        return asked, np.array(
+            [
+                [space[name].to_internal_repr(trial.params[name]) for name in names]
+                for trial in asked
+            ]
+        )
 
     def rows(self, points: Floats) -> NDArray[np.void]:
         """The simulator's rows of points, [n]."""
         known, keys = self._known, [point.tobytes() for point in points]
-        new = [k for k, key in enumerate(keys) if key not in known and key not in keys[:k]]
+        new = [
+            k for k, key in enumerate(keys) if key not in known and key not in keys[:k]
+        ]
         if new:
-            simulator, duration_s = self._experiment.simulator, self._experiment.duration_s
+            simulator, duration_s = (
+                self._experiment.simulator,
+                self._experiment.duration_s,
+            )
             found, _ = run_points(simulator, points[new], self._world, 1, duration_s)
-            known |= {keys[k]: row.copy() for k, row in zip(new, found[:, 0], strict=True)}
+            known |= {
+                keys[k]: row.copy() for k, row in zip(new, found[:, 0], strict=True)
+            }
         return np.array([known[key] for key in keys])
 
 
@@ -325,7 +394,12 @@ def try_robot(unit: Unit) -> pa.Table:
             measured = costs * runs.factors[trial]
             for place, (arm, study) in enumerate(studies.items()):
                 study.tell(asked[place], float(measured[place]))
-                told = (costs[place], measured[place], rows[place][survived], *points[place])
+                told = (
+                    costs[place],
+                    measured[place],
+                    rows[place][survived],
+                    *points[place],
+                )
                 values = (arm, run, trial, *map(float, told))
                 for column, value in zip(columns.values(), values, strict=True):
                     column.append(value)
@@ -333,21 +407,28 @@ def try_robot(unit: Unit) -> pa.Table:
 
 
 def live_study(
-    experiment: RobotExperiment, arm: str, run: int, storage: BaseStorage,
+    experiment: RobotExperiment,
+    arm: str,
+    run: int,
+    storage: BaseStorage,
     report: Callable[[optuna.Study, FrozenTrial], None],
-) -> optuna.Study:  # fmt: skip
+) -> optuna.Study:
     """Run an arm on a robot as a study of a database, or go on with it, until it has its trials.
 
     `report` is called with each trial. One process at a time runs a study.
 
     Raises:
-        InputError: an arm that keeps a state in its trials, a robot that the experiment does not
-            have, or a study of another experiment.
+        InputError: an arm that keeps a state in its trials, a robot that the experiment
+            does not have, or a study of another experiment.
     """
     if arm == "cmaes":
-        raise InputError("arm", arm, "another one: its state in a database would be unpickled")
+        raise InputError(
+            "arm", arm, "another one: its state in a database would be unpickled"
+        )
     if not 0 <= run < experiment.runs:
-        raise InputError("run", run, f"0 to {experiment.runs - 1}, the robots of {experiment.name}")
+        raise InputError(
+            "run", run, f"0 to {experiment.runs - 1}, the robots of {experiment.name}"
+        )
     (arm,) = _read_arms((), arm)
     with _ready((arm,)):
         name = study_name(experiment.name, arm, run)
@@ -356,8 +437,12 @@ def live_study(
         if known is None:
             study.set_user_attr(LIVE_ATTRIBUTE, experiment.document)
         elif found := difference(experiment.document, known):
-            raise InputError(found[0], found[1], f"{found[2]!r}, as the study {name} was begun")
-        while (done := len(study.get_trials(False, (TrialState.COMPLETE,)))) < experiment.trials:
+            raise InputError(
+                found[0], found[1], f"{found[2]!r}, as the study {name} was begun"
+            )
+        while (
+            done := len(study.get_trials(False, (TrialState.COMPLETE,)))
+        ) < experiment.trials:
             (asked,), points = runs.ask([study])
             row = runs.rows(points)
             for column in experiment.simulator.scores:
@@ -368,12 +453,18 @@ def live_study(
 
 
 def _study(
-    experiment: RobotExperiment, arm: str, run: int, storage: BaseStorage | None = None,
+    experiment: RobotExperiment,
+    arm: str,
+    run: int,
+    storage: BaseStorage | None = None,
     name: str | None = None,
-) -> optuna.Study:  # fmt: skip
+) -> optuna.Study:
     """The study of an arm on a robot, which begins with the rows that the arm is given."""
     table = candidates(experiment.store, experiment.objective)
-    chosen, seed = ARMS[arm], seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run)
+    chosen, seed = (
+        ARMS[arm],
+        seed_32bit(experiment.seed, Purpose.SAMPLER, name_key(arm), run),
+    )
     sampler = chosen.new_sampler(table, seed, experiment.objective.fell_cost)
     study = optuna.create_study(
         storage=storage, sampler=sampler, study_name=name, load_if_exists=True
@@ -406,7 +497,8 @@ def candidates(store: Path, objective: Objective) -> FeatureTable:
     """The rows of a store, with what a trial costs in each of its worlds.
 
     Raises:
-        InputError: a store without families, or that has not kept the cost in each world.
+        InputError: a store without families, or that has not kept the cost in each
+            world.
     """
     return table_of_worlds(open_store(store), [objective.in_worlds])
 

@@ -18,7 +18,13 @@ from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from study.experiment.experiment import Experiment, candidates
-from study.sampler.draws import Purpose, ReproducibleRandomSampler, generator, seed_32bit, turn
+from study.sampler.draws import (
+    Purpose,
+    ReproducibleRandomSampler,
+    generator,
+    seed_32bit,
+    turn,
+)
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.policy import set_attributes
 from study.sampler.space import Space
@@ -80,7 +86,8 @@ class RowSampler(ReproducibleRandomSampler):
 class RankedSampler(RowSampler):
     """The rows of a table in `score_order`: trial t is the row of rank t.
 
-    With `then`, only the first of them; the other sampler of the same parameters follows.
+    With `then`, only the first of them; the other sampler of the same parameters
+    follows.
     """
 
     def __init__(self, task: Task, then: BaseSampler | None = None) -> None:
@@ -88,7 +95,10 @@ class RankedSampler(RowSampler):
         self._then = then
 
     def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         """The trial's row, or what the other sampler makes of all trials so far."""
         rank = turn(study, trial)
@@ -112,8 +122,8 @@ def score_order(table: FeatureTable) -> NDArray[np.int64]:
 class ColdCmaEsSampler(CmaEsSampler):
     """Optuna's CMA-ES from a random mean; its draws depend on the trial's turn, not its number.
 
-    It keeps its state in the trials. A new object with a seed of its own for each trial makes it
-    draw alike after a restart. Trial 0 is random.
+    It keeps its state in the trials. A new object with a seed of its own for each trial
+    makes it draw alike after a restart. Trial 0 is random.
     """
 
     def __init__(self, task: Task) -> None:
@@ -135,7 +145,10 @@ class ColdCmaEsSampler(CmaEsSampler):
             )
 
     def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         """The next of the generation, the same whether or not trials were killed before."""
         counted = copy(trial)
@@ -146,8 +159,8 @@ class ColdCmaEsSampler(CmaEsSampler):
 class WarmCmaEsSampler(RowSampler):
     """pycma in the unit cube: trial 0 is one of the best rows, the generations follow.
 
-    The state is that of pycma's object. A new sampler rebuilds it from the study's trials, so a
-    resumed study goes on as it would have.
+    The state is that of pycma's object. A new sampler rebuilds it from the study's
+    trials, so a resumed study goes on as it would have.
     """
 
     def __init__(self, task: Task) -> None:
@@ -156,11 +169,16 @@ class WarmCmaEsSampler(RowSampler):
         self._row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
         self._draws = generator(task.seed, Purpose.CMAES)
         self._search: Any = None  # pycma's object
-        self._asked: list[Floats] = []  # the generation under way, points of the unit cube
+        self._asked: list[
+            Floats
+        ] = []  # the generation under way, points of the unit cube
         self._told = 0  # trials of the generations before it
 
     def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         """The start point, or the next of the generation.
 

@@ -17,18 +17,26 @@ from taichi_nmm.parameters import searched_parameters, split_points
 from taichi_nmm.result import COMPLETED, END_REASONS, SCORE_FIELDS
 from taichi_nmm.world import Worlds
 
-WALKING_SPEED_MPS = 0.3  # slower, a walker that lasted to the end has stood rather than walked
+WALKING_SPEED_MPS = (
+    0.3  # slower, a walker that lasted to the end has stood rather than walked
+)
 
 MEASURES = ("duration_s", "distance_m", "mean_speed_mps")  # named in words about a walk
 
-# Columns kept of a trial beside its cost: how it ended, and the components of the score.
+# Columns kept of a trial beside its cost: how it ended, and the components of the
+# score.
 OUTCOMES = (*MEASURES, "cost_of_transport_jpkgpm")
 KEPT = (*OUTCOMES, *(name for name, _ in SCORE_FIELDS))
 
 # Attributes of a trial in a study database, for readers.
 ATTRIBUTES = (
-    *MEASURES, "end_reason", "walked", "phi_printed", "phi_corrected", "survived_fraction",
-)  # fmt: skip
+    *MEASURES,
+    "end_reason",
+    "walked",
+    "phi_printed",
+    "phi_corrected",
+    "survived_fraction",
+)
 
 
 def simulate_trials(
@@ -39,7 +47,8 @@ def simulate_trials(
     Args:
         experiment: whose bodies, grounds and settings.
         runs: of each trial, [n].
-        gains: the searched parameters of each, [n, 16 + k], in the order of `experiment.names`.
+        gains: the searched parameters of each, [n, 16 + k], in the order of
+            `experiment.names`.
 
     Raises:
         InputError: what `taichi_nmm.simulate` refuses.
@@ -85,8 +94,13 @@ def finite(rows: NDArray[np.void]) -> NDArray[np.void]:
 
 def attributes(rows: NDArray[np.void]) -> dict[str, Any]:
     """`ATTRIBUTES` of one result row, [1], as plain values."""
-    columns = {"walked": walked(rows), "end_reason": np.array(END_REASONS)[rows["end_reason"]]}
-    found = {name: columns[name] if name in columns else rows[name] for name in ATTRIBUTES}
+    columns = {
+        "walked": walked(rows),
+        "end_reason": np.array(END_REASONS)[rows["end_reason"]],
+    }
+    found = {
+        name: columns[name] if name in columns else rows[name] for name in ATTRIBUTES
+    }
     return {name: values[0].item() for name, values in found.items()}
 
 
@@ -123,8 +137,12 @@ def progress_line(
 ) -> str:
     """One finished trial, and the best so far."""
     known = study_facts(objective, study)
-    names, best = (objective.metrics, "front cost") if objective.goals else (["cost"], "best")
-    costs = "  ".join(f"{name} {cost:8.4f}" for name, cost in zip(names, trial.values, strict=True))
+    names, best = (
+        (objective.metrics, "front cost") if objective.goals else (["cost"], "best")
+    )
+    costs = "  ".join(
+        f"{name} {cost:8.4f}" for name, cost in zip(names, trial.values, strict=True)
+    )
     return (
         f"{known['study']}  {known['trials']:>{len(str(trials))}}/{trials}  "
         f"{costs}  {outcome_text(trial.user_attrs):<44}  "
@@ -137,7 +155,9 @@ def study_line(objective: Objective, study: optuna.Study) -> str:
     known = study_facts(objective, study)
     scored = "" if known["score"] is None else f", score {known['score']:.1f}"
     row = "" if known["row"] is None else f" (row {known['row']}{scored})"
-    costs = "".join(f"{name} {cost:.4f}, " for name, cost in known.get("goals", {}).items())
+    costs = "".join(
+        f"{name} {cost:.4f}, " for name, cost in known.get("goals", {}).items()
+    )
     costs += f"{'front cost' if costs else 'cost'} {known['best_cost']:.4f}"
     first = f", the first in trial {known['first_walker']}" if known["walkers"] else ""
     return (
@@ -151,7 +171,11 @@ def study_facts(objective: Objective, study: optuna.Study) -> dict[str, Any]:
     finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     walkers = [trial.number for trial in finished if trial.user_attrs["walked"]]
     best = best_trial(objective, study)
-    goals = dict(zip(objective.metrics, best.values, strict=True)) if objective.goals else {}
+    goals = (
+        dict(zip(objective.metrics, best.values, strict=True))
+        if objective.goals
+        else {}
+    )
     return {
         "study": study.study_name,
         "trials": len(finished),
@@ -160,7 +184,9 @@ def study_facts(objective: Objective, study: optuna.Study) -> dict[str, Any]:
         "best_trial": best.number,
         "best_cost": best_cost(objective, study),
         "row": best.user_attrs.get(ROW_ATTRIBUTE),
-        "score": best.user_attrs.get(SCORE_ATTRIBUTE),  # of arms that compare rows by one number
+        "score": best.user_attrs.get(
+            SCORE_ATTRIBUTE
+        ),  # of arms that compare rows by one number
         **{name: best.user_attrs[name] for name in (*MEASURES, "end_reason")},
         **({"goals": goals} if goals else {}),
     }

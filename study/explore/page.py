@@ -1,8 +1,8 @@
 """The page of a store or a study: what was scored on the left, on the right a gait walks.
 
-Of other simulators than the walker, the right half has a row's numbers, and a film of it where the
-command was given the simulator (`--simulator my_robot.py:robot`) and that is one of MuJoCo: a store
-is data, and names code that is never looked for.
+Of other simulators than the walker, the right half has a row's numbers, and a film of
+it where the command was given the simulator (`--simulator my_robot.py:robot`) and that
+is one of MuJoCo: a store is data, and names code that is never looked for.
 """
 
 import base64
@@ -36,20 +36,27 @@ FIRST_GAIT = "reference"
 BASE = "base setting"
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
 VIDEO_CSS = "video { width: 100% }"
-THEME = Theme(json={"attrs": {"Widget": {"stylesheets": [NIGHT]}}})  # of those without their own
+THEME = Theme(
+    json={"attrs": {"Widget": {"stylesheets": [NIGHT]}}}
+)  # of those without their own
 
 
 class RobotView:
     """A row of a store: its parameters, what it did in each family, and a film in a chosen world.
 
-    Of processes, `makers` make films and files. What films the rows is `robot`, the simulator of
-    this name, or None.
+    Of processes, `makers` make films and files. What films the rows is `robot`, the
+    simulator of this name, or None.
     """
 
     def __init__(
-        self, document: Document, makers: Executor, message: Message, store: Store,
-        simulator: str | None, robot: Any,
-    ) -> None:  # fmt: skip
+        self,
+        document: Document,
+        makers: Executor,
+        message: Message,
+        store: Store,
+        simulator: str | None,
+        robot: Any,
+    ) -> None:
         self._message, self._store = message, store
         self._simulator, self._robot = simulator, robot
         self._place: int | None = None  # of the row that is shown
@@ -58,17 +65,27 @@ class RobotView:
         self.save = saver.save
         self._numbers = Div(text="click a point", name="numbers", disable_math=True)
         self._video = Div(
-            text="", name="film", stylesheets=[VIDEO_CSS], sizing_mode="stretch_width",
-            disable_math=True, tags=[saver.source],
-        )  # fmt: skip
+            text="",
+            name="film",
+            stylesheets=[VIDEO_CSS],
+            sizing_mode="stretch_width",
+            disable_math=True,
+            tags=[saver.source],
+        )
         self._world = Select(title="world", options=[BASE], value=BASE, name="world")
-        self._duration = Select(title="at most", options=["5 s", "10 s", "20 s"], value="5 s")
+        self._duration = Select(
+            title="at most", options=["5 s", "10 s", "20 s"], value="5 s"
+        )
         film = Button(label="film", name="film-it", disabled=simulator is None)
         film.on_click(message.safely(self._film))
         words = "" if simulator else "films: explore --simulator my_robot.py:robot"
-        above = flow(self._world, self._duration, film, Div(text=words, name="no-films"))
+        above = flow(
+            self._world, self._duration, film, Div(text=words, name="no-films")
+        )
         parts = above, self._video, self._numbers
-        self.panels = [column(*parts, sizing_mode="stretch_width", name="The chosen row")]
+        self.panels = [
+            column(*parts, sizing_mode="stretch_width", name="The chosen row")
+        ]
 
     def show(self, place: int) -> None:
         """Show a row, by its place among the store's rows."""
@@ -81,8 +98,14 @@ class RobotView:
         if self._place is None or self._robot is None:
             return
         # A store has whole numbers as floats, a choice as its number.
-        gains = zip(self._store.gain_names, self._store.gains()[self._place].tolist(), strict=True)
-        point = {name: self._robot.space[name].to_external_repr(gain) for name, gain in gains}
+        gains = zip(
+            self._store.gain_names,
+            self._store.gains()[self._place].tolist(),
+            strict=True,
+        )
+        point = {
+            name: self._robot.space[name].to_external_repr(gain) for name, gain in gains
+        }
         seconds = float(self._duration.value.removesuffix(" s"))
         self._message.tell("filming ...")
         world = worlds_of(self._store)[self._world.value]
@@ -116,7 +139,9 @@ def numbers_text(store: Store, place: int) -> str:
     for name, kind in zip(table.column_names, table.schema.types, strict=True):
         if not pa.types.is_fixed_size_list(kind):
             is_number = pa.types.is_floating(kind)
-            value = numbers_of(store, name)[place] if is_number else table[name][0].as_py()
+            value = (
+                numbers_of(store, name)[place] if is_number else table[name][0].as_py()
+            )
             text = f"{value:.4g}" if is_number else html.escape(str(value))
             text = "-" if value is None or value != value else text  # NaN: unknown
             shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
@@ -126,15 +151,17 @@ def numbers_text(store: Store, place: int) -> str:
 def page_of(path: Path, study: str | None = None, simulator: str | None = None) -> Page:
     """What fills the document of a tab with a store, finished or not, or a study.
 
-    Each tab reads the rows anew: there may be more. The arguments are those of `open_rows`, and a
-    simulator that films the rows of its own.
+    Each tab reads the rows anew: there may be more. The arguments are those of
+    `open_rows`, and a simulator that films the rows of its own.
 
     Raises:
         InputError: as `open_rows`, or no simulator to film.
     """
     rows_of = open_rows(path, study)
     robot = None if simulator is None else filmable(simulator, rows_of.gain_names)
-    if robot is not None and not isinstance(rows_of, Trials):  # whose numbers have no kinds
+    if robot is not None and not isinstance(
+        rows_of, Trials
+    ):  # whose numbers have no kinds
         require_parameters(rows_of, robot)
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
@@ -159,14 +186,18 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
                 else:
                     view.show(place)
 
-            points = StoreView(store, message, pick, partial(view.save, file_of_selection, store))
+            points = StoreView(
+                store, message, pick, partial(view.save, file_of_selection, store)
+            )
         except Exception as error:  # the store cannot be read any more
             message.failed(error)
             document.add_root(message.layout)
             return
         document.title = title
         left, right = points.panels, view.panels
-        with document.models.freeze():  # else Bokeh walks through all models after each root
+        with (
+            document.models.freeze()
+        ):  # else Bokeh walks through all models after each root
             for root in (message.layout, left[0], right[0], left[1], *right[1:]):
                 document.add_root(root)
         if isinstance(store, Trials):

@@ -1,7 +1,8 @@
 """The page's server, calls of other processes of which the latest counts, and what views share.
 
-Requests of other names than the loopback's (`study/loopback.py`) find nothing, and sockets of other
-pages are refused. What Bokeh serves for other sites to embed is not found either.
+Requests of other names than the loopback's (`study/loopback.py`) find nothing, and
+sockets of other pages are refused. What Bokeh serves for other sites to embed is not
+found either.
 """
 
 import html
@@ -38,7 +39,8 @@ SOCKET = "/ws"
 class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
     """Whether a request for a socket has a page's token, as that of Bokeh's own script has.
 
-    Bokeh would print a traceback for any other request; here such a request finds nothing.
+    Bokeh would print a traceback for any other request; here such a request finds
+    nothing.
     """
 
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
@@ -50,7 +52,14 @@ class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
             get_session_id(words[1].strip())
             expiry_s = get_token_payload(words[1].strip())["session_expiry"]
             return {} if time.time() < expiry_s else None
-        except (ValueError, LookupError, TypeError, AttributeError, zlib.error, RecursionError):
+        except (
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            zlib.error,
+            RecursionError,
+        ):
             return None  # errors of base64, JSON and zlib on words that are no token
 
 
@@ -71,15 +80,23 @@ def serve(page: Callable[[Document], None], taken: socket.socket) -> tuple[IOLoo
 class Latest:
     """Calls of another process: one at a time, and only the newest of those that wait.
 
-    `done` is called with each result, in the page's own loop, `failed` with what was raised. Once
-    the tab of the document is closed, results are dropped.
+    `done` is called with each result, in the page's own loop, `failed` with what was
+    raised. Once the tab of the document is closed, results are dropped.
     """
 
     def __init__(
-        self, document: Document, executor: Executor, done: Callable[[Any], None],
+        self,
+        document: Document,
+        executor: Executor,
+        done: Callable[[Any], None],
         failed: Callable[[BaseException], None],
-    ) -> None:  # fmt: skip
-        self._document, self._executor, self._done, self._failed = document, executor, done, failed
+    ) -> None:
+        self._document, self._executor, self._done, self._failed = (
+            document,
+            executor,
+            done,
+            failed,
+        )
         self._waits: Callable[[], Future[Any]] | None = None
         self._busy = self._closed = False
         document.on_session_destroyed(self._close)
@@ -118,8 +135,8 @@ class Latest:
 
 SCRIPTS = Path(__file__).parent / "scripts"
 WARNING = "#B3261E"
-# Widgets are drawn for a light page: at night they are inverted, and their hues turned back.
-# Figures are no widgets: the colours of data are never changed.
+# Widgets are drawn for a light page: at night they are inverted, and their hues turned
+# back. Figures are no widgets: the colours of data are never changed.
 NIGHT = """@media (prefers-color-scheme: dark) {
 :host { filter: invert(0.92) hue-rotate(180deg); color: #22262B } }"""
 OURS = "this did not work; the error is printed where the command was started"
@@ -137,9 +154,12 @@ class Message:
 
     def __init__(self, name: str) -> None:
         self.layout = Div(
-            text="", name=name, styles={"color": WARNING}, disable_math=True,
+            text="",
+            name=name,
+            styles={"color": WARNING},
+            disable_math=True,
             sizing_mode="stretch_width",
-        )  # fmt: skip
+        )
 
     def tell(self, text: str) -> None:
         """Show this in place of the text before."""
@@ -149,7 +169,10 @@ class Message:
         """Show an error of a call: the line of bad input, or that the mistake is ours."""
         if isinstance(error, InputError):
             self.tell(str(error))
-        elif isinstance(error, ImportError) and (missing := what_is_missing(error)) is not None:
+        elif (
+            isinstance(error, ImportError)
+            and (missing := what_is_missing(error)) is not None
+        ):
             self.tell(missing)
         else:
             traceback.print_exception(error, file=sys.stderr)
@@ -192,4 +215,7 @@ class Saver:
     def _made(self, file: tuple[str, bytes]) -> None:
         name, content = file
         self._message.tell("")
-        self.source.data = {"name": [name], "content": [np.frombuffer(content, np.uint8)]}
+        self.source.data = {
+            "name": [name],
+            "content": [np.frombuffer(content, np.uint8)],
+        }

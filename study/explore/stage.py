@@ -1,6 +1,7 @@
 """Walkers that walk on the page: bones and muscles as lines of their thickness, a trail, a clock.
 
-The page's script (scripts/play.mjs) draws the frames; nothing is asked of the server meanwhile.
+The page's script (scripts/play.mjs) draws the frames; nothing is asked of the server
+meanwhile.
 """
 
 import html
@@ -28,28 +29,41 @@ STAGE_PX, TIMELINE_PX = 340, 110  # the least width of a stage; the height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
 GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 RIM_M = 0.008  # of a muscle, both sides together
-# As frames have them: their lines and activations are in the order of `MUSCLES`, those of the left
-# leg, then those of the right.
+# As frames have them: their lines and activations are in the order of `MUSCLES`, those
+# of the left leg, then those of the right.
 MUSCLE_LOOKS = [
-    (f"{name}, {PEOPLE['muscles'][name]}", stick.DRAWN[name]["belly_m"]) for name in MUSCLES
+    (f"{name}, {PEOPLE['muscles'][name]}", stick.DRAWN[name]["belly_m"])
+    for name in MUSCLES
 ]
 
 LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
-    "bones": list(stick.WIDTHS_M), "trunk": stick.TRUNK_WIDTH_M, "rim": RIM_M,
-    "muscles": MUSCLE_LOOKS, "points": stick.PATH_POINTS, "force": FORCE_WIDTH_M,
-    "ghost": GHOST, "ink": style.INK,
-    "model": style.MODEL, "far": style.FAR_LIMB, "near": style.NEAR_LIMB, "levels": COLOURS,
-}  # fmt: skip
+    "bones": list(stick.WIDTHS_M),
+    "trunk": stick.TRUNK_WIDTH_M,
+    "rim": RIM_M,
+    "muscles": MUSCLE_LOOKS,
+    "points": stick.PATH_POINTS,
+    "force": FORCE_WIDTH_M,
+    "ghost": GHOST,
+    "ink": style.INK,
+    "model": style.MODEL,
+    "far": style.FAR_LIMB,
+    "near": style.NEAR_LIMB,
+    "levels": COLOURS,
+}
 
 
 def points(count: int) -> models.ColumnDataSource:
     """Points that the script moves."""
-    return models.ColumnDataSource({axis: np.full(count, np.nan, "f4") for axis in "xy"})
+    return models.ColumnDataSource(
+        {axis: np.full(count, np.nan, "f4") for axis in "xy"}
+    )
 
 
 def lines() -> models.ColumnDataSource:
     """Lines that the script makes and moves."""
-    return models.ColumnDataSource({name: [] for name in ("xs", "ys", "width", "colour")})
+    return models.ColumnDataSource(
+        {name: [] for name in ("xs", "ys", "width", "colour")}
+    )
 
 
 class Stage:
@@ -60,9 +74,13 @@ class Stage:
         self.words = models.Div(text="", disable_math=True, sizing_mode="stretch_width")
         self._ground = points(2)
         self.parts: dict[str, Any] = {
-            "frames": self.frames, "trail": points(2), "lines": lines(), "head": points(1),
-            "ghost_lines": lines(), "ghost_head": points(1),
-        }  # fmt: skip
+            "frames": self.frames,
+            "trail": points(2),
+            "lines": lines(),
+            "head": points(1),
+            "ghost_lines": lines(),
+            "ghost_head": points(1),
+        }
         self.parts["figure"] = self.figure = self._drawn(name)
         self.parts["layout"] = self.layout = column(self.figure, self.words)
 
@@ -84,23 +102,59 @@ class Stage:
 
     def _drawn(self, name: str) -> Any:
         plot = figure(
-            name=name, sizing_mode="scale_width", aspect_ratio=ASPECT, tools="",
-            toolbar_location=None, title=" ", x_axis_label="distance (m)",
+            name=name,
+            sizing_mode="scale_width",
+            aspect_ratio=ASPECT,
+            tools="",
+            toolbar_location=None,
+            title=" ",
+            x_axis_label="distance (m)",
             x_range=models.Range1d(0.0, VIEW_WIDTH_M),
-            y_range=models.Range1d(-BELOW_GROUND_M, VIEW_WIDTH_M / ASPECT - BELOW_GROUND_M),
-        )  # fmt: skip
+            y_range=models.Range1d(
+                -BELOW_GROUND_M, VIEW_WIDTH_M / ASPECT - BELOW_GROUND_M
+            ),
+        )
         plot.grid.visible = False
         plot.yaxis.visible = False
-        plot.varea("x", -1e4, "y", source=self._ground, fill_color=style.GROUND,
-                   hatch_pattern="right_diagonal_line", hatch_alpha=0.15)  # fmt: skip
+        plot.varea(
+            "x",
+            -1e4,
+            "y",
+            source=self._ground,
+            fill_color=style.GROUND,
+            hatch_pattern="right_diagonal_line",
+            hatch_alpha=0.15,
+        )
         plot.line("x", "y", source=self._ground, line_color=style.INK, line_width=1.5)
-        plot.line("x", "y", source=self.parts["trail"], line_color=style.MODEL, line_dash="dotted")
-        for kind, colour, alpha in (("ghost_", GHOST, GHOST_ALPHA), ("", style.NEAR_LIMB, 1.0)):
+        plot.line(
+            "x",
+            "y",
+            source=self.parts["trail"],
+            line_color=style.MODEL,
+            line_dash="dotted",
+        )
+        for kind, colour, alpha in (
+            ("ghost_", GHOST, GHOST_ALPHA),
+            ("", style.NEAR_LIMB, 1.0),
+        ):
             head, drawn = self.parts[f"{kind}head"], self.parts[f"{kind}lines"]
-            plot.circle("x", "y", source=head, radius=stick.HEAD_RADIUS_M, color=colour,
-                        alpha=alpha)  # fmt: skip
-            plot.multi_line("xs", "ys", source=drawn, line_color="colour", line_width="width",
-                            line_alpha=alpha, line_cap="round")  # fmt: skip
+            plot.circle(
+                "x",
+                "y",
+                source=head,
+                radius=stick.HEAD_RADIUS_M,
+                color=colour,
+                alpha=alpha,
+            )
+            plot.multi_line(
+                "xs",
+                "ys",
+                source=drawn,
+                line_color="colour",
+                line_width="width",
+                line_alpha=alpha,
+                line_cap="round",
+            )
         return plot
 
 
@@ -113,11 +167,17 @@ class Player:
     def __init__(self, document: Document) -> None:
         self.stages = (Stage("stage"), Stage("beside"))
         self._play = models.Toggle(label="play / pause", active=True, name="play")
-        speed = models.Select(title="speed", value="1x", options=list(SPEEDS), name="speed")
-        slider = models.Slider(title="time (s)", start=0, end=1, value=0, step=0.01, name="time")
+        speed = models.Select(
+            title="speed", value="1x", options=list(SPEEDS), name="speed"
+        )
+        slider = models.Slider(
+            title="time (s)", start=0, end=1, value=0, step=0.01, name="time"
+        )
         ghost = models.Toggle(label="as a ghost", name="ghost")
         self.removed = models.Button(label="remove", name="remove")
-        self._curves = [models.ColumnDataSource({"x": [], "y": []}) for _ in self.stages]
+        self._curves = [
+            models.ColumnDataSource({"x": [], "y": []}) for _ in self.stages
+        ]
         self._falls = [
             models.ColumnDataSource({"x": [], "y": [], "words": []}, name=name)
             for name in ("fall-0", "fall-1")
@@ -128,11 +188,20 @@ class Player:
         self._timeline = self._time_plot()
         script = models.CustomJS.from_file(
             SCRIPTS / "play.mjs",
-            stages=[stage.parts for stage in self.stages], play=self._play, speed=speed,
-            slider=slider, looks=LOOKS, ghost=ghost, cursor=self._cursor,
-            curves=self._curves, falls=self._falls, timeline=self._timeline.x_range,
-            view_m=VIEW_WIDTH_M, below_m=BELOW_GROUND_M, least=f"{STAGE_PX}px",
-        )  # fmt: skip
+            stages=[stage.parts for stage in self.stages],
+            play=self._play,
+            speed=speed,
+            slider=slider,
+            looks=LOOKS,
+            ghost=ghost,
+            cursor=self._cursor,
+            curves=self._curves,
+            falls=self._falls,
+            timeline=self._timeline.x_range,
+            view_m=VIEW_WIDTH_M,
+            below_m=BELOW_GROUND_M,
+            least=f"{STAGE_PX}px",
+        )
         for stage in self.stages:
             stage.frames.js_on_change("data", script)
             for event in ("mousemove", "mouseleave", "tap"):
@@ -141,7 +210,9 @@ class Player:
         self._play.js_on_change("active", script)
         ghost.js_on_change("active", script)
         self._timeline.js_on_event("tap", script)
-        document.js_on_event(DocumentReady, script)  # frames may have come before the page
+        document.js_on_event(
+            DocumentReady, script
+        )  # frames may have come before the page
         clock = flow(self._play, speed, slider, least_px=100)
         slider.styles = {"flex": "4 1 220px"}
         stages = flow(*(stage.layout for stage in self.stages), least_px=STAGE_PX)
@@ -159,16 +230,38 @@ class Player:
 
     def _time_plot(self) -> Any:
         plot = figure(
-            name="timeline", height=TIMELINE_PX, sizing_mode="stretch_width", tools="",
-            toolbar_location=None, x_range=models.Range1d(0.0, 10.0), x_axis_label="time (s)",
-            y_axis_label="hip (m)", min_border_top=14,
-        )  # fmt: skip
+            name="timeline",
+            height=TIMELINE_PX,
+            sizing_mode="stretch_width",
+            tools="",
+            toolbar_location=None,
+            x_range=models.Range1d(0.0, 10.0),
+            x_axis_label="time (s)",
+            y_axis_label="hip (m)",
+            min_border_top=14,
+        )
         plot.yaxis.ticker.desired_num_ticks = 3
         for curve, fall, colour in zip(self._curves, self._falls, GAITS, strict=True):
             plot.line("x", "y", source=curve, line_color=colour)
-            plot.scatter("x", "y", source=fall, marker="x", size=13, line_color=style.VERMILION,
-                         line_width=3)  # fmt: skip
-            plot.text("x", "y", "words", source=fall, text_align="right", x_offset=-12,
-                      text_baseline="bottom", y_offset=-4, text_font_size="11px")  # fmt: skip
+            plot.scatter(
+                "x",
+                "y",
+                source=fall,
+                marker="x",
+                size=13,
+                line_color=style.VERMILION,
+                line_width=3,
+            )
+            plot.text(
+                "x",
+                "y",
+                "words",
+                source=fall,
+                text_align="right",
+                x_offset=-12,
+                text_baseline="bottom",
+                y_offset=-4,
+                text_font_size="11px",
+            )
         plot.add_layout(self._cursor)
         return plot

@@ -1,7 +1,8 @@
 """A store on the page: a cloud of its rows, histograms, a selection and a table.
 
-The selection is a text, "column low..high, column low..high". The page's script (scripts/brush.mjs)
-reads the same text, and so needs no server while a person drags a box.
+The selection is a text, "column low..high, column low..high". The page's script
+(scripts/brush.mjs) reads the same text, and so needs no server while a person drags a
+box.
 """
 
 import html
@@ -48,18 +49,24 @@ def read_selection(text: str, columns: Sequence[str]) -> Ranges:
     for part in filter(str.strip, text.split(",")):
         match = RANGE.fullmatch(part)
         if match is None:
-            raise InputError("selection", part.strip(), "column low..high, column low..high, ...")
+            raise InputError(
+                "selection", part.strip(), "column low..high, column low..high, ..."
+            )
         name, low, high = match.groups()
         if name not in columns:
             raise InputError("selection", name, f"one of {listed(columns, name)}")
         try:
             found[name] = (float(low), float(high))
         except ValueError:
-            raise InputError("selection", f"{low}..{high}", "a number at each end") from None
+            raise InputError(
+                "selection", f"{low}..{high}", "a number at each end"
+            ) from None
     return found
 
 
-def selected(ranges: Ranges, column: Callable[[str], Floats], rows: int) -> NDArray[np.bool_]:
+def selected(
+    ranges: Ranges, column: Callable[[str], Floats], rows: int
+) -> NDArray[np.bool_]:
     """Which rows lie within all ranges, ends included, [n]; a row with NaN there does not."""
     inside = np.ones(rows, dtype=bool)
     for name, (low, high) in ranges.items():
@@ -101,7 +108,9 @@ def file_of_selection(store: Store, ranges: Ranges) -> tuple[str, bytes]:
     table = store.table()
     chosen = selected(ranges, partial(numbers_of, store), len(table))
     content = io.BytesIO()
-    pyarrow.parquet.write_table(table.filter(pa.array(chosen)), content, compression="zstd")
+    pyarrow.parquet.write_table(
+        table.filter(pa.array(chosen)), content, compression="zstd"
+    )
     return "selection.parquet", content.getvalue()
 
 
@@ -110,27 +119,44 @@ CLOUD_PX = (600, 440)  # the height lasts, with the axes; the width is that of t
 HISTOGRAM_PX = 105
 BINS = 40
 BESIDES = "#D8DCE0"  # of bars
-CHOSEN_PX, POINTED_PX = 17, 11  # rings about the row that walks and the row under the pointer
+CHOSEN_PX, POINTED_PX = (
+    17,
+    11,
+)  # rings about the row that walks and the row under the pointer
 
 
 def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
     """A figure to drag a box over, its one image, which the script paints, and two rings."""
     box = BoxSelectTool(renderers=[])
     plot = figure(
-        name="cloud", height=CLOUD_PX[1], sizing_mode="stretch_width", title=" ",
-        tools=[PanTool(), WheelZoomTool(), ResetTool(), box], active_drag=box,
-        x_range=models.Range1d(0.0, 1.0), y_range=models.Range1d(0.0, 1.0),
-    )  # fmt: skip
+        name="cloud",
+        height=CLOUD_PX[1],
+        sizing_mode="stretch_width",
+        title=" ",
+        tools=[PanTool(), WheelZoomTool(), ResetTool(), box],
+        active_drag=box,
+        x_range=models.Range1d(0.0, 1.0),
+        y_range=models.Range1d(0.0, 1.0),
+    )
     plot.toolbar.logo = None
     pixels = np.zeros(CLOUD_PX[::-1], np.uint32)
     corners = {"x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}
     image = models.ColumnDataSource({"image": [pixels], **corners})
     plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
     nowhere = {axis: np.full(2, np.nan) for axis in "xy"}
-    rings = models.ColumnDataSource({**nowhere, "size": [CHOSEN_PX, POINTED_PX]}, name="rings")
+    rings = models.ColumnDataSource(
+        {**nowhere, "size": [CHOSEN_PX, POINTED_PX]}, name="rings"
+    )
     for width, colour in ((5, "white"), (2.5, style.VERMILION)):
-        plot.scatter("x", "y", size="size", source=rings, line_color=colour, line_width=width,
-                     fill_color=None)  # fmt: skip
+        plot.scatter(
+            "x",
+            "y",
+            size="size",
+            source=rings,
+            line_color=colour,
+            line_width=width,
+            fill_color=None,
+        )
     return plot, image, rings
 
 
@@ -138,9 +164,13 @@ def histograms() -> Iterator[tuple[Any, list[models.ColumnDataSource], models.Sp
     """A small figure for each column; its bars, of all rows and of those selected; and a line."""
     for slot in range(len(ROLES)):
         plot = figure(
-            name=f"histogram-{slot}", height=HISTOGRAM_PX, tools="", toolbar_location=None,
-            title=" ", x_range=models.Range1d(0.0, 1.0),
-        )  # fmt: skip
+            name=f"histogram-{slot}",
+            height=HISTOGRAM_PX,
+            tools="",
+            toolbar_location=None,
+            title=" ",
+            x_range=models.Range1d(0.0, 1.0),
+        )
         plot.title.text_font_size = "10px"
         plot.yaxis.visible = False
         plot.xaxis.ticker.desired_num_ticks = 3
@@ -151,34 +181,59 @@ def histograms() -> Iterator[tuple[Any, list[models.ColumnDataSource], models.Sp
         for colour, level in ((BESIDES, "glyph"), (style.MODEL, "overlay")):
             sides = {name: np.zeros(BINS) for name in ("left", "right", "count")}
             bars.append(models.ColumnDataSource(sides))
-            plot.quad(left="left", right="right", bottom=0, top="count", source=bars[-1],
-                      fill_color=colour, line_color=None, level=level)  # fmt: skip
+            plot.quad(
+                left="left",
+                right="right",
+                bottom=0,
+                top="count",
+                source=bars[-1],
+                fill_color=colour,
+                line_color=None,
+                level=level,
+            )
         span = models.Span(dimension="height", line_color=style.VERMILION, line_width=2)
         span.update(name=f"at-{slot}", level="overlay")
         plot.add_layout(span)
         yield plot, bars, span
 
 
-def table(source: models.ColumnDataSource, row: str, words: list[str]) -> models.DataTable:
+def table(
+    source: models.ColumnDataSource, row: str, words: list[str]
+) -> models.DataTable:
     """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
     numbers = models.NumberFormatter(format="0.[0000]", nan_format="-")
-    columns = [models.TableColumn(field="row", title=row, width=60),
-               models.TableColumn(field="mark", title="", width=55)]  # fmt: skip
+    columns = [
+        models.TableColumn(field="row", title=row, width=60),
+        models.TableColumn(field="mark", title="", width=55),
+    ]
     columns += [
-        models.TableColumn(field=f"c{slot}", title=html.escape(name), formatter=numbers)  # as HTML
+        models.TableColumn(
+            field=f"c{slot}", title=html.escape(name), formatter=numbers
+        )  # as HTML
         for slot, name in enumerate(words)
         if name != row  # as of a study's trials
     ]
-    return models.DataTable(source=source, columns=columns, height=240, sizing_mode="stretch_width",
-                     index_position=None)  # fmt: skip
+    return models.DataTable(
+        source=source,
+        columns=columns,
+        height=240,
+        sizing_mode="stretch_width",
+        index_position=None,
+    )
 
 
-FIRST = ("mean_speed_mps", "phi_printed", "survived_fraction", ENERGY,
-         "step_length_mean_m")  # fmt: skip
+FIRST = (
+    "mean_speed_mps",
+    "phi_printed",
+    "survived_fraction",
+    ENERGY,
+    "step_length_mean_m",
+)
 PALETTE = "viridis"
 MARKED = {  # by what numbers the rows: the column that decides, its usual word, a word for others
-    "row": (ORIGIN, SOBOL_ROW, "bred"), TRIAL: (STATE, "complete", "not complete"),
-}  # fmt: skip
+    "row": (ORIGIN, SOBOL_ROW, "bred"),
+    TRIAL: (STATE, "complete", "not complete"),
+}
 
 
 def numeric_columns(store: Store) -> list[str]:
@@ -191,16 +246,22 @@ def numeric_columns(store: Store) -> list[str]:
 def first_columns(store: Store) -> list[str]:
     """The first five columns of a page; the colour is the survival of the first family, if any.
 
-    Of other simulators than the walker: the first numbers after the parameters. Of a study: the
-    trial's number, its value, and its attributes.
+    Of other simulators than the walker: the first numbers after the parameters. Of a
+    study: the trial's number, its value, and its attributes.
     """
-    survived = [name for name in store.columns if name.endswith("_survived_fraction_mean")]
+    survived = [
+        name for name in store.columns if name.endswith("_survived_fraction_mean")
+    ]
     known = numeric_columns(store)
-    energy = ENERGY if ENERGY in known else OF_MUSCLES  # of a store before 0.4: as its words say
+    energy = (
+        ENERGY if ENERGY in known else OF_MUSCLES
+    )  # of a store before 0.4: as its words say
     first = [*FIRST[:2], *(survived[:1] or FIRST[2:3]), energy, FIRST[4]]
     if set(first) <= set(known):
         return first
-    gains = [name for name in store.gain_names if name in known]  # a parameter may be a word
+    gains = [
+        name for name in store.gain_names if name in known
+    ]  # a parameter may be a word
     own = [name for name in known if name != "row" and name not in gains]
     found = [*own[1:3], *(survived or own)[:1], *own[3:], *gains, *known]
     different = list(dict.fromkeys(own + found if store.ROW == TRIAL else found))
@@ -210,65 +271,95 @@ def first_columns(store: Store) -> list[str]:
 class StoreView:
     """The panels of a store's points and rows.
 
-    It calls `pick` with the place of a clicked row among the store's rows and with its number, and
-    `save` with a selection.
+    It calls `pick` with the place of a clicked row among the store's rows and with its
+    number, and `save` with a selection.
     """
 
     def __init__(
-        self, store: Store, message: Message, pick: Callable[[int, int], None],
+        self,
+        store: Store,
+        message: Message,
+        pick: Callable[[int, int], None],
         save: Callable[[Ranges], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._store, self._pick = store, pick
         self._rows: NDArray[np.int64] = self._read(store.ROW).astype(np.int64)
         self._words = described(store, numeric_columns(store))
         options = menu(self._words)
         self._columns = [
-            models.Select(title=role, value=name, options=options, name=f"column-{slot}")
-            for slot, (role, name) in enumerate(zip(ROLES, first_columns(store), strict=True))
+            models.Select(
+                title=role, value=name, options=options, name=f"column-{slot}"
+            )
+            for slot, (role, name) in enumerate(
+                zip(ROLES, first_columns(store), strict=True)
+            )
         ]
-        find = models.TextInput(title="find in the menus", placeholder="hip mean", name="find")
+        find = models.TextInput(
+            title="find in the menus", placeholder="hip mean", name="find"
+        )
         search = {"columns": self._columns, "options": options}
-        find.js_on_change("value_input", models.CustomJS.from_file(SCRIPTS / "find.mjs", **search))
+        find.js_on_change(
+            "value_input", models.CustomJS.from_file(SCRIPTS / "find.mjs", **search)
+        )
         self._hidden: Ranges = {}  # of columns that are not shown
         deciding, usual, self._mark = MARKED[store.ROW]
         marked = np.zeros(len(store), np.uint8)
         if deciding in store.columns:
             marked[store.table([deciding])[deciding].to_numpy() != usual] = 1
-        rows = {"row": self._rows, "marked": marked, "kept": np.ones(len(store), np.uint8)}
+        rows = {
+            "row": self._rows,
+            "marked": marked,
+            "kept": np.ones(len(store), np.uint8),
+        }
         self._source = models.ColumnDataSource(rows, name="rows")
         self.selection = models.TextInput(
-            title="selection: column low..high, ...", placeholder="drag a box", name="selection"
+            title="selection: column low..high, ...",
+            placeholder="drag a box",
+            name="selection",
         )
         self._refusal = Message("selection-message")
         # without `low` and `high`: the browser would silently replace a wrong number
-        self.row = models.Spinner(title=f"{store.ROW} shown", step=1, mode="int", name="row")
+        self.row = models.Spinner(
+            title=f"{store.ROW} shown", step=1, mode="int", name="row"
+        )
         self._cloud, self._image, self._rings = cloud()
         self._mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
         self._bar = models.ColorBar(color_mapper=self._mapper, height=10, padding=4)
         self._cloud.add_layout(self._bar, "below")
-        self._histograms, self._bars, self._spans = map(list, zip(*histograms(), strict=True))
+        self._histograms, self._bars, self._spans = map(
+            list, zip(*histograms(), strict=True)
+        )
         fields = ("row", "mark", *(f"c{slot}" for slot in range(len(ROLES))))
-        self._listed = models.ColumnDataSource({name: [] for name in fields}, name="listed")
+        self._listed = models.ColumnDataSource(
+            {name: [] for name in fields}, name="listed"
+        )
         self._count = models.Div(name="count")
         for slot in range(len(ROLES)):
             self._load(slot)
-        self._rows_panel = column(self._table(), sizing_mode="stretch_width", name="Rows")
+        self._rows_panel = column(
+            self._table(), sizing_mode="stretch_width", name="Rows"
+        )
         self._script()
         clear = models.Button(label="all rows")
         clear.on_click(lambda: self.selection.update(value=""))
         take = models.Button(label="selection as Parquet")
         take.on_click(message.safely(lambda: save(self._ranges())))
         points = [
-            flow(*self._columns, find, least_px=215), self._cloud,
-            flow(self.selection, clear, least_px=110), self._refusal.layout,
-            flow(*self._histograms, least_px=160), flow(self._count, self.row, take),
-        ]  # fmt: skip
+            flow(*self._columns, find, least_px=215),
+            self._cloud,
+            flow(self.selection, clear, least_px=110),
+            self._refusal.layout,
+            flow(*self._histograms, least_px=160),
+            flow(self._count, self.row, take),
+        ]
         self.selection.styles = {"flex": "4 1 260px"}
         panel = column(*points, sizing_mode="stretch_width", name="Points")
         self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
         message.watch(self.row, "value", self._picked)
-        message.watch(self.row, "tags", self._picked)  # a click on the row that is shown
+        message.watch(
+            self.row, "tags", self._picked
+        )  # a click on the row that is shown
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
 
@@ -291,7 +382,9 @@ class StoreView:
         try:
             ranges = self._ranges()
         finally:
-            hidden = {name: ends for name, ends in ranges.items() if name not in self._names}
+            hidden = {
+                name: ends for name, ends in ranges.items() if name not in self._names
+            }
             if hidden != self._hidden:
                 self._hidden = hidden
                 kept = selected(hidden, self._read, len(self._rows))
@@ -325,18 +418,32 @@ class StoreView:
             (self._cloud.xaxis, self._cloud.yaxis)[slot].axis_label = PlainText(words)
         if slot == 2:
             self._bar.title = PlainText(words)
-        self._source.data[f"c{slot}"] = self._read(name)  # last: it makes the script paint
+        self._source.data[f"c{slot}"] = self._read(
+            name
+        )  # last: it makes the script paint
 
     def _script(self) -> None:
         rgba = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
         script = models.CustomJS.from_file(
             SCRIPTS / "brush.mjs",
-            source=self._source, columns=self._columns, selection=self.selection, image=self._image,
-            plot=self._cloud, histograms=self._histograms, bars=self._bars, mapper=self._mapper,
-            table=self._listed, count=self._count, row=self.row, rings=self._rings,
-            spans=self._spans, listing=self._rows_panel, mark=self._mark, word=self._store.ROW,
+            source=self._source,
+            columns=self._columns,
+            selection=self.selection,
+            image=self._image,
+            plot=self._cloud,
+            histograms=self._histograms,
+            bars=self._bars,
+            mapper=self._mapper,
+            table=self._listed,
+            count=self._count,
+            row=self.row,
+            rings=self._rings,
+            spans=self._spans,
+            listing=self._rows_panel,
+            mark=self._mark,
+            word=self._store.ROW,
             palette=rgba.view("<u4").ravel().tolist(),
-        )  # fmt: skip
+        )
         for plot in (self._cloud, *self._histograms):
             plot.js_on_event("selectiongeometry", script)
         for event in ("tap", "mousemove", "mouseleave"):

@@ -18,7 +18,13 @@ from taichi_nmm.result import MUSCLES
 Floats = NDArray[np.float64]
 
 HEIGHT_PX, LEAST_PX = 180, 215  # of a panel of the stride
-CURVES = ("y", "low", "high", "right", "beside")  # y is the left leg's, low and high one sd from it
+CURVES = (
+    "y",
+    "low",
+    "high",
+    "right",
+    "beside",
+)  # y is the left leg's, low and high one sd from it
 NO_CURVE = np.full(len(PERCENT), np.nan)
 
 
@@ -33,30 +39,61 @@ class Cycle:
             panel = PANELS.get(name)
             title = panel.title if panel else f"{name}, {muscles[name]}"
             plot = figure(
-                name=f"cycle-{title}", height=HEIGHT_PX, tools="", toolbar_location=None,
-                title=title, x_axis_label="stride (%)", x_range=(0, 100),
+                name=f"cycle-{title}",
+                height=HEIGHT_PX,
+                tools="",
+                toolbar_location=None,
+                title=title,
+                x_axis_label="stride (%)",
+                x_range=(0, 100),
                 y_axis_label=panel.unit if panel else "activation (1)",
                 y_range=(panel.low, panel.high) if panel else (0.0, 1.05),
-            )  # fmt: skip
+            )
             if panel:
                 mean, sd = panel.at(PERCENT)
-                plot.varea(PERCENT, mean - sd, mean + sd, fill_color=style.HUMAN, fill_alpha=0.35)
+                plot.varea(
+                    PERCENT,
+                    mean - sd,
+                    mean + sd,
+                    fill_color=style.HUMAN,
+                    fill_alpha=0.35,
+                )
                 plot.line(PERCENT, mean, line_color=style.FAINT, line_dash="dashed")
             else:
                 starts, ends = zip(*EMG_ON_PERCENT[name], strict=True)
-                plot.quad(starts, ends, 1.05, 0.0, fill_color=style.EMG, fill_alpha=0.6,
-                          line_color=None)  # fmt: skip
+                plot.quad(
+                    starts,
+                    ends,
+                    1.05,
+                    0.0,
+                    fill_color=style.EMG,
+                    fill_alpha=0.6,
+                    line_color=None,
+                )
             empty = dict.fromkeys(CURVES, NO_CURVE)
             source = ColumnDataSource({"x": PERCENT, **empty}, name=f"cycle-{name}")
-            plot.varea("x", "low", "high", source=source, fill_color=style.MODEL, fill_alpha=0.3)
+            plot.varea(
+                "x",
+                "low",
+                "high",
+                source=source,
+                fill_color=style.MODEL,
+                fill_alpha=0.3,
+            )
             plot.line("x", "right", source=source, line_color=style.OTHER_LEG)
-            plot.line("x", "beside", source=source, line_color=style.BLACK, line_dash="dashed")
+            plot.line(
+                "x", "beside", source=source, line_color=style.BLACK, line_dash="dashed"
+            )
             plot.line("x", "y", source=source, line_color=style.MODEL, line_width=2)
-            toe_off = Span(dimension="height", line_color=style.MODEL, line_dash="dotted")
+            toe_off = Span(
+                dimension="height", line_color=style.MODEL, line_dash="dotted"
+            )
             plot.add_layout(toe_off)
             plot.title.text_font_size = "11px"
             self._panels[name] = plot, source, toe_off
-        figures = flow(*(plot for plot, _, _ in self._panels.values()), least_px=LEAST_PX)
+        figures = flow(
+            *(plot for plot, _, _ in self._panels.values()), least_px=LEAST_PX
+        )
         self.layout: Column = column(self._words, figures, sizing_mode="stretch_width")
 
     def show(self, walk: Walk, other: Walk | None) -> None:
@@ -92,7 +129,9 @@ class Cycle:
 
 
 def _strides(walk: Walk, side: int) -> Strides:
-    return gait_cycle.strides_of(finite(walk.trajectory), walk.experiment.weight_n(walk.run), side)
+    return gait_cycle.strides_of(
+        finite(walk.trajectory), walk.experiment.weight_n(walk.run), side
+    )
 
 
 def _mean(strides: Strides | None, name: str) -> tuple[Floats, Floats]:
@@ -100,5 +139,7 @@ def _mean(strides: Strides | None, name: str) -> tuple[Floats, Floats]:
     if strides is None or not strides.enough:
         return NO_CURVE, NO_CURVE
     muscle = name in MUSCLES
-    curves = strides.activation[MUSCLES.index(name)] if muscle else getattr(strides, name)
+    curves = (
+        strides.activation[MUSCLES.index(name)] if muscle else getattr(strides, name)
+    )
     return curves.mean(axis=0), curves.std(axis=0)

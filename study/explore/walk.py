@@ -36,13 +36,18 @@ NAME = "walk"  # of the configuration
 
 
 def chosen_setting(
-    ground: str, disturbance: str, seed: int, world: str, engine: str, duration_s: float,
+    ground: str,
+    disturbance: str,
+    seed: int,
+    world: str,
+    engine: str,
+    duration_s: float,
     own: Mapping[str, Any] = MappingProxyType({}),
-) -> Experiment:  # fmt: skip
+) -> Experiment:
     """The experiment of the page's choices, by the names above; its last run walks.
 
-    `OWN` takes the ground, the masses or the world of a study, whose document is `own`. Of the same
-    engine, other settings of the simulation are the study's, too.
+    `OWN` takes the ground, the masses or the world of a study, whose document is `own`.
+    Of the same engine, other settings of the simulation are the study's, too.
 
     Raises:
         InputError: a seed out of its bounds, or a document of another version.
@@ -54,7 +59,9 @@ def chosen_setting(
         "seed": seed,
         "runs": own.get("run", 0) + 1,
         "simulation": {**simulation, "duration_s": duration_s},
-        "body": own["body"] if disturbance == OWN else {"disturbance": DISTURBANCES[disturbance]},
+        "body": own["body"]
+        if disturbance == OWN
+        else {"disturbance": DISTURBANCES[disturbance]},
         "terrain": own["ground"] if ground == OWN else GROUNDS[ground],
         "world": own.get("world", {}) if world == OWN else WORLDS[world],
     }
@@ -65,14 +72,22 @@ def to_toml(tables: dict[str, Any], name: str = "") -> str:
     """Plain values as TOML, in which they look as in JSON; tables come last."""
     inner = {key: value for key, value in tables.items() if isinstance(value, dict)}
     lines = [f"[{name}]"] if name else []
-    lines += [f"{key} = {json.dumps(value)}" for key, value in tables.items() if key not in inner]
-    texts = [to_toml(value, f"{name}.{key}".lstrip(".")) for key, value in inner.items()]
+    lines += [
+        f"{key} = {json.dumps(value)}"
+        for key, value in tables.items()
+        if key not in inner
+    ]
+    texts = [
+        to_toml(value, f"{name}.{key}".lstrip(".")) for key, value in inner.items()
+    ]
     return "\n".join(["\n".join(lines) + "\n", *texts])
 
 
 RATE_HZ = 30
 BEFORE_M, BEYOND_M = 4.0, 6.0  # of ground, drawn beyond the hip's first and last place
-COLOURS = [to_hex(each) for each in matplotlib.colormaps[style.ACTIVATION_MAP](np.arange(256))]
+COLOURS = [
+    to_hex(each) for each in matplotlib.colormaps[style.ACTIVATION_MAP](np.arange(256))
+]
 Frames = dict[str, NDArray[Any]]
 
 
@@ -92,19 +107,27 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
     drawn = {
         "time_s": motion.time_s,
-        "camera_m": np.stack([q[:, 0], motion.level_m], axis=1),  # hip, and ground, smoothed [f, 2]
-        "height_m": q[:, 1] - terrain.height(q[:, 0]),  # of the hip over the ground, [f]
+        "camera_m": np.stack(
+            [q[:, 0], motion.level_m], axis=1
+        ),  # hip, and ground, smoothed [f, 2]
+        "height_m": q[:, 1]
+        - terrain.height(q[:, 0]),  # of the hip over the ground, [f]
         "near": leg(q, LEFT).chain(),  # hip, knee, ankle, heel and ball, [f, 5, 2]
         "far": leg(q, RIGHT).chain(),
         "trunk": np.stack([q[:, :2], shoulder], axis=1),  # hip and shoulder, [f, 2, 2]
         "head": head[:, None],
-        "muscles": np.stack(paths, axis=1),  # their lines, left leg, then right, [f, 14, p, 2]
+        "muscles": np.stack(
+            paths, axis=1
+        ),  # their lines, left leg, then right, [f, 14, p, 2]
         "forces": force_arrows(motion),  # foot and tip, left and right, [f, 2, 2, 2]
         "ground": np.stack([x, terrain.height(x)], axis=1),  # [k, 2]
         "strikes_s": event_times(trajectory, LEFT, STRIKE),
     }
     activation = np.clip(255.0 * motion.activation, 0, 255).astype(np.uint8)
-    sent = {name: np.ascontiguousarray(part, dtype=np.float32) for name, part in drawn.items()}
+    sent = {
+        name: np.ascontiguousarray(part, dtype=np.float32)
+        for name, part in drawn.items()
+    }
     return sent | {"activation": activation}
 
 
@@ -140,11 +163,20 @@ def walk(gains: NamedGains, experiment: Experiment) -> Walk:
     Raises:
         InputError: what the simulator refuses.
     """
-    alone, run = experiment.on_one_thread(), experiment.runs - 1  # beside walks of other tabs
+    alone, run = (
+        experiment.on_one_thread(),
+        experiment.runs - 1,
+    )  # beside walks of other tabs
     result = recorded_walk(gains, alone.with_settings(arch="cpu"), run, SEEN_RATE_HZ)
-    row, trajectory, terrain = result.rows[0], result.trajectories[0], experiment.terrain(run)
+    row, trajectory, terrain = (
+        result.rows[0],
+        result.trajectories[0],
+        experiment.terrain(run),
+    )
     ended = f"{row_text(row)}{fall_text(row, trajectory, terrain)}"
-    return Walk(gains, experiment, run, row, trajectory, frames_of(trajectory, terrain), ended)
+    return Walk(
+        gains, experiment, run, row, trajectory, frames_of(trajectory, terrain), ended
+    )
 
 
 def warm_up() -> None:
@@ -154,7 +186,10 @@ def warm_up() -> None:
 
 
 FILM, FILM_S = "walk.mp4", 8.0  # of the walk's end
-GAINS, CONFIG = NAMES = "gains.json", "walk.toml"  # what every command takes: --gains, --config
+GAINS, CONFIG = NAMES = (
+    "gains.json",
+    "walk.toml",
+)  # what every command takes: --gains, --config
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
 
@@ -163,7 +198,11 @@ def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
     """One of `NAMES` or `FILM` and its content, to be taken from the page."""
     if name == FILM:
         terrain = walk.experiment.terrain(walk.run)
-        return name, encoded(frames(walk.trajectory, terrain, FILM_S, walk.gains.name), LARGE)
+        return name, encoded(
+            frames(walk.trajectory, terrain, FILM_S, walk.gains.name), LARGE
+        )
     if name == CONFIG:
-        return name, to_toml({"runs": walk.run + 1, **as_written(walk.experiment)}).encode()
+        return name, to_toml(
+            {"runs": walk.run + 1, **as_written(walk.experiment)}
+        ).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()

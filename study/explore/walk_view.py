@@ -22,21 +22,28 @@ from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS, known_numbers
 from taichi_nmm.settings import ENGINES
 
-WRAPS = ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
+WRAPS = (
+    ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
+)
 STRIDE = "stride beside people"
 
 
 class WalkView:
     """Choices of a setting, the stages, the gains, and files to save.
 
-    Of processes, `walkers` simulate and `makers` make files. Of a study's experiment, the document
-    is `own`: its walks are those of the page, until another setting is chosen.
+    Of processes, `walkers` simulate and `makers` make files. Of a study's experiment,
+    the document is `own`: its walks are those of the page, until another setting is
+    chosen.
     """
 
     def __init__(
-        self, document: Document, walkers: Executor, makers: Executor, message: Message,
+        self,
+        document: Document,
+        walkers: Executor,
+        makers: Executor,
+        message: Message,
         own: dict[str, Any],
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._message, self._own = message, own
         self._walk: walking.Walk | None = None
         self._start: walking.Walk | None = None  # with which later ones are compared
@@ -50,14 +57,23 @@ class WalkView:
         self._hands = Hands(message, self._again, self.show)
         self._choices = _choices(own)
         for name, choice in self._choices.items():
-            message.watch(choice, "value", self._on_ground if name == "ground" else self._chosen)
+            message.watch(
+                choice, "value", self._on_ground if name == "ground" else self._chosen
+            )
         self._parts = {
-            "gains": self._hands.layout, "score": self._score, STRIDE: None,
+            "gains": self._hands.layout,
+            "score": self._score,
+            STRIDE: None,
             "take it with you": self._taking(),
-        }  # fmt: skip
+        }
         labels = list(self._parts)
-        self._part = models.RadioButtonGroup(labels=labels, active=0, stylesheets=[WRAPS],
-                                             name="part", tags=[saver.source])  # fmt: skip
+        self._part = models.RadioButtonGroup(
+            labels=labels,
+            active=0,
+            stylesheets=[WRAPS],
+            name="part",
+            tags=[saver.source],
+        )
         self._below = column(self._hands.layout, sizing_mode="stretch_width")
         message.watch(self._part, "active", self._turn)
         keep = models.Button(label="keep it beside", name="keep")
@@ -65,10 +81,19 @@ class WalkView:
         self._player.removed.on_click(message.safely(lambda: self._put_beside(None)))
         choices = flow(*self._choices.values(), keep)
         self.panels = [
-            column(choices, self._player.layout, sizing_mode="stretch_width", name="The walk"),
-            column(self._part, self._below, sizing_mode="stretch_width",
-                   name="Gains, score, stride and files"),
-        ]  # fmt: skip
+            column(
+                choices,
+                self._player.layout,
+                sizing_mode="stretch_width",
+                name="The walk",
+            ),
+            column(
+                self._part,
+                self._below,
+                sizing_mode="stretch_width",
+                name="Gains, score, stride and files",
+            ),
+        ]
 
     def show(self, gains: NamedGains) -> None:
         """Let gains walk in the setting of the choices."""
@@ -142,9 +167,13 @@ class WalkView:
         buttons = [models.Button(label=name, name=f"save-{name}") for name in names]
         for button in buttons:
             button.on_click(self._message.safely(partial(self._take, button.label)))
-        words = models.Div(text="With both files, this command draws, films and records the walk:")
+        words = models.Div(
+            text="With both files, this command draws, films and records the walk:"
+        )
         run = f" --run {self._own['run']}" if self._own.get("run") else ""
-        command = models.Div(text=f"<code>{walking.COMMAND}{run}</code>", name="command")
+        command = models.Div(
+            text=f"<code>{walking.COMMAND}{run}</code>", name="command"
+        )
         return column(flow(*buttons), words, command, sizing_mode="stretch_width")
 
     def _take(self, name: str) -> None:
@@ -161,13 +190,18 @@ def _choices(own: dict[str, Any]) -> dict[str, Any]:
         "ground": ("ground", (*study, *walking.GROUNDS)),
         "world": ("world", (*study, *walking.WORLDS)),
         "disturbance": ("masses of the body", (*study, *walking.DISTURBANCES)),
-        "engine": ("engine", ENGINES), "duration_s": ("at most", (*walking.DURATIONS, *more)),
-    }  # fmt: skip
+        "engine": ("engine", ENGINES),
+        "duration_s": ("at most", (*walking.DURATIONS, *more)),
+    }
     found: dict[str, Any] = {
-        name: models.Select(title=title, options=list(options), value=options[0],
-                            name=name.removesuffix("_s"))
+        name: models.Select(
+            title=title,
+            options=list(options),
+            value=options[0],
+            name=name.removesuffix("_s"),
+        )
         for name, (title, options) in menus.items()
-    }  # fmt: skip
+    }
     found["duration_s"].value = lasts
     found["engine"].value = own.get("simulation", {}).get("engine", ENGINES[0])
     found["seed"] = models.Spinner(title="seed", step=1, mode="int", name="seed")
@@ -190,28 +224,44 @@ NUMBER_PX = 130
 class Hands:
     """A slider and a number for each gain of a walker.
 
-    `changed` is called when a person has changed `gains`, `start` with those of a starting point.
+    `changed` is called when a person has changed `gains`, `start` with those of a
+    starting point.
     """
 
     def __init__(
-        self, message: Message, changed: Callable[[], None], start: Callable[[NamedGains], None]
+        self,
+        message: Message,
+        changed: Callable[[], None],
+        start: Callable[[NamedGains], None],
     ) -> None:
         self._message, self._changed, self._start = message, changed, start
         self._still = False  # while the page, not a person, moves the sliders
-        self._starts = models.Select(title="start from", options=["", *STARTS], name="start")
+        self._starts = models.Select(
+            title="start from", options=["", *STARTS], name="start"
+        )
         self._sliders = [
             models.Slider(
-                title=gain.meaning, start=gain.low, end=gain.high, value=gain.low,
-                step=(gain.high - gain.low) / STEPS, show_value=False, stylesheets=[WRAPS],
-                sizing_mode="stretch_width", name=f"gain-{gain.name}",
+                title=gain.meaning,
+                start=gain.low,
+                end=gain.high,
+                value=gain.low,
+                step=(gain.high - gain.low) / STEPS,
+                show_value=False,
+                stylesheets=[WRAPS],
+                sizing_mode="stretch_width",
+                name=f"gain-{gain.name}",
             )
             for gain in GAINS
-        ]  # fmt: skip
+        ]
         self._numbers = [
-            models.NumericInput(title=f"{gain.name} ({gain.unit})", mode="float", width=NUMBER_PX,
-                                name=f"number-{gain.name}")
+            models.NumericInput(
+                title=f"{gain.name} ({gain.unit})",
+                mode="float",
+                width=NUMBER_PX,
+                name=f"number-{gain.name}",
+            )
             for gain in GAINS
-        ]  # fmt: skip
+        ]
         message.watch(self._starts, "value", self._from_start)
         pairs = list(zip(self._sliders, self._numbers, strict=True))
         for place, (slider, number) in enumerate(pairs):
@@ -220,7 +270,9 @@ class Hands:
             message.watch(number, "value", partial(self._set, place))
         self.take(gains_of_source(STARTS[0]))
         rows = flow(*(row(*pair) for pair in pairs), least_px=300)
-        self.layout: models.Column = column(self._starts, rows, sizing_mode="stretch_width")
+        self.layout: models.Column = column(
+            self._starts, rows, sizing_mode="stretch_width"
+        )
 
     def take(self, gains: NamedGains) -> None:
         """Show other gains, without a call of `changed`."""
@@ -235,7 +287,11 @@ class Hands:
             self._start(gains)
 
     def _set(self, place: int) -> None:
-        value, gain, gains = self._numbers[place].value, GAINS[place], self.gains.gains.copy()
+        value, gain, gains = (
+            self._numbers[place].value,
+            GAINS[place],
+            self.gains.gains.copy(),
+        )
         if self._still or value == gains[place]:
             return
         if value is None or not gain.low <= value <= gain.high:
@@ -248,23 +304,30 @@ class Hands:
 
     def _show(self, place: int, value: float) -> None:
         self._still = True
-        # The number first: a link that answered to the slider would change the number once more.
+        # The number first: a link that answered to the slider would change the number
+        # once more.
         self._numbers[place].value = self._sliders[place].value = value
         self._still = False
 
 
 LEFT_OUT = ("end_reason", "hip_x_m", "hip_z_m")
-FIELDS = tuple(name for name, _ in (*OUTCOME_FIELDS, *SCORE_FIELDS) if name not in LEFT_OUT)
+FIELDS = tuple(
+    name for name, _ in (*OUTCOME_FIELDS, *SCORE_FIELDS) if name not in LEFT_OUT
+)
 
 
 def score_text(walk: walking.Walk, start: walking.Walk) -> str:
     """The numbers of a walk beside those of another one on the same ground, in HTML."""
     heads = ["start" if start is walk else start.gains.name, walk.gains.name, "change"]
-    text = "".join(f"<th scope=col>{html.escape(head)}</th>" for head in ["number", *heads])
+    text = "".join(
+        f"<th scope=col>{html.escape(head)}</th>" for head in ["number", *heads]
+    )
     numbers = known_numbers(start.row), known_numbers(walk.row)
     masses = [each.experiment.body(each.run).mass_kg.sum() for each in (start, walk)]
     shown = {in_words(name)[0]: [each[name] for each in numbers] for name in FIELDS}
-    shown["mass of the whole body, which divides the energy (kg)"] = [*map(float, masses)]
+    shown["mass of the whole body, which divides the energy (kg)"] = [
+        *map(float, masses)
+    ]
     for words, (before, now) in shown.items():
         change = ""
         if before is not None and now is not None and before != now:

@@ -1,7 +1,7 @@
 """The columns of a store in words: with units, in groups, and each with a line that explains it.
 
-The words follow from the names: the store's families, the walker's fields and parameters, and the
-abbreviations of choices.toml.
+The words follow from the names: the store's families, the walker's fields and
+parameters, and the abbreviations of choices.toml.
 """
 
 import tomllib
@@ -17,8 +17,13 @@ from taichi_nmm.result import FURTHER_FIELDS, SUMMARY_FIELDS
 CHOICES: dict[str, Any] = tomllib.loads(
     Path(__file__).with_name("choices.toml").read_text(encoding="utf-8")
 )
-WORDS = {muscle.lower(): words for muscle, words in PEOPLE["muscles"].items()} | CHOICES["words"]
-STATISTICS = {"mean": "mean over its worlds", "sd": "standard deviation over its worlds"}
+WORDS = {
+    muscle.lower(): words for muscle, words in PEOPLE["muscles"].items()
+} | CHOICES["words"]
+STATISTICS = {
+    "mean": "mean over its worlds",
+    "sd": "standard deviation over its worlds",
+}
 OUTCOME, GAIT, GAIN = "outcome and score", "gait", "gains"
 
 
@@ -39,7 +44,9 @@ class Described(NamedTuple):
 def described(store: Store, names: list[str]) -> dict[str, Described]:
     """These columns of a store, by name."""
     walker = store.simulator == WALKER
-    families = sorted(store.families, key=len, reverse=True)  # a name may begin another one
+    families = sorted(
+        store.families, key=len, reverse=True
+    )  # a name may begin another one
     gains = {gain.name: gain for gain in GAINS if walker}
     found = {}
     for name in names:
@@ -55,8 +62,14 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
             line = f"{STATISTICS.get(statistic, 'whether the row was tried')}, family {family}"
             found[name] = Described(f"family {family}", f"{family}: {words}", line)
         else:
-            group = GAIT if walker and name in dict((*SUMMARY_FIELDS, *FURTHER_FIELDS)) else OUTCOME
-            line = "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
+            group = (
+                GAIT
+                if walker and name in dict((*SUMMARY_FIELDS, *FURTHER_FIELDS))
+                else OUTCOME
+            )
+            line = (
+                "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
+            )
             found[name] = Described(group, in_words(name)[0], line)
     return found
 

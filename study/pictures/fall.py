@@ -1,7 +1,8 @@
 """A fall in words: which way it went, and what came before it, read from the recorded walk.
 
-Said are the bound that was passed, the foot that touched the ground last, what that foot hit, a
-foot that slipped, and a knee that gave way. These are what was seen, not what was the cause.
+Said are the bound that was passed, the foot that touched the ground last, what that
+foot hit, a foot that slipped, and a knee that gave way. These are what was seen, not
+what was the cause.
 """
 
 import math
@@ -23,17 +24,27 @@ from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 Floats = NDArray[np.float64]
 
 SIDES = {LEFT: "left", RIGHT: "right"}
-TRUNK_MASS_M = 0.35  # centre of mass of head, arms and trunk, above the hip along the trunk
-ABOVE_FOOT_M = 0.10  # the trunk's mass is this far from the foot in a fall forwards or backwards
+TRUNK_MASS_M = (
+    0.35  # centre of mass of head, arms and trunk, above the hip along the trunk
+)
+ABOVE_FOOT_M = (
+    0.10  # the trunk's mass is this far from the foot in a fall forwards or backwards
+)
 LOOKED_AT_S = 1.5  # before the end
 FEWEST_SAMPLES = 2  # of fewer, nothing is known
 # Beyond these a walker was lost; what feet did then is a part of the fall.
 LOST_LEAN_RAD, LOST_HEIGHT_M = math.radians(30.0), 0.75
 TOUCHING_M = 0.003  # a point of a foot is as near to the ground, or in it
-SLIPPING_MPS, LEAST_SLIP_M = 0.3, 0.05  # a foot that bears weight on dry ground slides 1 cm
+SLIPPING_MPS, LEAST_SLIP_M = (
+    0.3,
+    0.05,
+)  # a foot that bears weight on dry ground slides 1 cm
 STEEP = 0.3  # rise over run: ramps have 0.2, the risers of blocks 0.32 and more
 WITHIN_M = 0.3  # of a riser, its foot and its top
-LOADED_N, GAVE_WAY_RAD = 200.0, math.radians(60.0)  # people bend a loaded knee by 25 deg
+LOADED_N, GAVE_WAY_RAD = (
+    200.0,
+    math.radians(60.0),
+)  # people bend a loaded knee by 25 deg
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,9 @@ class Seen:
     def touching(self, side: int) -> NDArray[np.bool_]:
         """Whether heel and ball of a foot are on the ground, [t, 2]."""
         points = self.points(side)
-        above = points[..., 1] - self.terrain.height(points[..., 0].ravel()).reshape(-1, 2)
+        above = points[..., 1] - self.terrain.height(points[..., 0].ravel()).reshape(
+            -1, 2
+        )
         return np.asarray((above < TOUCHING_M) & self.walk.stance[:, side : side + 1])
 
     def before_end_s(self, sample: int) -> float:
@@ -138,7 +151,9 @@ def _last_foot(seen: Seen) -> str:
     if strike is None:
         return "no foot had been set down again"
     time_s, side = strike
-    sample = min(int(np.searchsorted(seen.walk.time_s, time_s)), len(seen.walk.time_s) - 1)
+    sample = min(
+        int(np.searchsorted(seen.walk.time_s, time_s)), len(seen.walk.time_s) - 1
+    )
     points = seen.points(side)[sample]
     above = points[:, 1] - seen.terrain.height(points[:, 0])
     x = float(points[above.argmin(), 0])

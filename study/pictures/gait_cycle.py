@@ -1,12 +1,12 @@
 """Figure: the mean gait cycle of a walk, beside the ranges of people, and the distance from them.
 
-A walk is cut into strides of the left leg, each stretched to 0 to 100 %, and into strides of the
-right leg, whose mean shows how far the two differ.
+A walk is cut into strides of the left leg, each stretched to 0 to 100 %, and into
+strides of the right leg, whose mean shows how far the two differ.
 
-Joint angles and ground forces of people follow the natural-cadence ensemble means and standard
-deviations of Winter (1991), muscle phases the electromyographic on and off times of Perry (1992):
-human_walking.toml, with its sources. The tables are approximate: enough to judge by eye or to
-steer a search, not to fit.
+Joint angles and ground forces of people follow the natural-cadence ensemble means and
+standard deviations of Winter (1991), muscle phases the electromyographic on and off
+times of Perry (1992): human_walking.toml, with its sources. The tables are approximate:
+enough to judge by eye or to steer a search, not to fit.
 """
 
 import math
@@ -73,7 +73,9 @@ class Strides:
         return len(self) >= FEWEST_STRIDES
 
 
-def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -> Strides:
+def strides_of(
+    trajectory: Trajectory, body_weight_n: float, side: int = LEFT
+) -> Strides:
     """All strides of a leg from heel strike to heel strike after the settling ones.
 
     Args:
@@ -85,7 +87,8 @@ def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -
     starts, ends = strikes[:-1], strikes[1:]
     joints = np.rad2deg(trajectory.joint_rad[:, 3 * side : 3 * side + 3])
     activation = trajectory.activation[:, len(MUSCLES) * side :]
-    # A force is the mean over the interval that ends at its sample: it belongs to the middle.
+    # A force is the mean over the interval that ends at its sample: it belongs to the
+    # middle.
     half_interval_s = 0.5 * np.diff(trajectory.time_s[:2]).sum()
 
     def cut(column: Array, lag_s: float = 0.0) -> Array:
@@ -97,7 +100,9 @@ def strides_of(trajectory: Trajectory, body_weight_n: float, side: int = LEFT) -
 
     force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2] / body_weight_n
     take_offs = event_times(trajectory, side, TAKE_OFF)
-    first = np.append(take_offs, np.inf)[np.searchsorted(take_offs, starts, side="right")]
+    first = np.append(take_offs, np.inf)[
+        np.searchsorted(take_offs, starts, side="right")
+    ]
     return Strides(
         hip_flexion_deg=-cut(joints[:, 0]),
         knee_flexion_deg=cut(joints[:, 1]),
@@ -125,8 +130,13 @@ def event_times(trajectory: Trajectory, side: int, kind: int) -> Array:
 
 SIZE_IN = (8.8, 9.6)
 GRID = {
-    "left": 0.075, "right": 0.985, "top": 0.875, "bottom": 0.055, "hspace": 0.42, "wspace": 0.3,
-}  # fmt: skip
+    "left": 0.075,
+    "right": 0.985,
+    "top": 0.875,
+    "bottom": 0.055,
+    "hspace": 0.42,
+    "wspace": 0.3,
+}
 
 
 @dataclass(frozen=True)
@@ -158,7 +168,9 @@ class Panel:
         return curves[..., 0], curves[..., 1]
 
 
-PEOPLE = tomllib.loads(Path(__file__).with_name("human_walking.toml").read_text(encoding="utf-8"))
+PEOPLE = tomllib.loads(
+    Path(__file__).with_name("human_walking.toml").read_text(encoding="utf-8")
+)
 PANELS = {name: Panel(**panel) for name, panel in PEOPLE["panels"].items()}
 EMG_ON_PERCENT: dict[str, list[list[float]]] = PEOPLE["emg_on_percent"]
 
@@ -168,8 +180,8 @@ def write_gait_cycle(
 ) -> Path:
     """Draw the strides of the left leg, from heel strike to heel strike, mean +- 1 sd.
 
-    A thin line is the mean of the right leg, from its own heel strike. Of a walk with too few whole
-    strides, the picture has the human ranges alone, and a line on why.
+    A thin line is the mean of the right leg, from its own heel strike. Of a walk with
+    too few whole strides, the picture has the human ranges alone, and a line on why.
 
     Args:
         path: of the PNG.
@@ -187,14 +199,18 @@ def write_gait_cycle(
     places = iter(grid.flat)
     for (name, panel), axes in zip(PANELS.items(), places, strict=False):
         mean, sd = panel.at(PERCENT)
-        axes.fill_between(PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0)
+        axes.fill_between(
+            PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0
+        )
         axes.plot(PERCENT, mean, color=style.FAINT, linewidth=1.0, linestyle="--")
         _draw_right(axes, getattr(right, name), right)
         _draw_model(axes, getattr(strides, name), strides, panel.title, panel.unit)
         _scale(axes, panel, getattr(strides, name))
     for (muscle, words), axes in zip(PEOPLE["muscles"].items(), places, strict=False):
         for start, end in EMG_ON_PERCENT[muscle]:
-            axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
+            axes.axvspan(
+                start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5
+            )
         number = MUSCLES.index(muscle)
         curves = strides.activation[number]
         _draw_right(axes, right.activation[number], right)
@@ -206,7 +222,9 @@ def write_gait_cycle(
     return style.save_png(figure, path)
 
 
-def _draw_model(axes: Axes, curves: Array, strides: Strides, title: str, unit: str) -> None:
+def _draw_model(
+    axes: Axes, curves: Array, strides: Strides, title: str, unit: str
+) -> None:
     if strides.enough:
         mean, sd = curves.mean(axis=0), curves.std(axis=0)
         band = np.array([mean - sd, mean + sd])
@@ -219,7 +237,9 @@ def _draw_model(axes: Axes, curves: Array, strides: Strides, title: str, unit: s
             axes.axvline(percent, color=style.MODEL, linewidth=0.9, linestyle=":")
     style.tidy(axes)
     axes.set(xlim=(0.0, 100.0), xticks=[0, 20, 40, 60, 80, 100])
-    axes.set_title(title, loc="left", fontsize=style.TEXT_PT, color=style.INK, weight="bold")
+    axes.set_title(
+        title, loc="left", fontsize=style.TEXT_PT, color=style.INK, weight="bold"
+    )
     axes.set_ylabel(unit, fontsize=style.SMALL_PT, color=style.INK, labelpad=2)
     axes.axhline(0.0, color=style.FAINT, linewidth=0.6, zorder=0.8)
 
@@ -232,8 +252,8 @@ def _draw_right(axes: Axes, curves: Array, strides: Strides) -> None:
 def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
     """Set the axis, alike for different gaits.
 
-    The impact of the heel lasts a few milliseconds and would flatten all else: a peak above the
-    panel's ceiling is given in words.
+    The impact of the heel lasts a few milliseconds and would flatten all else: a peak
+    above the panel's ceiling is given in words.
     """
     low, high = axes.get_ylim()
     lines = axes.get_lines() if len(curves) else []
@@ -241,19 +261,32 @@ def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
     peaks = [float(np.max(each)) for each in drawn if len(each) == len(PERCENT)]
     spread = (curves.mean(axis=0) + curves.std(axis=0)).max() if len(curves) else 0.0
     peak = max([*peaks, spread])
-    axes.set_ylim(max(min(low, panel.low), panel.floor), min(max(high, panel.high), panel.ceiling))
+    axes.set_ylim(
+        max(min(low, panel.low), panel.floor), min(max(high, panel.high), panel.ceiling)
+    )
     if peak > panel.ceiling:
         axes.text(
-            16.0, panel.ceiling, f"cut here: to {peak:.1f}", fontsize=style.SMALL_PT,
-            color=style.MODEL, va="top",
-        )  # fmt: skip
+            16.0,
+            panel.ceiling,
+            f"cut here: to {peak:.1f}",
+            fontsize=style.SMALL_PT,
+            color=style.MODEL,
+            va="top",
+        )
 
 
 def _caption(figure: Figure, strides: Strides, title: str) -> None:
     model = [
         Line2D([], [], color=style.MODEL, linewidth=1.6, label="left leg ± 1 sd"),
         Line2D([], [], color=style.OTHER_LEG, linewidth=1.1, label="right leg"),
-        Line2D([], [], color=style.MODEL, linewidth=0.9, linestyle=":", label="left toe-off"),
+        Line2D(
+            [],
+            [],
+            color=style.MODEL,
+            linewidth=0.9,
+            linestyle=":",
+            label="left toe-off",
+        ),
     ]
     handles = [
         *(model if strides.enough else []),
@@ -261,11 +294,24 @@ def _caption(figure: Figure, strides: Strides, title: str) -> None:
         Patch(facecolor=style.EMG, alpha=0.6, label=EMG_SOURCE),
     ]
     figure.text(0.012, 0.978, title, fontsize=style.TITLE_PT, color=style.INK, va="top")
-    figure.text(0.012, 0.953, subtitle(strides), fontsize=style.TEXT_PT, color=style.INK, va="top")
+    figure.text(
+        0.012,
+        0.953,
+        subtitle(strides),
+        fontsize=style.TEXT_PT,
+        color=style.INK,
+        va="top",
+    )
     figure.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.004, 0.94), ncols=5,
-        frameon=False, fontsize=style.SMALL_PT, columnspacing=1.4, handlelength=1.8,
-    )  # fmt: skip
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0.004, 0.94),
+        ncols=5,
+        frameon=False,
+        fontsize=style.SMALL_PT,
+        columnspacing=1.4,
+        handlelength=1.8,
+    )
 
 
 def subtitle(strides: Strides) -> str:
@@ -278,7 +324,10 @@ def subtitle(strides: Strides) -> str:
     return f"Left leg, heel strike to heel strike: {count} strides of {mean_s:.2f} s."
 
 
-ACCURACY = {"deg": 3.0, "bw": 0.05}  # of the published tables: `study.pictures.gait_cycle`
+ACCURACY = {
+    "deg": 3.0,
+    "bw": 0.05,
+}  # of the published tables: `study.pictures.gait_cycle`
 
 
 class Distance(NamedTuple):
@@ -286,8 +335,8 @@ class Distance(NamedTuple):
 
     Attributes:
         rmse: root of the mean squared difference, in the curve's unit.
-        deviations: the same in standard deviations of people, or in the tables' accuracy
-            where that is larger.
+        deviations: the same in standard deviations of people, or in the tables'
+            accuracy where that is larger.
     """
 
     rmse: float
@@ -303,6 +352,8 @@ def human_distances(strides: Strides) -> dict[str, Distance]:
         mean, sd = panel.at(PERCENT)
         difference = getattr(strides, name).mean(axis=0) - mean
         scaled = difference / np.maximum(sd, ACCURACY[name.rpartition("_")[2]])
-        rms = [float(np.sqrt(np.mean(np.square(each)))) for each in (difference, scaled)]
+        rms = [
+            float(np.sqrt(np.mean(np.square(each)))) for each in (difference, scaled)
+        ]
         found[name] = Distance(*rms)
     return found

@@ -34,7 +34,9 @@ def find_ffmpeg() -> str:
 
     try:
         program = str(imageio_ffmpeg.get_ffmpeg_exe())
-        subprocess.run([program, "-version"], check=True, capture_output=True, timeout=30)
+        subprocess.run(
+            [program, "-version"], check=True, capture_output=True, timeout=30
+        )
     except (OSError, RuntimeError, subprocess.SubprocessError) as error:
         reason = str(error).strip().splitlines()[0]
         raise InputError("ffmpeg", reason, FIXING) from None
@@ -42,9 +44,14 @@ def find_ffmpeg() -> str:
 
 
 def write_movie(
-    path: str | Path, trajectory: Trajectory, terrain: Terrain, seconds: float = 8.0,
-    title: str = "", *, film: Film = LARGE,
-) -> Path:  # fmt: skip
+    path: str | Path,
+    trajectory: Trajectory,
+    terrain: Terrain,
+    seconds: float = 8.0,
+    title: str = "",
+    *,
+    film: Film = LARGE,
+) -> Path:
     """Film the last `seconds` of a walk in real time, with the forces of the ground.
 
     Args:
@@ -62,9 +69,14 @@ def write_movie(
 
 
 def film_run(
-    path: str | Path, simulator: "MujocoSimulator", point: Mapping[str, Any],
-    world: Mapping[str, float], seconds: float, *, film: Film = LARGE,
-) -> Path:  # fmt: skip
+    path: str | Path,
+    simulator: "MujocoSimulator",
+    point: Mapping[str, Any],
+    world: Mapping[str, float],
+    seconds: float,
+    *,
+    film: Film = LARGE,
+) -> Path:
     """Film a run of a robot in MuJoCo, in real time, by the camera that its model names first.
 
     Args:
@@ -105,16 +117,23 @@ def filmable(name: str, parameters: Collection[str]) -> Any:
 
     robot = find_simulator(name)
     if not isinstance(robot, MujocoSimulator):
-        raise InputError("simulator", name, "a MujocoSimulator: others have nothing to film")
+        raise InputError(
+            "simulator", name, "a MujocoSimulator: others have nothing to film"
+        )
     if set(parameters) != set(robot.space):
-        raise InputError("simulator", name, f"one with the parameters {listed(parameters)}")
+        raise InputError(
+            "simulator", name, f"one with the parameters {listed(parameters)}"
+        )
     return robot
 
 
 def _drawn(
-    simulator: "MujocoSimulator", point: Mapping[str, Any], world: Mapping[str, float],
-    seconds: float, film: Film,
-) -> Iterator[bytes]:  # fmt: skip
+    simulator: "MujocoSimulator",
+    point: Mapping[str, Any],
+    world: Mapping[str, float],
+    seconds: float,
+    film: Film,
+) -> Iterator[bytes]:
     """The frames of a run, as `encoded` takes them."""
     import mujoco
 
@@ -150,19 +169,49 @@ def encoded(pictures: Iterator[bytes], film: Film) -> bytes:
     """
     program, (width, height) = find_ffmpeg(), film.size_px
     command = [
-        program, "-y", "-loglevel", "error",
-        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-        "-r", str(film.rate_hz), "-i", "-",
-        "-an", "-c:v", "libx264", "-crf", str(film.quality), "-preset", film.effort,
-        "-threads", str(film.threads), "-pix_fmt", "yuv420p",
-        "-movflags", "+faststart", "-f", "mp4",
-    ]  # fmt: skip
-    with tempfile.NamedTemporaryFile(suffix=".mp4") as file:  # no pipe: the index is put first
+        program,
+        "-y",
+        "-loglevel",
+        "error",
+        "-f",
+        "rawvideo",
+        "-pix_fmt",
+        "rgb24",
+        "-s",
+        f"{width}x{height}",
+        "-r",
+        str(film.rate_hz),
+        "-i",
+        "-",
+        "-an",
+        "-c:v",
+        "libx264",
+        "-crf",
+        str(film.quality),
+        "-preset",
+        film.effort,
+        "-threads",
+        str(film.threads),
+        "-pix_fmt",
+        "yuv420p",
+        "-movflags",
+        "+faststart",
+        "-f",
+        "mp4",
+    ]
+    with tempfile.NamedTemporaryFile(
+        suffix=".mp4"
+    ) as file:  # no pipe: the index is put first
         command.append(file.name)
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as process:
             assert process.stdin is not None and process.stderr is not None
             try:
-                with suppress(BrokenPipeError), process.stdin:  # its exit code tells why it ended
+                with (
+                    suppress(BrokenPipeError),
+                    process.stdin,
+                ):  # its exit code tells why it ended
                     for picture in pictures:
                         process.stdin.write(picture)
                 complaint = process.stderr.read().decode(errors="replace").strip()
@@ -170,6 +219,10 @@ def encoded(pictures: Iterator[bytes], film: Film) -> bytes:
                 process.kill()
                 raise
         if process.returncode != 0 or not (content := file.read()):
-            reason = complaint.splitlines()[-1] if complaint else f"exit code {process.returncode}"
+            reason = (
+                complaint.splitlines()[-1]
+                if complaint
+                else f"exit code {process.returncode}"
+            )
             raise InputError("ffmpeg", reason, FIXING)
     return content

@@ -1,14 +1,16 @@
 """What turns the walker's joints, as OpenSim has it: muscles, a passive foot, motors.
 
-A muscle is a Millard2012EquilibriumMuscle on a FunctionBasedPath, whose expressions OpenSim reads
-from version 4.5.2 on. They are sums of the simulator's own factors (`LENGTHS_M`, `TORQUES_NM`). The
-walker's pennation scales its lengths and not its arms, so the arm is not the slope of the length,
-and the file gives length, arm and speed. OpenSim's coordinates are the joints' angles, negative.
+A muscle is a Millard2012EquilibriumMuscle on a FunctionBasedPath, whose expressions
+OpenSim reads from version 4.5.2 on. They are sums of the simulator's own factors
+(`LENGTHS_M`, `TORQUES_NM`). The walker's pennation scales its lengths and not its arms,
+so the arm is not the slope of the length, and the file gives length, arm and speed.
+OpenSim's coordinates are the joints' angles, negative.
 
-OpenSim has no tendon whose force is the square of its strain; the strain of its nearest curve
-differs by up to 0.0019. So the fibre's length among the states is what OpenSim's tendon leaves of
-the path under the walker's force, and OpenSim finds this force. The length also takes up that the
-recorded force is of the last physics step, whose pose is one step older than the recorded one.
+OpenSim has no tendon whose force is the square of its strain; the strain of its nearest
+curve differs by up to 0.0019. So the fibre's length among the states is what OpenSim's
+tendon leaves of the path under the walker's force, and OpenSim finds this force. The
+length also takes up that the recorded force is of the last physics step, whose pose is
+one step older than the recorded one.
 """
 
 import tomllib
@@ -28,7 +30,9 @@ from taichi_nmm.world import MUSCLE_NAMES, Worlds
 
 Array = NDArray[np.float64]
 
-OPENSIM = tomllib.loads(Path(__file__).with_name("opensim.toml").read_text(encoding="utf-8"))
+OPENSIM = tomllib.loads(
+    Path(__file__).with_name("opensim.toml").read_text(encoding="utf-8")
+)
 XML: dict[str, str] = {name: text.strip() for name, text in OPENSIM["xml"].items()}
 LEG: list[str] = OPENSIM["leg"]
 SIDES = ("l", "r")
@@ -83,15 +87,25 @@ def muscles_of(world: Worlds | None) -> list[OwnMuscle]:
 
 def path_lengths(trajectory: Trajectory) -> Array:
     """Lengths of fibre and tendon together, in the order of `SIDED`, m, [14, t]."""
-    hip, knee, ankle = trajectory.joint_rad.reshape(-1, len(SIDES), len(JOINTS)).transpose(2, 1, 0)
-    factors = (np.ones_like(hip), hip, np.sin(knee), np.cos(knee), np.sin(ankle), np.cos(ankle))
+    hip, knee, ankle = trajectory.joint_rad.reshape(
+        -1, len(SIDES), len(JOINTS)
+    ).transpose(2, 1, 0)
+    factors = (
+        np.ones_like(hip),
+        hip,
+        np.sin(knee),
+        np.cos(knee),
+        np.sin(ankle),
+        np.cos(ankle),
+    )
     return np.concatenate(list(np.einsum("mf,fst->smt", LENGTHS_M, np.array(factors))))
 
 
 def fibre_lengths(trajectory: Trajectory, world: Worlds | None) -> dict[str, Array]:
     """By muscle, the fibre's length with which OpenSim's tendon has the walker's force, m, [t].
 
-    Of a slack tendon, the walker's own length, or what keeps it slack. Missing muscles have none.
+    Of a slack tendon, the walker's own length, or what keeps it slack. Missing muscles
+    have none.
     """
     forces, strains = tendon_curve()
     paths, lengths = path_lengths(trajectory), {}
@@ -113,8 +127,8 @@ LARGEST_FORCE = 1e6  # over Fmax; the curve is a line from the end of its toe on
 def tendon_curve() -> tuple[Array, Array]:
     """OpenSim's tendon: forces over Fmax, and the strains under them.
 
-    As `SmoothSegmentedFunctionFactory::createTendonForceLengthCurve` of OpenSim 4.6 has it: two
-    quintic Bezier curves, then a line.
+    As `SmoothSegmentedFunctionFactory::createTendonForceLengthCurve` of OpenSim 4.6 has
+    it: two quintic Bezier curves, then a line.
     """
     strain, stiffness, toe, curviness = (
         OPENSIM["tendon"][name] for name in ("strain", "stiffness", "toe", "curviness")
@@ -161,10 +175,14 @@ def forces_text(world: Worlds | None) -> str:
         if stiffness or damping:
             numbers = {"stiffness": stiffness, "damping": damping, "rest": -rest}
             ankle = _coordinate("ankle", side)
-            parts.append(XML["prosthesis"].format(side=side, coordinate=ankle, **numbers))
+            parts.append(
+                XML["prosthesis"].format(side=side, coordinate=ankle, **numbers)
+            )
     for name in MOTORS:
         _, joint, side = name.split("_")
-        parts.append(XML["actuator"].format(name=name, coordinate=_coordinate(joint, side)))
+        parts.append(
+            XML["actuator"].format(name=name, coordinate=_coordinate(joint, side))
+        )
     return "".join(f"{part}\n" for part in parts)
 
 
@@ -177,12 +195,22 @@ def _path(joint: str, side: str) -> str:
 
 
 # Terms of the expressions, as the factors of `LENGTHS_M` and `TORQUES_NM` have them.
-LENGTH_TERMS = ("1", "(-{hip})", "sin(-{knee})", "cos({knee})", "sin(-{ankle})", "cos({ankle})")
+LENGTH_TERMS = (
+    "1",
+    "(-{hip})",
+    "sin(-{knee})",
+    "cos({knee})",
+    "sin(-{ankle})",
+    "cos({ankle})",
+)
 SPEED_TERMS = (
-    "0", "(-{hip}_speed)",
-    "(-cos({knee})*{knee}_speed)", "(-sin({knee})*{knee}_speed)",
-    "(-cos({ankle})*{ankle}_speed)", "(-sin({ankle})*{ankle}_speed)",
-)  # fmt: skip
+    "0",
+    "(-{hip}_speed)",
+    "(-cos({knee})*{knee}_speed)",
+    "(-sin({knee})*{knee}_speed)",
+    "(-cos({ankle})*{ankle}_speed)",
+    "(-sin({ankle})*{ankle}_speed)",
+)
 ARM_TERMS = {
     "hip": ("(-1)", "0", "0", "0", "0"),
     "knee": ("0", "(-cos({knee}))", "sin({knee})", "0", "0"),
@@ -206,11 +234,14 @@ def _muscle_text(muscle: OwnMuscle) -> str:
     return XML["muscle"].format(
         **vars(muscle),
         vmax=float(MUSCLE_DATA[muscle.muscle].vmax_per_s),
-        coordinates=" ".join(f"/jointset/{_path(joint, muscle.side)}" for joint in arms),
+        coordinates=" ".join(
+            f"/jointset/{_path(joint, muscle.side)}" for joint in arms
+        ),
         length=function(_sum(lengths_m, LENGTH_TERMS), spanned),
         arms="".join(function(expression, spanned) for expression in arms.values()),
         speed=function(
-            _sum(lengths_m, SPEED_TERMS), [*spanned, *(f"{name}_speed" for name in spanned)]
+            _sum(lengths_m, SPEED_TERMS),
+            [*spanned, *(f"{name}_speed" for name in spanned)],
         ),
         tendon=OPENSIM["tendon"],
     )
@@ -219,7 +250,9 @@ def _muscle_text(muscle: OwnMuscle) -> str:
 def _sum(factors: Array, terms: Iterable[str]) -> str:
     """Without the terms that are nothing."""
     both = zip(factors.tolist(), terms, strict=True)
-    return "+".join(f"({factor!r})*{term}" for factor, term in both if factor and term != "0")
+    return "+".join(
+        f"({factor!r})*{term}" for factor, term in both if factor and term != "0"
+    )
 
 
 def lines_text(world: Worlds | None) -> str:
@@ -238,12 +271,15 @@ def lines_text(world: Worlds | None) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
-def motor_torques(trajectory: Trajectory, world: Worlds | None = None) -> dict[str, Array]:
+def motor_torques(
+    trajectory: Trajectory, world: Worlds | None = None
+) -> dict[str, Array]:
     """What turns a coordinate beside the model's muscles and passive feet, by its motor, N m, [t].
 
-    The controller of the swing leg, an exoskeleton, stops, and what the walker holds back of its
-    muscles: while a leg goes over to swing, its hip and knee get but a share of their torques. The
-    trajectory's torques are means over its intervals, and so are these.
+    The controller of the swing leg, an exoskeleton, stops, and what the walker holds
+    back of its muscles: while a leg goes over to swing, its hip and knee get but a
+    share of their torques. The trajectory's torques are means over its intervals, and
+    so are these.
     """
     angle = trajectory.joint_rad.reshape(-1, len(SIDES), len(JOINTS))
     share = trajectory.muscle_force_n.reshape(-1, len(SIDES), len(MUSCLES)) / FMAX_N

@@ -1,7 +1,8 @@
 """The frames of a film: the walker over its ground, painted on a small surface in metres.
 
-Matplotlib takes 25 ms for a frame, Pillow 2. Shapes are drawn twice as large and shrunk, so that
-edges are smooth; text is drawn at its size. Pillow comes with Matplotlib, and so does the font.
+Matplotlib takes 25 ms for a frame, Pillow 2. Shapes are drawn twice as large and
+shrunk, so that edges are smooth; text is drawn at its size. Pillow comes with
+Matplotlib, and so does the font.
 """
 
 import textwrap
@@ -46,7 +47,9 @@ class Canvas:
         self._large = Image.new("RGB", large, "white")
         self._draw = ImageDraw.Draw(self._large)
 
-    def polygon(self, points_m: Array, fill: Colour, edge: Colour | None = None) -> None:
+    def polygon(
+        self, points_m: Array, fill: Colour, edge: Colour | None = None
+    ) -> None:
         """A filled polygon [k, 2], with a hair line round it if `edge` is given."""
         self._draw.polygon(self._pixels(points_m), fill=fill, outline=edge)
 
@@ -63,7 +66,9 @@ class Canvas:
         """Thick lines with round ends."""
         for start_m, end_m, width_m in parts:
             width = width_m * self._px_per_m[0]
-            self._draw.line(self._pixels(np.stack([start_m, end_m])), fill, round(width))
+            self._draw.line(
+                self._pixels(np.stack([start_m, end_m])), fill, round(width)
+            )
             for end in (start_m, end_m):
                 self.disc(end, 0.5 * width_m, fill)
 
@@ -73,7 +78,12 @@ class Canvas:
         self._text = ImageDraw.Draw(self.picture)
 
     def text(
-        self, at_px: tuple[float, float], text: str, size_px: int, colour: Colour, anchor: str
+        self,
+        at_px: tuple[float, float],
+        text: str,
+        size_px: int,
+        colour: Colour,
+        anchor: str,
     ) -> None:
         """Words on the finished picture; `anchor` as Pillow's: "la" left top, "ma" middle top."""
         self._text.text(at_px, text, fill=colour, font=font(size_px), anchor=anchor)
@@ -85,7 +95,9 @@ class Canvas:
 
     def _pixels(self, points_m: Array) -> list[float]:
         """x, y, x, y, ... on the large picture."""
-        pixels: list[float] = ((points_m - self._corner_m) * self._px_per_m).ravel().tolist()
+        pixels: list[float] = (
+            ((points_m - self._corner_m) * self._px_per_m).ravel().tolist()
+        )
         return pixels
 
 
@@ -157,14 +169,22 @@ class Motion:
 
 
 def frames(
-    trajectory: Trajectory, terrain: Terrain, seconds: float, title: str, film: Film = LARGE
+    trajectory: Trajectory,
+    terrain: Terrain,
+    seconds: float,
+    title: str,
+    film: Film = LARGE,
 ) -> Iterator[bytes]:
     """RGB frames of the last `seconds`, as bytes."""
     motion = motion_of(stick.finite(trajectory), terrain, seconds, film.rate_hz)
-    yield from map(Scene(motion, terrain, title, film.size_px).picture, range(len(motion.time_s)))
+    yield from map(
+        Scene(motion, terrain, title, film.size_px).picture, range(len(motion.time_s))
+    )
 
 
-def motion_of(trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int) -> Motion:
+def motion_of(
+    trajectory: Trajectory, terrain: Terrain, seconds: float, rate_hz: int
+) -> Motion:
     """The last `seconds` of a walk whose poses are finite, `rate_hz` frames a second."""
     end_s = trajectory.time_s[-1]
     start_s = max(trajectory.time_s[0], end_s - seconds)
@@ -185,13 +205,22 @@ class Scene:
     def __init__(
         self, motion: Motion, terrain: Terrain, title: str, size_px: tuple[int, int]
     ) -> None:
-        self._motion, self._terrain, self._title, self._size_px = motion, terrain, title, size_px
+        self._motion, self._terrain, self._title, self._size_px = (
+            motion,
+            terrain,
+            title,
+            size_px,
+        )
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         sides = stick.LEFT, stick.RIGHT
         self._arrows = force_arrows(motion)
         self._outlines = [stick.muscle_outlines(motion.q, side) for side in sides]
-        colours = matplotlib.colormaps[style.ACTIVATION_MAP](motion.activation, bytes=True)
-        self._colours = [[tuple(c) for c in frame] for frame in colours[..., :3].tolist()]
+        colours = matplotlib.colormaps[style.ACTIVATION_MAP](
+            motion.activation, bytes=True
+        )
+        self._colours = [
+            [tuple(c) for c in frame] for frame in colours[..., :3].tolist()
+        ]
         self._bar = self._activation_bar()
 
     def picture(self, number: int) -> bytes:
@@ -261,7 +290,9 @@ class Scene:
     def _activation_bar(self) -> Image.Image:
         """The key to the muscles' colours, the tenth of the picture at its right."""
         dpi = 72.0 * self._text_px(14) / style.SMALL_PT
-        figure = style.new_figure(0.1 * self._size_px[0] / dpi, self._size_px[1] / dpi, dpi)
+        figure = style.new_figure(
+            0.1 * self._size_px[0] / dpi, self._size_px[1] / dpi, dpi
+        )
         stick.activation_bar(figure.add_axes((0.25, 0.45, 0.12, 0.4)))
         picture = BytesIO()
         figure.savefig(picture, transparent=True)
@@ -287,7 +318,9 @@ def force_arrows(motion: Motion) -> Array:
 def camera_level(ground_m: Array, rate_hz: int) -> Array:
     """The ground's height at each frame, smoothed for a calm camera."""
     blend = 1.0 / (rate_hz * HEIGHT_TRACKING_S)
-    level, _ = lfilter([blend], [1.0, blend - 1.0], ground_m, zi=(1.0 - blend) * ground_m[:1])
+    level, _ = lfilter(
+        [blend], [1.0, blend - 1.0], ground_m, zi=(1.0 - blend) * ground_m[:1]
+    )
     return np.asarray(level)
 
 
@@ -295,4 +328,6 @@ def smooth_force(trajectory: Trajectory) -> Array:
     """Ground forces averaged over a few samples, [t, 4]."""
     interval_s = np.diff(trajectory.time_s[:2]).sum() or 1.0
     width = max(round(FORCE_SMOOTHING_S / interval_s), 1)
-    return np.asarray(uniform_filter1d(trajectory.ground_force_n, width, axis=0, mode="nearest"))
+    return np.asarray(
+        uniform_filter1d(trajectory.ground_force_n, width, axis=0, mode="nearest")
+    )

@@ -1,8 +1,9 @@
 """A walker as a stick figure with muscles, its ground, and the part of a walk that is shown.
 
-All angles clockwise positive, as in the simulator: a thigh or shank points along
-D(th) = (-sin th, -cos th), a foot along F(th) = (cos th, -sin th), the trunk along -D(th).
-Muscle paths are for the eye: plausible origins and insertions, not the moment arms of the model.
+All angles clockwise positive, as in the simulator: a thigh or shank points along D(th)
+= (-sin th, -cos th), a foot along F(th) = (cos th, -sin th), the trunk along -D(th).
+Muscle paths are for the eye: plausible origins and insertions, not the moment arms of
+the model.
 """
 
 import tomllib
@@ -35,8 +36,8 @@ WIDTHS_M = (0.09, 0.06, 0.04)  # of thigh, shank and foot
 def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> None:
     """Draw a pose q [9] on axes whose limits are set.
 
-    The scale is alike in both directions. `activation` is of the muscles, left leg first, [14];
-    `layer` is that of the far leg, and all else is less than one above it.
+    The scale is alike in both directions. `activation` is of the muscles, left leg
+    first, [14]; `layer` is that of the far leg, and all else is less than one above it.
     """
     near, far = leg(q, LEFT), leg(q, RIGHT)
     shoulder, head = trunk(q)
@@ -47,15 +48,23 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> None:
         lines = [np.array([start, end]) for start, end, _ in parts]
         widths = [points_per_m * width_m for *_, width_m in parts]
         drawn = LineCollection(
-            lines, colors=colour, capstyle="round", linewidths=widths, zorder=layer + above
+            lines,
+            colors=colour,
+            capstyle="round",
+            linewidths=widths,
+            zorder=layer + above,
         )
         axes.add_collection(drawn, autolim=False)
 
     def muscles(side: int, edge: str, above: float) -> None:
         drawn = PolyCollection(
-            muscle_outlines(q, side), cmap=style.ACTIVATION_MAP, norm=FULL_ACTIVATION,
-            edgecolors=edge, linewidths=0.4, zorder=layer + above,
-        )  # fmt: skip
+            muscle_outlines(q, side),
+            cmap=style.ACTIVATION_MAP,
+            norm=FULL_ACTIVATION,
+            edgecolors=edge,
+            linewidths=0.4,
+            zorder=layer + above,
+        )
         drawn.set_array(activation[len(MUSCLES) * side :][: len(MUSCLES)])
         axes.add_collection(drawn, autolim=False)
 
@@ -63,7 +72,12 @@ def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> None:
     muscles(RIGHT, style.FAINT, 0.1)
     bones([(q[:2], shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB, 0.2)
     axes.add_patch(
-        Circle((head[0], head[1]), HEAD_RADIUS_M, facecolor=style.NEAR_LIMB, zorder=layer + 0.2)
+        Circle(
+            (head[0], head[1]),
+            HEAD_RADIUS_M,
+            facecolor=style.NEAR_LIMB,
+            zorder=layer + 0.2,
+        )
     )
     bones(near.bones(), style.NEAR_LIMB, 0.3)
     muscles(LEFT, style.INK, 0.4)
@@ -83,9 +97,14 @@ SHOULDER_M = 0.50  # above the hip, along the trunk
 HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
-LEG_COLUMNS = ((2, 3, 4, 5), (2, 6, 7, 8))  # th of HAT, thigh, shank, foot in q; left, right
+LEG_COLUMNS = (
+    (2, 3, 4, 5),
+    (2, 6, 7, 8),
+)  # th of HAT, thigh, shank, foot in q; left, right
 
-DRAWN = tomllib.loads(Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8"))
+DRAWN = tomllib.loads(
+    Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8")
+)
 PATH_POINTS = 15
 
 
@@ -109,7 +128,9 @@ class Leg:
 
     def chain(self) -> Array:
         """Hip, knee, ankle, heel, ball, [..., 5, 2]; the ankle lies on the foot's line."""
-        return np.stack([self.hip, self.knee, self.ankle, self.heel, self.ball], axis=-2)
+        return np.stack(
+            [self.hip, self.knee, self.ankle, self.heel, self.ball], axis=-2
+        )
 
     def bones(self) -> list[Bone]:
         """Thigh, shank and foot of one pose."""
@@ -173,7 +194,9 @@ def _path(frames: dict[str, tuple[Array, Array, Array]], name: str) -> Array:
         points.append((origin + along * axis + ahead * front)[..., None, :])
     start, middle, end = points
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
-    control = 2.0 * middle - 0.5 * (start + end)  # the curve passes through the middle point
+    control = 2.0 * middle - 0.5 * (
+        start + end
+    )  # the curve passes through the middle point
     control = 0.5 * (control + middle)  # bend less than that: a belly, not a bow
     return np.asarray((1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end)
 
@@ -203,8 +226,12 @@ def finite(trajectory: Trajectory) -> Trajectory:
         raise InputError("trajectory", "no finite sample", "a walker that was recorded")
     if good.all():
         return trajectory
-    per_sample = [field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED]
-    return replace(trajectory, **{name: getattr(trajectory, name)[good] for name in per_sample})
+    per_sample = [
+        field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED
+    ]
+    return replace(
+        trajectory, **{name: getattr(trajectory, name)[good] for name in per_sample}
+    )
 
 
 def at_times(trajectory: Trajectory, values: Array, times_s: Array) -> Array:

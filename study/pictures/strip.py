@@ -29,7 +29,9 @@ SCALE_IN_PER_M = 1.12
 LEFT_IN, RIGHT_IN, TITLE_IN, AXIS_IN, PROFILE_IN = 0.75, 1.0, 0.35, 0.45, 0.7
 COLOURS = (style.VERMILION, style.BLUE)  # of two walks
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
-GROUND_LAYER = 100.0  # over the soles: a foot is a line, and half its drawn width is below it
+GROUND_LAYER = (
+    100.0  # over the soles: a foot is a line, and half its drawn width is below it
+)
 LEVEL_M = 0.01  # ground that varies by less is level
 
 
@@ -54,17 +56,25 @@ class Stretch:
         style.tidy(axes)
         axes.grid(False)
         low_x, high_x, low_z, high_z = self.frame
-        axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))  # the bones are as wide as its scale
+        axes.set(
+            xlim=(low_x, high_x), ylim=(low_z, high_z)
+        )  # the bones are as wide as its scale
         q = stick.at_times(self.trajectory, self.trajectory.q, self.poses_s)
-        activation = stick.at_times(self.trajectory, self.trajectory.activation, self.poses_s)
+        activation = stick.at_times(
+            self.trajectory, self.trajectory.activation, self.poses_s
+        )
         for number in range(len(q)):
             stick.draw_walker(axes, q[number], activation[number], layer=3.0 + number)
         times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
-        if len(times_s):  # the left leg and the hip's path between, as in a chronophotograph
+        if len(
+            times_s
+        ):  # the left leg and the hip's path between, as in a chronophotograph
             between = stick.at_times(self.trajectory, self.trajectory.q, times_s)
             near = stick.leg(between, stick.LEFT)
             lines = list(near.chain()[:, [0, 1, 2, 4]])
-            thin = LineCollection(lines, colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5)
+            thin = LineCollection(
+                lines, colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5
+            )
             axes.add_collection(thin, autolim=False)
             axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
         x = np.linspace(low_x, high_x, 2000)
@@ -87,7 +97,9 @@ class Shown:
     trajectory: Trajectory
 
 
-def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None = None) -> Stretch:
+def last_stretch(
+    trajectory: Trajectory, terrain: Terrain, width_m: float | None = None
+) -> Stretch:
     """The last `SHOWN_M` of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
 
     Args:
@@ -110,13 +122,16 @@ def last_stretch(trajectory: Trajectory, terrain: Terrain, width_m: float | None
 
 
 def write_strip(
-    path: str | Path, trajectory: Trajectory, terrain: Terrain, title: str = "",
+    path: str | Path,
+    trajectory: Trajectory,
+    terrain: Terrain,
+    title: str = "",
     dpi: int = style.PNG_DPI,
-) -> Path:  # fmt: skip
+) -> Path:
     """Draw the last metres of a walk as poses at their places, muscles coloured by activation.
 
-    Below, where the ground is not level, its profile from the first sample on. A walker that fell
-    is shown falling.
+    Below, where the ground is not level, its profile from the first sample on. A walker
+    that fell is shown falling.
 
     Args:
         path: of the PNG.
@@ -150,11 +165,17 @@ def strips_figure(
     height += (PROFILE_IN + AXIS_IN + 0.1) * with_profile
     figure = style.new_figure(width, height, dpi)
     figure.text(
-        LEFT_IN / width, 1.0 - 0.2 / height, title,
-        fontsize=style.TITLE_PT, color=style.INK, va="center",
-    )  # fmt: skip
+        LEFT_IN / width,
+        1.0 - 0.2 / height,
+        title,
+        fontsize=style.TITLE_PT,
+        color=style.INK,
+        va="center",
+    )
     bottom = height - TITLE_IN
-    for walk, part, colour, high_in in zip(walks, parts, colours, strip_in, strict=True):
+    for walk, part, colour, high_in in zip(
+        walks, parts, colours, strip_in, strict=True
+    ):
         bottom -= TITLE_IN + high_in
         axes = style.axes_at(figure, LEFT_IN, bottom, wide_in, high_in)
         part.draw(axes, colour)
@@ -174,7 +195,9 @@ def _draw_profile(
 ) -> None:
     """The ground as far as walks on it came, small, with the stretches marked in their colours."""
     low = min(min(part.trajectory.q[0, 0], part.frame[0]) for part in parts)
-    high = max(max(part.trajectory.q[:, 0].max() + 1.0, part.frame[1]) for part in parts)
+    high = max(
+        max(part.trajectory.q[:, 0].max() + 1.0, part.frame[1]) for part in parts
+    )
     x = np.linspace(low, high, 4000)
     height = parts[0].terrain.height(x)
     margin = 0.1 * max(float(np.ptp(height)), 0.5)
@@ -182,19 +205,36 @@ def _draw_profile(
     style.tidy(axes)
     _draw_ground(axes, x, height, bottom)
     axes.set(xlim=(low, high), ylim=(bottom, height.max() + margin))
-    axes.set_xlabel("from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-    axes.text(0.005, 0.97, "ground (m)", transform=axes.transAxes, va="top",
-              fontsize=style.SMALL_PT, color=style.INK, zorder=GROUND_LAYER + 1.0)  # fmt: skip
+    axes.set_xlabel(
+        "from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK
+    )
+    axes.text(
+        0.005,
+        0.97,
+        "ground (m)",
+        transform=axes.transAxes,
+        va="top",
+        fontsize=style.SMALL_PT,
+        color=style.INK,
+        zorder=GROUND_LAYER + 1.0,
+    )
     for walk, part, colour in zip(walks, parts, colours, strict=True):
         axes.axvspan(*part.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
         axes.annotate(
-            walk.label, xy=(np.mean(part.frame[:2]), 1.0), xytext=(0, 2),
-            xycoords=("data", "axes fraction"), textcoords="offset points", ha="center",
-            fontsize=style.SMALL_PT, color=colour,
-        )  # fmt: skip
+            walk.label,
+            xy=(np.mean(part.frame[:2]), 1.0),
+            xytext=(0, 2),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="center",
+            fontsize=style.SMALL_PT,
+            color=colour,
+        )
 
 
 def _draw_ground(axes: Axes, x_m: Array, height_m: Array, bottom_m: float) -> None:
     """The ground's profile, filled down to `bottom_m`."""
-    axes.fill_between(x_m, height_m, bottom_m, color=style.GROUND, linewidth=0, zorder=GROUND_LAYER)
+    axes.fill_between(
+        x_m, height_m, bottom_m, color=style.GROUND, linewidth=0, zorder=GROUND_LAYER
+    )
     axes.plot(x_m, height_m, color=style.INK, linewidth=1.0, zorder=GROUND_LAYER)

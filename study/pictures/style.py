@@ -1,6 +1,7 @@
 """Common to all pictures: colours that survive colour blindness and print, fonts, saving.
 
-Figures are made with Matplotlib's object-oriented interface; its global state is never touched.
+Figures are made with Matplotlib's object-oriented interface; its global state is never
+touched.
 """
 
 from functools import partial
@@ -12,8 +13,8 @@ from matplotlib.figure import Figure
 
 from storage.commit import commit
 
-# Of the eight of Okabe and Ito, which survive colour blindness: all but yellow, too pale for lines.
-# A grey and a brown come after them, told apart by their lightness.
+# Of the eight of Okabe and Ito, which survive colour blindness: all but yellow, too
+# pale for lines. A grey and a brown come after them, told apart by their lightness.
 BLACK, BLUE, VERMILION = "#000000", "#0072B2", "#D55E00"
 OTHERS = ("#E69F00", "#009E73", "#CC79A7", "#56B4E9", BLACK, "#8A9099", "#6B4A12")
 
@@ -27,7 +28,9 @@ HUMAN = "#9AA0A8"
 EMG = "#F3D9A4"
 FAR_LIMB = "#DDE1E6"
 NEAR_LIMB = "#BEC5CE"
-ACTIVATION_MAP = "YlOrRd"  # lightness falls monotonically: readable in grey and without red-green
+ACTIVATION_MAP = (
+    "YlOrRd"  # lightness falls monotonically: readable in grey and without red-green
+)
 
 SMALL_PT = 8.0
 TEXT_PT = 9.0
@@ -62,7 +65,9 @@ def axes_at(
         high_in: their height, inches.
     """
     wide, high = figure.get_figwidth(), figure.get_figheight()
-    return figure.add_axes((left_in / wide, bottom_in / high, wide_in / wide, high_in / high))
+    return figure.add_axes(
+        (left_in / wide, bottom_in / high, wide_in / wide, high_in / high)
+    )
 
 
 def tidy(axes: Axes) -> None:

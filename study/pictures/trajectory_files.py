@@ -1,11 +1,11 @@
-"""A recorded walk as files for other programs: CSV by our own names, markers as motion capture has
-them, and all that OpenSim 4 takes.
+"""A recorded walk as files for other programs: CSV by our own names, markers as motion
+capture has them, and all that OpenSim 4 takes.
 
-OpenSim gets the model of its body, motion, states, torques beside the muscles', and the ground's
-forces. The model has our seven links and planar joints, by the names of OpenSim's gait10dof18musc:
-its pelvis is head, arms and trunk in one, with the hip as its origin. Angles are counter-clockwise
-positive, flexion of the knee negative. Numbers have as many digits as needed to read the same
-float64 back.
+OpenSim gets the model of its body, motion, states, torques beside the muscles', and the
+ground's forces. The model has our seven links and planar joints, by the names of
+OpenSim's gait10dof18musc: its pelvis is head, arms and trunk in one, with the hip as
+its origin. Angles are counter-clockwise positive, flexion of the knee negative. Numbers
+have as many digits as needed to read the same float64 back.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,7 +28,16 @@ from study.pictures.opensim_muscles import (
     motor_torques,
     muscles_of,
 )
-from study.pictures.stick_figure import LEFT, NOT_SAMPLED, RIGHT, down, finite, forward, leg, trunk
+from study.pictures.stick_figure import (
+    LEFT,
+    NOT_SAMPLED,
+    RIGHT,
+    down,
+    finite,
+    forward,
+    leg,
+    trunk,
+)
 from taichi_nmm import __version__
 from taichi_nmm.body import (
     GRAVITY_MPS2,
@@ -44,19 +53,29 @@ from taichi_nmm.world import Worlds
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
 
-FOLDER = Path(__file__).parent  # of the model's template, and the list of external loads
-FEET = ("1_", "")  # before the names of the left and right foot's columns, as in OpenSim's examples
+FOLDER = Path(
+    __file__
+).parent  # of the model's template, and the list of external loads
+FEET = (
+    "1_",
+    "",
+)  # before the names of the left and right foot's columns, as in OpenSim's examples
 BASE = [f"ground_pelvis/pelvis_{name}" for name in ("tilt", "tx", "ty")]
-COORDINATES = BASE + [path.format(side=side) for side in SIDES for path in OPENSIM["leg"]]
+COORDINATES = BASE + [
+    path.format(side=side) for side in SIDES for path in OPENSIM["leg"]
+]
 MOTION, STATES, LOADS = "motion.mot", "states.sto", "ground_forces.mot"
 CONTROLS = "controls.sto"
 MODEL, EXTERNAL = "walker.osim", "external_loads.xml"
 
 
 def write_opensim(
-    folder: Path, trajectory: Trajectory, body: Bodies, name: str = "walk",
+    folder: Path,
+    trajectory: Trajectory,
+    body: Bodies,
+    name: str = "walk",
     world: Worlds | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """Write all six files of a walk into a folder, or none.
 
     Args:
@@ -76,7 +95,9 @@ def write_opensim(
     with together(folder) as new:
         commit_text(new / MODEL, model_text(body, name, world))
         commit_text(new / MOTION, storage_text(motion(trajectory), "coordinates", name))
-        commit_text(new / STATES, storage_text(states(trajectory, world), "states", name))
+        commit_text(
+            new / STATES, storage_text(states(trajectory, world), "states", name)
+        )
         commit_text(new / CONTROLS, storage_text(controls, "controls", name))
         commit_text(new / LOADS, storage_text(loads(trajectory, body), "loads", name))
         commit_text(new / EXTERNAL, FOLDER.joinpath(EXTERNAL).read_text("utf-8"))
@@ -97,7 +118,9 @@ def table_lines(columns: Columns, between: str) -> str:
     return "".join(between.join(map(repr, row)) + "\n" for row in rows)
 
 
-def table(time: str, time_s: Array, named: Iterable[tuple[Sequence[str], Array]]) -> Columns:
+def table(
+    time: str, time_s: Array, named: Iterable[tuple[Sequence[str], Array]]
+) -> Columns:
     """The time, and the columns of arrays [t, k] by their names, k each."""
     columns = {time: time_s}
     for names, values in named:
@@ -107,7 +130,9 @@ def table(time: str, time_s: Array, named: Iterable[tuple[Sequence[str], Array]]
 
 def _coordinates(pose: Array) -> Array:
     """OpenSim's coordinates of q, or their rates of qdot, [t, 9] both."""
-    joints = pose[:, 3:] - pose[:, [2, 3, 4, 2, 6, 7]]  # extension, flexion, plantarflexion
+    joints = (
+        pose[:, 3:] - pose[:, [2, 3, 4, 2, 6, 7]]
+    )  # extension, flexion, plantarflexion
     return np.hstack([-pose[:, 2:3], pose[:, :2], -joints])
 
 
@@ -122,15 +147,22 @@ def motion(trajectory: Trajectory) -> Columns:
 def states(trajectory: Trajectory, world: Worlds | None = None) -> Columns:
     """All states of the model by the paths of OpenSim 4: coordinates, speeds, muscles.
 
-    A muscle that is missing in this world has none; fibres are as `fibre_lengths` has them.
+    A muscle that is missing in this world has none; fibres are as `fibre_lengths` has
+    them.
     """
     paths = [f"/jointset/{path}" for path in COORDINATES]
-    columns = table("time", trajectory.time_s, [
-        ([f"{path}/value" for path in paths], _coordinates(trajectory.q)),
-        ([f"{path}/speed" for path in paths], _coordinates(trajectory.qdot)),
-    ])  # fmt: skip
+    columns = table(
+        "time",
+        trajectory.time_s,
+        [
+            ([f"{path}/value" for path in paths], _coordinates(trajectory.q)),
+            ([f"{path}/speed" for path in paths], _coordinates(trajectory.qdot)),
+        ],
+    )
     lengths = fibre_lengths(trajectory, world)
-    for muscle, activation in zip(muscles_of(world), trajectory.activation.T, strict=True):
+    for muscle, activation in zip(
+        muscles_of(world), trajectory.activation.T, strict=True
+    ):
         if muscle.name in lengths:
             columns[f"/forceset/{muscle.name}/activation"] = activation
             columns[f"/forceset/{muscle.name}/fiber_length"] = lengths[muscle.name]
@@ -140,8 +172,8 @@ def states(trajectory: Trajectory, world: Worlds | None = None) -> Columns:
 def loads(trajectory: Trajectory, body: Bodies) -> Columns:
     """Force, point and torque of the ground on each foot, at the middles of the intervals.
 
-    The point follows from the foot's equation of motion; a torque is what a point between heel and
-    ball leaves over.
+    The point follows from the foot's equation of motion; a torque is what a point
+    between heel and ball leaves over.
     """
     interval_s = _interval(trajectory)
     q, qdot = trajectory.q, trajectory.qdot
@@ -153,10 +185,14 @@ def loads(trajectory: Trajectory, body: Bodies) -> Columns:
         thigh, shank, angle = q[:, 3 + 3 * side : 6 + 3 * side].T
         w = qdot[:, 3 + 3 * side : 6 + 3 * side, None]
         speed = qdot[:, :2] - THIGH_LENGTH_M * w[:, 0] * forward(thigh)
-        speed += com_m * w[:, 2] * down(angle) - SHANK_LENGTH_M * w[:, 1] * forward(shank)
+        speed += com_m * w[:, 2] * down(angle) - SHANK_LENGTH_M * w[:, 1] * forward(
+            shank
+        )
         drawn, lever = leg(_middle(q), side), -com_m * forward(_middle(angle))
         force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2]
-        above = mass * (_gained(speed) / interval_s + [0.0, GRAVITY_MPS2]) - force  # of the shank
+        above = (
+            mass * (_gained(speed) / interval_s + [0.0, GRAVITY_MPS2]) - force
+        )  # of the shank
         moment = trajectory.joint_torque_nm[:, 3 * side + 2] - _cross(lever, above)
         moment -= inertia * _gained(w[:, 2, 0]) / interval_s
         low, high = np.sort([drawn.heel, drawn.ball], axis=0) - (drawn.ankle - lever)
@@ -207,13 +243,18 @@ def model_text(body: Bodies, name: str = "walk", world: Worlds | None = None) ->
     }
     text = FOLDER.joinpath(MODEL).read_text("utf-8")
     return text.format(
-        name=name, version=__version__, forces=forces_text(world), lines=lines_text(world),
+        name=name,
+        version=__version__,
+        forces=forces_text(world),
+        lines=lines_text(world),
         **numbers,
-    )  # fmt: skip
+    )
 
 
 MARKERS = ["SHOULDER", "HIP"]
-MARKERS += [f"{side}_{point}" for side in "LR" for point in ("KNEE", "ANKLE", "HEEL", "BALL")]
+MARKERS += [
+    f"{side}_{point}" for side in "LR" for point in ("KNEE", "ANKLE", "HEEL", "BALL")
+]
 MOST_FRAMES = 65535  # that a C3D file can count
 
 
@@ -223,16 +264,24 @@ def write_c3d(path: Path, trajectory: Trajectory) -> None:
 
     shown, file = finite(trajectory), ezc3d.c3d()
     if len(shown.time_s) > MOST_FRAMES:
-        raise InputError("trajectory", path.name, f"a walk of at most {MOST_FRAMES} samples")
+        raise InputError(
+            "trajectory", path.name, f"a walk of at most {MOST_FRAMES} samples"
+        )
     left, right = (leg(shown.q, side).chain() for side in (LEFT, RIGHT))
     places_m = np.concatenate([trunk(shown.q)[0][:, None], left, right[:, 1:]], axis=1)
     points = np.ones((4, *places_m.T.shape[1:]), np.float32)  # the last is not used
-    points[0], points[1], points[2] = 1e3 * places_m[..., 0].T, 0.0, 1e3 * places_m[..., 1].T
+    points[0], points[1], points[2] = (
+        1e3 * places_m[..., 0].T,
+        0.0,
+        1e3 * places_m[..., 1].T,
+    )
     rate_hz = 1.0 / float(shown.time_s[0])
     for name, value in (("RATE", [rate_hz]), ("UNITS", ["mm"]), ("LABELS", MARKERS)):
         file["parameters"]["POINT"][name]["value"] = value
     file["data"]["points"] = points
-    with TemporaryDirectory() as folder:  # ezc3d insists on the ending, and tells of no full disk
+    with (
+        TemporaryDirectory() as folder
+    ):  # ezc3d insists on the ending, and tells of no full disk
         made = Path(folder) / "walk.c3d"
         file.write(str(made))
         content = made.read_bytes()
@@ -246,8 +295,11 @@ MEANS = ("ground_force_n", "joint_torque_nm", "swing_torque_nm", "device_torque_
 
 SEGMENTS = ("thigh", "shank", "foot")
 OWN_COORDINATES = (
-    "x_m", "z_m", "hat_rad", *(f"{segment}_{side}_rad" for side in SIDES for segment in SEGMENTS),
-)  # fmt: skip
+    "x_m",
+    "z_m",
+    "hat_rad",
+    *(f"{segment}_{side}_rad" for side in SIDES for segment in SEGMENTS),
+)
 OWN_JOINTS = ("hip_extension", "knee_flexion", "ankle_plantarflexion")
 TORQUES = [f"{side}_{joint}" for side in SIDES for joint in OWN_JOINTS]
 
@@ -259,31 +311,60 @@ def kept(trajectory: Trajectory) -> Trajectory:
     if count < 2:
         return trajectory
     size = len(trajectory.time_s) // count
-    names = [field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED]
+    names = [
+        field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED
+    ]
     thin = {name: getattr(trajectory, name)[count - 1 :: count] for name in names}
     whole = {name: getattr(trajectory, name)[: size * count] for name in MEANS}
-    means = {name: each.reshape(size, count, -1).mean(axis=1) for name, each in whole.items()}
+    means = {
+        name: each.reshape(size, count, -1).mean(axis=1) for name, each in whole.items()
+    }
     return replace(trajectory, **(thin | means))
 
 
 def own_columns(trajectory: Trajectory) -> Columns:
     """All samples, by names with units; signs as in `Trajectory`."""
     swing = [name for name in TORQUES if "ankle" not in name]
-    return table("time_s", trajectory.time_s, [
-        (OWN_COORDINATES, trajectory.q),
-        ([f"{name}ps" for name in OWN_COORDINATES], trajectory.qdot),
-        ([f"{name}_rad" for name in TORQUES], trajectory.joint_rad),
-        ([f"{side}_{muscle}_activation" for side, muscle in SIDED], trajectory.activation),
-        ([f"{side}_{muscle}_force_n" for side, muscle in SIDED], trajectory.muscle_force_n),
-        ([f"{side}_ground_{axis}_n" for side in SIDES for axis in "xz"], trajectory.ground_force_n),
-        ([f"{side}_stance" for side in SIDES], trajectory.stance.astype(np.float64)),
-        ([f"{name}_torque_nm" for name in TORQUES], trajectory.joint_torque_nm),
-        ([f"{name}_swing_torque_nm" for name in swing], trajectory.swing_torque_nm),
-        ([f"{name}_device_torque_nm" for name in TORQUES], trajectory.device_torque_nm),
-        ([f"{side}_{muscle}_fibre_m" for side, muscle in SIDED], trajectory.fibre_length_m),
-        ([f"{side}_{muscle}_fibre_mps" for side, muscle in SIDED], trajectory.fibre_velocity_mps),
-        (DELAYED, trajectory.delayed),
-    ])  # fmt: skip
+    return table(
+        "time_s",
+        trajectory.time_s,
+        [
+            (OWN_COORDINATES, trajectory.q),
+            ([f"{name}ps" for name in OWN_COORDINATES], trajectory.qdot),
+            ([f"{name}_rad" for name in TORQUES], trajectory.joint_rad),
+            (
+                [f"{side}_{muscle}_activation" for side, muscle in SIDED],
+                trajectory.activation,
+            ),
+            (
+                [f"{side}_{muscle}_force_n" for side, muscle in SIDED],
+                trajectory.muscle_force_n,
+            ),
+            (
+                [f"{side}_ground_{axis}_n" for side in SIDES for axis in "xz"],
+                trajectory.ground_force_n,
+            ),
+            (
+                [f"{side}_stance" for side in SIDES],
+                trajectory.stance.astype(np.float64),
+            ),
+            ([f"{name}_torque_nm" for name in TORQUES], trajectory.joint_torque_nm),
+            ([f"{name}_swing_torque_nm" for name in swing], trajectory.swing_torque_nm),
+            (
+                [f"{name}_device_torque_nm" for name in TORQUES],
+                trajectory.device_torque_nm,
+            ),
+            (
+                [f"{side}_{muscle}_fibre_m" for side, muscle in SIDED],
+                trajectory.fibre_length_m,
+            ),
+            (
+                [f"{side}_{muscle}_fibre_mps" for side, muscle in SIDED],
+                trajectory.fibre_velocity_mps,
+            ),
+            (DELAYED, trajectory.delayed),
+        ],
+    )
 
 
 def require_trajectory_file(path: Path) -> None:
@@ -293,9 +374,13 @@ def require_trajectory_file(path: Path) -> None:
         InputError: another ending, or a place that cannot be written.
     """
     if path.suffix not in FORMATS:
-        raise InputError("trajectory", path.suffix, f"a file that ends in {', '.join(FORMATS)}")
+        raise InputError(
+            "trajectory", path.suffix, f"a file that ends in {', '.join(FORMATS)}"
+        )
     if path.suffix == ".c3d" and find_spec("ezc3d") is None:
-        raise InputError("trajectory", ".c3d", "with ezc3d: pip install 'taichi-nmm[c3d]'")
+        raise InputError(
+            "trajectory", ".c3d", "with ezc3d: pip install 'taichi-nmm[c3d]'"
+        )
     require_writable(path, "trajectory")
 
 
@@ -304,8 +389,8 @@ def write_trajectory(
 ) -> None:
     """Write a walk as a file: .csv all samples, .c3d markers, .mot coordinates, .sto states.
 
-    The name is a line of .mot and .sto. `world` is the first that it walked in, None the nominal:
-    .sto has the muscles that are there, with their own lengths.
+    The name is a line of .mot and .sto. `world` is the first that it walked in, None
+    the nominal: .sto has the muscles that are there, with their own lengths.
 
     Raises:
         InputError: another ending, or the file cannot be written.

@@ -1,8 +1,9 @@
 """Writes a report, or the overview of several, into its folder: the words, and two figures.
 
-They are best cost against trials, and a dot a run at its first walker. An arm has its colour and
-marker in every figure, apart for colour-blind readers; three arms stand in front. In a grey print
-width and marker show the lines in front, and the label at its end names every line.
+They are best cost against trials, and a dot a run at its first walker. An arm has its
+colour and marker in every figure, apart for colour-blind readers; three arms stand in
+front. In a grey print width and marker show the lines in front, and the label at its
+end names every line.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,12 @@ from storage.commit import commit_json, commit_text, together
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM
 from study.experiment.objective import FRONT
 from study.pictures import style
-from study.report.markdown import condensed_table, count_text, overview_text, report_text
+from study.report.markdown import (
+    condensed_table,
+    count_text,
+    overview_text,
+    report_text,
+)
 from study.report.numbers import (
     Interval,
     Numbers,
@@ -68,15 +74,20 @@ def write_overview(folder: Path, experiments: Sequence[Numbers]) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    parts = [f"## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments]
-    text = "\n".join([f"# {len(experiments)} experiments\n", overview_text(experiments), *parts])
+    parts = [
+        f"## {each.experiment}\n\n{condensed_table(each)}\n" for each in experiments
+    ]
+    text = "\n".join(
+        [f"# {len(experiments)} experiments\n", overview_text(experiments), *parts]
+    )
     with together(folder) as new:
         document = {"experiments": [each.as_dict() for each in experiments]}
         commit_json(new / "overview.json", document)
         commit_text(new / "overview.md", text)
 
 
-# Of an arm in every figure: the paper's and ours have a colour of their own, the others follow.
+# Of an arm in every figure: the paper's and ours have a colour of their own, the others
+# follow.
 COLOURS = {PAPER_ARM: style.BLUE, OUR_ARM: style.VERMILION}
 DASHES: tuple[Any, ...] = ("solid", (0, (4, 2)), (0, (1, 1.5)))
 MARKERS = "osD^vPX<>ph*dH8"
@@ -103,10 +114,14 @@ class Look:
     def line(self) -> dict[str, Any]:
         """Keyword arguments of `Axes.plot`."""
         return {
-            "color": self.colour, "linestyle": self.dash, "linewidth": 2.0 if self.front else 1.0,
-            "marker": self.marker, "markersize": 5.0 if self.front else 3.2,
-            "markeredgewidth": 0.0, "zorder": 4.0 if self.front else 3.0,
-        }  # fmt: skip
+            "color": self.colour,
+            "linestyle": self.dash,
+            "linewidth": 2.0 if self.front else 1.0,
+            "marker": self.marker,
+            "markersize": 5.0 if self.front else 3.2,
+            "markeredgewidth": 0.0,
+            "zorder": 4.0 if self.front else 3.0,
+        }
 
 
 def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
@@ -118,7 +133,9 @@ def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
         place = others.index(arm) if arm in others else 0
         colour = COLOURS.get(arm, style.OTHERS[place % len(style.OTHERS)])
         dash = DASHES[0 if arm in COLOURS else 1 + place // len(style.OTHERS) % 2]
-        marker = MARKERS[list(COLOURS).index(arm) if arm in COLOURS else place % len(MARKERS)]
+        marker = MARKERS[
+            list(COLOURS).index(arm) if arm in COLOURS else place % len(MARKERS)
+        ]
         found[arm] = Look(label_of(arm), colour, dash, marker, front=arm in front)
     return found
 
@@ -142,9 +159,17 @@ def trial_axis(axes: Axes, trials: int) -> None:
 def headline(figure: Figure, left_in: float, title: str, remark: str) -> None:
     """A title, and below it a line on how to read the figure."""
     wide, high = figure.get_figwidth(), figure.get_figheight()
-    for text, down_in, size in ((title, 0.24, style.TITLE_PT), (remark, 0.45, style.SMALL_PT)):
+    for text, down_in, size in (
+        (title, 0.24, style.TITLE_PT),
+        (remark, 0.45, style.SMALL_PT),
+    ):
         figure.text(
-            left_in / wide, 1.0 - down_in / high, text, fontsize=size, color=style.INK, va="center"
+            left_in / wide,
+            1.0 - down_in / high,
+            text,
+            fontsize=size,
+            color=style.INK,
+            va="center",
         )
 
 
@@ -171,16 +196,26 @@ def label_ends(axes: Axes, ends: Sequence[tuple[float, Look]], x: float) -> None
     places = spread_out(np.clip(pixels, low, high), LABEL_SPACING_PT * point, low, high)
     for (y, look), own, place in zip(ends, pixels, places, strict=True):
         axes.annotate(
-            f"{look.label} {y:.3g}", xy=(x, y), xytext=(LABEL_OFFSET_PT, (place - own) / point),
-            textcoords="offset points", va="center", fontsize=style.SMALL_PT, color=style.INK,
-            fontweight="bold" if look.front else "normal", annotation_clip=False,
-        )  # fmt: skip
-        height = [(place - low) / (high - low)] * 2  # the arm's line beside its name, as a key
+            f"{look.label} {y:.3g}",
+            xy=(x, y),
+            xytext=(LABEL_OFFSET_PT, (place - own) / point),
+            textcoords="offset points",
+            va="center",
+            fontsize=style.SMALL_PT,
+            color=style.INK,
+            fontweight="bold" if look.front else "normal",
+            annotation_clip=False,
+        )
+        height = [
+            (place - low) / (high - low)
+        ] * 2  # the arm's line beside its name, as a key
         key = look.line() | {"markevery": [1], "transform": axes.transAxes}
         axes.plot([1.015, 1.04], height, clip_on=False, **key)
 
 
-def spread_out(places: Sequence[float], apart: float, low: float, high: float) -> list[float]:
+def spread_out(
+    places: Sequence[float], apart: float, low: float, high: float
+) -> list[float]:
     """Ascending places, moved as little as needed to be `apart`; within [low, high] if they fit.
 
     Places that push each other form a group about the mean of their own places.
@@ -216,19 +251,30 @@ def write_best_cost(path: Path, results: Results) -> Path:
     label = f"best {results.cost} cost so far{area}"
     axes.set_ylabel(label, fontsize=style.TEXT_PT, color=style.INK)
     is_walking = results.cost == "walking"
-    if not is_walking and min(float(arm.best.min()) for arm in results.arms.values()) > 0.0:
+    if (
+        not is_walking
+        and min(float(arm.best.min()) for arm in results.arms.values()) > 0.0
+    ):
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_locator(NullLocator())
     elif is_walking:
         axes.set_ylim(0.0, 315.0)
-        axes.axhline(WALKS_BELOW, color=style.INK, linewidth=0.8, linestyle="--", zorder=2.0)
+        axes.axhline(
+            WALKS_BELOW, color=style.INK, linewidth=0.8, linestyle="--", zorder=2.0
+        )
         axes.annotate(
-            "below: walks to the end", xy=(0.0, WALKS_BELOW), xycoords=("axes fraction", "data"),
-            xytext=(4, -2), textcoords="offset points", va="top", fontsize=style.SMALL_PT,
-            color=style.INK, zorder=2.0,
-        )  # fmt: skip
+            "below: walks to the end",
+            xy=(0.0, WALKS_BELOW),
+            xycoords=("axes fraction", "data"),
+            xytext=(4, -2),
+            textcoords="offset points",
+            va="top",
+            fontsize=style.SMALL_PT,
+            color=style.INK,
+            zorder=2.0,
+        )
     # Worst first; of lines that end at one place, the best label is lowest.
     styles, order, last = looks(results.arms), by_rank(results.arms), dict[str, float]()
     for arm in sorted(order[::-1], key=lambda name: styles[name].front):
@@ -237,7 +283,9 @@ def write_best_cost(path: Path, results: Results) -> Path:
         trials = np.arange(1, len(values) + 1)
         axes.plot(trials, values, markevery=marked(len(values), rank), **look.line())
         if look.front:
-            axes.fill_between(trials, low, high, color=look.colour, alpha=0.15, linewidth=0)
+            axes.fill_between(
+                trials, low, high, color=look.colour, alpha=0.15, linewidth=0
+            )
         last[arm] = float(values[-1])
     ends = [(last[arm], styles[arm]) for arm in sorted(order, key=last.__getitem__)]
     label_ends(axes, ends, results.trials)
@@ -298,7 +346,9 @@ def piles(places: Floats) -> tuple[Floats, Floats]:
         index = np.arange(len(inside))
         y[inside] = DOTS_AT + PITCH * (index % tall - 0.5 * (tall - 1))
         if columns > 1:
-            x[inside] = places[inside].mean() + STEP * (index // tall - 0.5 * (columns - 1))
+            x[inside] = places[inside].mean() + STEP * (
+                index // tall - 0.5 * (columns - 1)
+            )
     return x, y
 
 
@@ -306,13 +356,25 @@ def _draw_row(axes: Axes, trials: int, row: int, arm: ArmRuns, look: Look) -> No
     """The dots of an arm, with its label, median and count."""
     found = np.sort(arm.first_walker[np.isfinite(arm.first_walker)])
     x, y = piles(trial_places(found, trials))
-    axes.plot(x, row + y, "o", ms=DOT_PT, color=look.colour, markeredgewidth=0.0, zorder=3)
-    index = np.arange(len(arm.runs) - len(found))  # of runs without a walker: dots in columns
+    axes.plot(
+        x, row + y, "o", ms=DOT_PT, color=look.colour, markeredgewidth=0.0, zorder=3
+    )
+    index = np.arange(
+        len(arm.runs) - len(found)
+    )  # of runs without a walker: dots in columns
     step = min(STEP, (TO - NONE_FROM - 2.0 * STEP) / max(-(-len(index) // PILE), 1))
     right = NONE_FROM + STEP + step * (index // PILE)
     down = row + DOTS_AT + PITCH * (index % PILE - 0.5 * (PILE - 1))
-    axes.plot(right, down, "o", ms=DOT_PT - 0.6, markerfacecolor="none",
-              markeredgecolor=look.colour, markeredgewidth=0.7, zorder=3)  # fmt: skip
+    axes.plot(
+        right,
+        down,
+        "o",
+        ms=DOT_PT - 0.6,
+        markerfacecolor="none",
+        markeredgecolor=look.colour,
+        markeredgewidth=0.7,
+        zorder=3,
+    )
     interval = median(arm.first_walker)
     _draw_median(axes, trials, row, interval)
     weight = "bold" if look.front else "normal"
@@ -321,8 +383,16 @@ def _draw_row(axes: Axes, trials: int, row: int, arm: ArmRuns, look: Look) -> No
         (MEDIAN_AT, count_text(interval.value, arm.trials), "center"),
         (RUNS_AT, f"{len(found)}/{len(arm.runs)}", "center"),
     ):
-        axes.text(place, row, words, ha=side, va="center", fontsize=style.TEXT_PT,
-                  color=style.INK, fontweight=weight)  # fmt: skip
+        axes.text(
+            place,
+            row,
+            words,
+            ha=side,
+            va="center",
+            fontsize=style.TEXT_PT,
+            color=style.INK,
+            fontweight=weight,
+        )
 
 
 def _draw_median(axes: Axes, trials: int, row: int, interval: Interval) -> None:
@@ -330,11 +400,27 @@ def _draw_median(axes: Axes, trials: int, row: int, interval: Interval) -> None:
     if not np.isfinite(interval.low):
         return
     y, closed = row + MEDIAN_BELOW, bool(np.isfinite(interval.high))
-    low, middle, high = trial_places([interval.low, interval.value, interval.high], trials)
+    low, middle, high = trial_places(
+        [interval.low, interval.value, interval.high], trials
+    )
     high = high if closed else NONE_FROM - 0.01
-    axes.plot([low, high], [y, y], color=style.INK, linewidth=1.1, zorder=4, solid_capstyle="butt")
+    axes.plot(
+        [low, high],
+        [y, y],
+        color=style.INK,
+        linewidth=1.1,
+        zorder=4,
+        solid_capstyle="butt",
+    )
     axes.plot([low], [y], "|", color=style.INK, ms=4, zorder=4)
-    axes.plot([high], [y], "|" if closed else ">", color=style.INK, ms=4 if closed else 3, zorder=4)
+    axes.plot(
+        [high],
+        [y],
+        "|" if closed else ">",
+        color=style.INK,
+        ms=4 if closed else 3,
+        zorder=4,
+    )
     if np.isfinite(interval.value):
         axes.plot([middle], [y], "D", color=style.INK, ms=4, zorder=5)
 
@@ -352,7 +438,16 @@ def _frame_dots(axes: Axes, trials: int, rows: int) -> None:
     axes.axvspan(NONE_FROM, TO, color=style.GRID, alpha=0.55, linewidth=0, zorder=1)
     for row in range(1, rows):
         axes.axhline(row - 0.5, color=style.GRID, linewidth=0.6, zorder=1)
-    axes.set_xlabel("trials to the first walker", fontsize=style.TEXT_PT, color=style.INK)
+    axes.set_xlabel(
+        "trials to the first walker", fontsize=style.TEXT_PT, color=style.INK
+    )
     for place, words in ((MEDIAN_AT, "median"), (RUNS_AT, "runs")):
-        axes.text(place, -0.6, words, ha="center", va="bottom", fontsize=style.SMALL_PT,
-                  color=style.INK)  # fmt: skip
+        axes.text(
+            place,
+            -0.6,
+            words,
+            ha="center",
+            va="bottom",
+            fontsize=style.SMALL_PT,
+            color=style.INK,
+        )

@@ -31,10 +31,14 @@ from study.report.runs import ArmRuns, Results, runs_of
 
 ABSENT = "-"
 UNKNOWN = "not recorded"
-WORDS = tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
+WORDS = tomllib.loads(
+    Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
+)
 
 
-def table(header: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:") -> str:
+def table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:"
+) -> str:
     """A Markdown table; `rule` aligns all columns but the first, by default right."""
     rules = ["---", *[rule] * (len(header) - 1)]
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, rules, *rows))
@@ -74,18 +78,25 @@ def _walkers(
 ) -> tuple[list[str], list[list[str]]]:
     """Header and a row an arm: runs with a walker, when, and how many within so many trials."""
     header = [
-        "arm", "runs", "runs with a walker", "interval of their share, %",
-        "first walker, median trial", "interval", *(f"within {limit}" for limit in limits),
-    ]  # fmt: skip
+        "arm",
+        "runs",
+        "runs with a walker",
+        "interval of their share, %",
+        "first walker, median trial",
+        "interval",
+        *(f"within {limit}" for limit in limits),
+    ]
     rows = [
         [
-            name(arm.arm), str(arm.runs), str(arm.walkers),
+            name(arm.arm),
+            str(arm.runs),
+            str(arm.walkers),
             f"{100 * arm.share.low:.0f} to {100 * arm.share.high:.0f}",
             *_estimate(arm.first_walker, partial(count_text, trials=arm.trials)),
             *(str(arm.within.get(limit, ABSENT)) for limit in limits),
         ]
         for arm in numbers.arms
-    ]  # fmt: skip
+    ]
     return header, rows
 
 
@@ -102,7 +113,9 @@ def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path]) 
         "## Best cost",
         WORDS["front"] if results.cost == FRONT else "",
         _costs(numbers, results.cost),
-        WORDS["proposal"] if any(arm.proposal_ms is not None for arm in numbers.arms) else "",
+        WORDS["proposal"]
+        if any(arm.proposal_ms is not None for arm in numbers.arms)
+        else "",
         *_tests(numbers),
         "## What the arms saw before their first trial",
         _saw(numbers, stores),
@@ -138,22 +151,38 @@ def _costs(numbers: Numbers, cost: str) -> str:
     rows = []
     for arm in numbers.arms:
         row = [_label(arm.arm)]
-        for median in [arm.cost_after.get(trials) for trials in after] or [arm.best_cost]:
+        for median in [arm.cost_after.get(trials) for trials in after] or [
+            arm.best_cost
+        ]:
             row += _estimate(median)
-        rows.append([*row, ABSENT if arm.proposal_ms is None else f"{arm.proposal_ms:.3g}"])
+        rows.append(
+            [*row, ABSENT if arm.proposal_ms is None else f"{arm.proposal_ms:.3g}"]
+        )
     return table([*header, "ms"], rows)
 
 
 def _tests(numbers: Numbers) -> list[str]:
     if not numbers.comparisons:
         return []
-    header = ["arm", "trials", f"best cost less that of {numbers.reference}, median", "interval"]
+    header = [
+        "arm",
+        "trials",
+        f"best cost less that of {numbers.reference}, median",
+        "interval",
+    ]
     for name in ("Wilcoxon", "McNemar"):
         header += [f"{name}: pairs", "differ", "Holm", "p"]
     rows = []
     for each in numbers.comparisons:
-        row = [_label(each.arm), str(each.after), *_estimate(each.difference, "{:+.3g}".format)]
-        for test, holm in ((each.cost, each.cost_p_holm), (each.walkers, each.walkers_p_holm)):
+        row = [
+            _label(each.arm),
+            str(each.after),
+            *_estimate(each.difference, "{:+.3g}".format),
+        ]
+        for test, holm in (
+            (each.cost, each.cost_p_holm),
+            (each.walkers, each.walkers_p_holm),
+        ):
             row += [str(test.pairs), str(test.unequal), _p_text(holm), _p_text(test.p)]
         rows.append(row)
     return [f"## Against `{numbers.reference}`", WORDS["tests"], table(header, rows)]
@@ -171,17 +200,25 @@ def _saw(numbers: Numbers, stores: Mapping[str, Path]) -> str:
 def facts(results: Results) -> dict[str, str]:
     """How the runs were made, a line a fact; facts that the folder lacks are left out."""
     sessions = results.facts.get("sessions", [])
-    simulation, objective = (results.facts.get(name, {}) for name in ("simulation", "objective"))
+    simulation, objective = (
+        results.facts.get(name, {}) for name in ("simulation", "objective")
+    )
     how = "alone" if "fixed_gains" in results.facts else "beside the 16 gains"
     found = {
         "date": _days(sessions),
-        "machine": "; ".join(dict.fromkeys(_words(each.get("machine")) for each in sessions)),
+        "machine": "; ".join(
+            dict.fromkeys(_words(each.get("machine")) for each in sessions)
+        ),
         "wall time": _wall_time(sessions),
         "versions": _words(results.facts.get("versions")),
         "cost": results.cost,
         "what it weighs": _words(objective.get("goals", objective.get("terms"))),
-        "a trial": f"{simulation['duration_s']:g} s" if "duration_s" in simulation else "",
-        "simulation": _words({k: v for k, v in simulation.items() if k != "duration_s"}),
+        "a trial": f"{simulation['duration_s']:g} s"
+        if "duration_s" in simulation
+        else "",
+        "simulation": _words(
+            {k: v for k, v in simulation.items() if k != "duration_s"}
+        ),
         "body": _words(results.facts.get("body")),
         "terrain": str(results.facts.get("terrain", {}).get("name", "")),
         f"searched {how}": ", ".join(results.facts.get("searched", [])),
@@ -217,7 +254,9 @@ OVERVIEW: dict[str, Callable[[ArmNumbers], str]] = {
     "Runs with a walker": lambda arm: str(arm.walkers),
     "Runs whose first trial walks": lambda arm: str(arm.within.get(1, ABSENT)),
     "Runs with a walker within 3 trials": lambda arm: str(arm.within.get(3, ABSENT)),
-    "Median trial of the first walker": lambda arm: count_text(arm.first_walker.value, arm.trials),
+    "Median trial of the first walker": lambda arm: count_text(
+        arm.first_walker.value, arm.trials
+    ),
 }
 
 
@@ -269,11 +308,15 @@ def arms_text(numbers: Numbers) -> str:
         first = count_text(arm.first_walker.value, arm.trials)
         time = ABSENT if arm.proposal_ms is None else f"{arm.proposal_ms:.1f}"
         best = f"{arm.best_cost.value:>18.4f}  {time:>10}"
-        lines.append(f"{arm.arm:<18} {arm.runs:>4}  {arm.walkers:>13}  {first:>14}  {best}")
+        lines.append(
+            f"{arm.arm:<18} {arm.runs:>4}  {arm.walkers:>13}  {first:>14}  {best}"
+        )
     return "\n".join(lines)
 
 
-def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[str, Any]]:
+def arms_documents(
+    numbers: Numbers, stores: Mapping[str, Path]
+) -> list[dict[str, Any]]:
     """The same as plain values, and what each arm saw; None for a first walker that most lack."""
     return [
         {
@@ -293,23 +336,32 @@ def arms_documents(numbers: Numbers, stores: Mapping[str, Path]) -> list[dict[st
 DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages
 
 
-def dashboard_summary(name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]) -> str:
+def dashboard_summary(
+    name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]
+) -> str:
     """The note of an experiment's summary study, as `study.experiment.database.Summarise`.
 
-    Of each arm those rows of the results table count that all its runs have. The note is renewed
-    once a minute while the experiment runs: medians only, no resampling. Its second table links to
-    the studies, of which the dashboard lists hundreds.
+    Of each arm those rows of the results table count that all its runs have. The note
+    is renewed once a minute while the experiment runs: medians only, no resampling. Its
+    second table links to the studies, of which the dashboard lists hundreds.
     """
     arms = list(runs_of(trials).values())
-    state = "all trials" if final else "so far; the experiment is running or was stopped"
-    heads, rows = ["arm", "runs", "walked", "walked, %", "first walker", "best cost"], []
+    state = (
+        "all trials" if final else "so far; the experiment is running or was stopped"
+    )
+    heads, rows = (
+        ["arm", "runs", "walked", "walked, %", "first walker", "best cost"],
+        [],
+    )
     for arm in arms:
         first = count_text(float(np.median(arm.first_walker)), arm.trials)
         percent, best = 100 * arm.walkers / len(arm.runs), np.median(arm.best[:, -1])
         counts = str(len(arm.runs)), str(arm.walkers), f"{percent:.0f}"
         rows.append([arm.arm, *counts, first, f"{best:.4g}"])
     tables = {"table": table(heads, rows), "links": _links(name, arms, studies)}
-    return str(WORDS["note"].format(name=name, trials=len(trials), state=state, **tables))
+    return str(
+        WORDS["note"].format(name=name, trials=len(trials), state=state, **tables)
+    )
 
 
 def _links(experiment: str, arms: Sequence[ArmRuns], studies: Mapping[str, int]) -> str:
@@ -318,7 +370,10 @@ def _links(experiment: str, arms: Sequence[ArmRuns], studies: Mapping[str, int])
     for run in sorted({int(run) for arm in arms for run in arm.runs}):
         names = [study_name(experiment, arm.arm, run) for arm in arms]
         known = [str(studies[name]) for name in names if name in studies]
-        cells = [_cell(arm, run, studies.get(name)) for arm, name in zip(arms, names, strict=True)]
+        cells = [
+            _cell(arm, run, studies.get(name))
+            for arm, name in zip(arms, names, strict=True)
+        ]
         together = f"[compare]({DASHBOARD}/compare-studies?ids={','.join(known)})"
         rows.append([str(run), *cells, together if len(known) > 1 else ""])
     return table(["run", *(arm.arm for arm in arms), "all arms"], rows)
@@ -345,8 +400,8 @@ class RobotResults:
 
     Attributes:
         experiment: that was compared.
-        arms: by name: a run is a robot, a walk is a trial that lasted, costs are without
-            noise.
+        arms: by name: a run is a robot, a walk is a trial that lasted, costs are
+            without noise.
     """
 
     experiment: robots.RobotExperiment
@@ -359,10 +414,16 @@ class RobotResults:
         runs, numbers = trials["run"].to_numpy(), trials["trial"].to_numpy()
         arms, found = np.array(trials["arm"].to_pylist()), {}
         for arm in experiment.arms:
-            own = trials.filter((arms == arm) & (runs < shape[0]) & (numbers < shape[1]))
-            cost, lasted = (own[name].to_numpy().reshape(shape) for name in ("cost", "survived"))
+            own = trials.filter(
+                (arms == arm) & (runs < shape[0]) & (numbers < shape[1])
+            )
+            cost, lasted = (
+                own[name].to_numpy().reshape(shape) for name in ("cost", "survived")
+            )
             best = np.minimum.accumulate(cost, axis=1)
-            found[arm] = ArmRuns(arm, np.arange(shape[0]), best, lasted >= 1.0, len(own))
+            found[arm] = ArmRuns(
+                arm, np.arange(shape[0]), best, lasted >= 1.0, len(own)
+            )
         return cls(experiment, found)
 
     @property
@@ -375,18 +436,31 @@ class RobotResults:
         """The report."""
         known, fell_cost = self.experiment, self.experiment.objective.fell_cost
         about = WORDS["robots"].format(
-            name=known.name, runs=known.runs, simulator=known.simulator.name, trials=known.trials,
-            seconds=known.duration_s, seed=known.seed, cost=known.objective.cost, most=fell_cost,
-            twice=2 * fell_cost, noise=100 * known.noise,
-        )  # fmt: skip
-        return "\n\n".join([about, self._walkers(), self._costs(), *self._tests()]) + "\n"
+            name=known.name,
+            runs=known.runs,
+            simulator=known.simulator.name,
+            trials=known.trials,
+            seconds=known.duration_s,
+            seed=known.seed,
+            cost=known.objective.cost,
+            most=fell_cost,
+            twice=2 * fell_cost,
+            noise=100 * known.noise,
+        )
+        return (
+            "\n\n".join([about, self._walkers(), self._costs(), *self._tests()]) + "\n"
+        )
 
     def _walkers(self) -> str:
         within = [at for at in FIRST_TRIALS if at < self.experiment.trials]
-        heads = ["first trial" if at == 1 else f"one of the first {at}" for at in within]
+        heads = [
+            "first trial" if at == 1 else f"one of the first {at}" for at in within
+        ]
         rows = []
         for arm, own in self.arms.items():
-            counts = [str(own.has_walker[:, at - 1].sum()) for at in (*within, own.trials)]
+            counts = [
+                str(own.has_walker[:, at - 1].sum()) for at in (*within, own.trials)
+            ]
             rows.append([robots.ARMS[arm].label, robots.ARMS[arm].sees, *counts])
         first = "robots on which a trial lasted", "knows of the store"
         return table([*first, *heads, "any"], rows)
@@ -395,11 +469,16 @@ class RobotResults:
         rows = []
         for arm, own in self.arms.items():
             first = float(np.median(own.first_walker))
-            cells = [f"{np.median(own.best[:, trials - 1]):.3g}" for trials in self.checkpoints]
+            cells = [
+                f"{np.median(own.best[:, trials - 1]):.3g}"
+                for trials in self.checkpoints
+            ]
             seen = f"{first:g}" if np.isfinite(first) else "none"
             rows.append([robots.ARMS[arm].label, seen, *cells])
         heads = [f"after {trials}" for trials in self.checkpoints]
-        return table(["median of the least cost", "first trial that lasts", *heads], rows)
+        return table(
+            ["median of the least cost", "first trial that lasts", *heads], rows
+        )
 
     def _tests(self) -> Iterator[str]:
         """Wilcoxon's signed ranks of costs, McNemar's test of robots with a walker."""
@@ -411,10 +490,22 @@ class RobotResults:
             for other in others:
                 cells = []
                 for trials in self.checkpoints:
-                    mine, theirs = (self.arms[arm].best[:, trials - 1] for arm in (ours, other))
+                    mine, theirs = (
+                        self.arms[arm].best[:, trials - 1] for arm in (ours, other)
+                    )
                     p = wilcoxon(mine, theirs).p
-                    cells += [str((mine < theirs).sum()), str((mine > theirs).sum()), f"{p:.2g}"]
-                p = mcnemar(*(self.arms[arm].has_walker[:, -1] for arm in (ours, other))).p
+                    cells += [
+                        str((mine < theirs).sum()),
+                        str((mine > theirs).sum()),
+                        f"{p:.2g}",
+                    ]
+                p = mcnemar(
+                    *(self.arms[arm].has_walker[:, -1] for arm in (ours, other))
+                ).p
                 rows.append([robots.ARMS[other].label, *cells, f"{p:.2g}"])
-            heads = [h for at in self.checkpoints for h in (f"after {at}: won", "lost", "p")]
-            yield table([f"{robots.ARMS[ours].label} against", *heads, "lasted: p"], rows)
+            heads = [
+                h for at in self.checkpoints for h in (f"after {at}: won", "lost", "p")
+            ]
+            yield table(
+                [f"{robots.ARMS[ours].label} against", *heads, "lasted: p"], rows
+            )

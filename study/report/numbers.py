@@ -1,8 +1,8 @@
 """The numbers of an experiment: of each arm, and of each arm against ours, or the paper's method.
 
-Runs are the unit of intervals and tests: trials of one run are not independent. The number of runs
-alone seeds the resampling: a report made twice is the same, and arms with as many runs are
-resampled alike.
+Runs are the unit of intervals and tests: trials of one run are not independent. The
+number of runs alone seeds the resampling: a report made twice is the same, and arms
+with as many runs are resampled alike.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -71,7 +71,8 @@ def wilson(successes: int, count: int) -> Interval:
 def median(values: ArrayLike) -> Interval:
     """Median over runs, [r], with its percentile bootstrap interval; infinities are allowed.
 
-    A run without a walker counts as infinite: the median is known as long as half the runs are.
+    A run without a walker counts as infinite: the median is known as long as half the
+    runs are.
 
     Args:
         values: one a run, [r]; no NaN.
@@ -115,7 +116,9 @@ def wilcoxon(ours: ArrayLike, theirs: ArrayLike) -> PairedTest:
         ours: [n].
         theirs: of the same runs, [n].
     """
-    difference = np.asarray(ours, dtype=np.float64) - np.asarray(theirs, dtype=np.float64)
+    difference = np.asarray(ours, dtype=np.float64) - np.asarray(
+        theirs, dtype=np.float64
+    )
     unequal = difference[difference != 0]
     p = float(scipy.stats.wilcoxon(unequal).pvalue) if len(unequal) else 1.0
     return PairedTest(len(difference), len(unequal), p)
@@ -139,7 +142,9 @@ def holm(p_values: Sequence[float]) -> list[float]:
     """Holm's adjusted p-values, in the order given."""
     order = np.argsort(p_values, kind="stable")
     factors = np.arange(len(order), 0, -1)
-    adjusted = np.minimum(np.maximum.accumulate(np.asarray(p_values)[order] * factors), 1.0)
+    adjusted = np.minimum(
+        np.maximum.accumulate(np.asarray(p_values)[order] * factors), 1.0
+    )
     return [float(p) for p in adjusted[np.argsort(order)]]
 
 
@@ -217,7 +222,8 @@ class Comparison:
         arm: its name.
         after: trials after which the best costs are compared.
         cost: Wilcoxon's signed-rank test of the best costs.
-        cost_p_holm: its p, adjusted for all arms that are compared after as many trials.
+        cost_p_holm: its p, adjusted for all arms that are compared after as many
+            trials.
         difference: of the best costs, median over runs; below 0 the arm is better.
         walkers: McNemar's exact test of a walker by the last trial that both have.
         walkers_p_holm: its p, adjusted likewise.
@@ -281,8 +287,12 @@ def _arm_numbers(arm: ArmRuns) -> ArmNumbers:
         walkers=arm.walkers,
         share=wilson(arm.walkers, len(arm.runs)),
         first_walker=median(arm.first_walker),
-        within={k: int(arm.has_walker[:, min(k, arm.trials) - 1].sum()) for k in limits},
-        cost_after={k: median(arm.best[:, k - 1]) for k in COST_AFTER if k <= arm.trials},
+        within={
+            k: int(arm.has_walker[:, min(k, arm.trials) - 1].sum()) for k in limits
+        },
+        cost_after={
+            k: median(arm.best[:, k - 1]) for k in COST_AFTER if k <= arm.trials
+        },
         best_cost=median(arm.best[:, -1]),
         proposal_ms=arm.proposal_ms,
     )
@@ -292,20 +302,28 @@ def _comparisons(arms: list[ArmRuns], reference: ArmRuns) -> Iterator[Comparison
     """After each number of trials that some pair has, or after the last that it has."""
     found: dict[int, list[Comparison]] = {}
     for arm in arms:
-        runs, ours, theirs = np.intersect1d(arm.runs, reference.runs, return_indices=True)
+        runs, ours, theirs = np.intersect1d(
+            arm.runs, reference.runs, return_indices=True
+        )
         if arm is reference or not len(runs):
             continue
         last = min(arm.trials, reference.trials)
-        walkers = mcnemar(arm.has_walker[ours, last - 1], reference.has_walker[theirs, last - 1])
+        walkers = mcnemar(
+            arm.has_walker[ours, last - 1], reference.has_walker[theirs, last - 1]
+        )
         for after in dict.fromkeys(min(each, last) for each in COMPARED_AFTER):
             pair = arm.best[ours, after - 1], reference.best[theirs, after - 1]
             cost, difference = wilcoxon(*pair), median(pair[0] - pair[1])
-            compared = Comparison(arm.arm, after, cost, cost.p, difference, walkers, walkers.p)
+            compared = Comparison(
+                arm.arm, after, cost, cost.p, difference, walkers, walkers.p
+            )
             found.setdefault(after, []).append(compared)
     for after in sorted(found):
         cost_p = holm([each.cost.p for each in found[after]])
         walkers_p = holm([each.walkers.p for each in found[after]])
-        for each, of_cost, of_walkers in zip(found[after], cost_p, walkers_p, strict=True):
+        for each, of_cost, of_walkers in zip(
+            found[after], cost_p, walkers_p, strict=True
+        ):
             yield replace(each, cost_p_holm=of_cost, walkers_p_holm=of_walkers)
 
 

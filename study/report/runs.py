@@ -49,8 +49,8 @@ class ArmRuns:
         walks: whether a trial walked, [r, t].
         found: trials in the table.
         proposal_ms: median time of a proposal; None where it is not known.
-        repeated: further trials in the arrays: the first walker of a run that ended with
-            it.
+        repeated: further trials in the arrays: the first walker of a run that ended
+            with it.
     """
 
     arm: str
@@ -137,14 +137,19 @@ def read_results(folder: str | Path) -> Results:
     An arm is read from the table or from its checkpoint, whichever has more trials.
 
     Raises:
-        InputError: no such folder, no trials in it, or a table or document that cannot be used.
+        InputError: no such folder, no trials in it, or a table or document that cannot
+            be used.
     """
     folder = Path(folder)
     if (folder / ROBOTS_NAME).exists():
-        allowed = "a comparison of the walker; on robots, compare has written report.md there"
+        allowed = (
+            "a comparison of the walker; on robots, compare has written report.md there"
+        )
         raise InputError("folder", str(folder), allowed)
     if not is_folder(folder):
-        raise InputError("folder", str(folder), "the output folder of taichi-nmm compare")
+        raise InputError(
+            "folder", str(folder), "the output folder of taichi-nmm compare"
+        )
     arms: dict[str, pa.Table] = {}
     for path in table_files(folder):
         for arm, rows in _by_arm(read_trials(path, COLUMNS)).items():
@@ -162,7 +167,9 @@ def read_results(folder: str | Path) -> Results:
         for arm, rows in arms.items()
     }
     name = next(iter(arms.values()))["experiment"][0].as_py()
-    return Results(folder, name, facts.get("objective", {}).get("cost", "smooth"), runs, facts)
+    return Results(
+        folder, name, facts.get("objective", {}).get("cost", "smooth"), runs, facts
+    )
 
 
 def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
@@ -172,7 +179,10 @@ def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
         InputError: a run lacks a trial between others, or has one twice.
     """
     arms = _by_arm(trials.select(COLUMNS))
-    return {arm: _arm_runs("trials", arm, rows, None, len(rows)) for arm, rows in arms.items()}
+    return {
+        arm: _arm_runs("trials", arm, rows, None, len(rows))
+        for arm, rows in arms.items()
+    }
 
 
 def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
@@ -187,13 +197,17 @@ def _arm_runs(
 ) -> ArmRuns:
     """Arrays of one arm's table: `found` trials were made, the others are repeated."""
     if not without_gaps(table):
-        raise InputError(source, f"arm {arm}", "trials 0, 1, 2, ... of each run, each once")
+        raise InputError(
+            source, f"arm {arm}", "trials 0, 1, 2, ... of each run, each once"
+        )
     runs, counts = np.unique(table["run"].to_numpy(), return_counts=True)
     shared, shape = table["trial"].to_numpy() < counts.min(), (len(runs), -1)
     best, walks = (table[name].to_numpy()[shared] for name in ("best_cost", "walked"))
     best, walks = best.reshape(shape), walks.astype(bool).reshape(shape)
     repeated = len(table) - found
-    return ArmRuns(arm, runs.astype(np.int64), best, walks, found, proposal_ms, repeated)
+    return ArmRuns(
+        arm, runs.astype(np.int64), best, walks, found, proposal_ms, repeated
+    )
 
 
 def _proposal_times(folder: Path) -> dict[str, float]:
@@ -203,7 +217,10 @@ def _proposal_times(folder: Path) -> dict[str, float]:
         return {}
     table = read_trials(path, ("arm", "proposal_s"))
     arm, seconds = table["arm"].to_numpy(), table["proposal_s"].to_numpy()
-    return {str(name): 1e3 * float(np.median(seconds[arm == name])) for name in np.unique(arm)}
+    return {
+        str(name): 1e3 * float(np.median(seconds[arm == name]))
+        for name in np.unique(arm)
+    }
 
 
 LARGEST_NUMBER = 1e15  # of seconds or trials
@@ -212,18 +229,30 @@ OBJECT, COST = by_name(anything), word(*PRINTED, WEIGHTED, FRONT)
 NUMBER = number(-LARGEST_NUMBER, LARGEST_NUMBER, f"a number up to {LARGEST_NUMBER:g}")
 FORM: dict[str, dict[str, Check]] = {
     EXPERIMENT_NAME: {
-        "simulation": OBJECT, "objective": OBJECT, "versions": OBJECT, "body": OBJECT,
-        "terrain": OBJECT, "ground": OBJECT, "until_walker": flag,
-        "searched": each(text), "stores": by_name(text),
-        "objective.cost": lambda name, v: v if FUNCTION.fullmatch(str(v)) else COST(name, v),
-        "objective.terms": OBJECT, "objective.goals": by_name(OBJECT),
+        "simulation": OBJECT,
+        "objective": OBJECT,
+        "versions": OBJECT,
+        "body": OBJECT,
+        "terrain": OBJECT,
+        "ground": OBJECT,
+        "until_walker": flag,
+        "searched": each(text),
+        "stores": by_name(text),
+        "objective.cost": lambda name, v: (
+            v if FUNCTION.fullmatch(str(v)) else COST(name, v)
+        ),
+        "objective.terms": OBJECT,
+        "objective.goals": by_name(OBJECT),
         "simulation.duration_s": NUMBER,
     },
     RUN_NAME: {"sessions": each(OBJECT)},
-}  # fmt: skip
+}
 SESSION: dict[str, Check] = {
-    "machine": OBJECT, "stores": by_name(text), "wall_s": NUMBER, "trials": NUMBER,
-}  # fmt: skip
+    "machine": OBJECT,
+    "stores": by_name(text),
+    "wall_s": NUMBER,
+    "trials": NUMBER,
+}
 
 
 def read_facts(folder: Path) -> dict[str, Any]:
@@ -256,20 +285,29 @@ def _require_form(document: dict[str, Any], form: dict[str, Check], name: str) -
             check(f"{name}: {key}", part[last])
 
 
-Kind = tuple[Callable[[pa.DataType], bool], str]  # whether a type is of the kind; allowed values
+Kind = tuple[
+    Callable[[pa.DataType], bool], str
+]  # whether a type is of the kind; allowed values
 
 NAMES: Kind = pa.types.is_string, "letters, digits, '.', '_' and '-'"
 COUNTS: Kind = pa.types.is_integer, "whole numbers from 0"
 FLAGS: Kind = pa.types.is_boolean, "true or false"
 NUMBERS: Kind = pa.types.is_floating, f"numbers up to {LARGEST_NUMBER:g}"
-KINDS = {"experiment": NAMES, "arm": NAMES, "run": COUNTS, "trial": COUNTS, "walked": FLAGS}
+KINDS = {
+    "experiment": NAMES,
+    "arm": NAMES,
+    "run": COUNTS,
+    "trial": COUNTS,
+    "walked": FLAGS,
+}
 
 
 def read_trials(path: Path, columns: Sequence[str]) -> pa.Table:
     """Columns of a table of trials; all values are there, finite and of their column's kind.
 
     Raises:
-        InputError: the table cannot be read, a column is missing, or a value is of another kind.
+        InputError: the table cannot be read, a column is missing, or a value is of
+            another kind.
     """
     with reading(path.name, path, "a readable table of trials"):
         known = pq.read_schema(path).names
@@ -306,7 +344,9 @@ def known_stores(results: Results) -> dict[str, Path]:
     Their places are those of the latest session that names them; old folders have none.
     """
     digests: dict[str, str] = results.facts.get("stores", {})
-    sessions = [each["stores"] for each in results.facts.get("sessions", []) if "stores" in each]
+    sessions = [
+        each["stores"] for each in results.facts.get("sessions", []) if "stores" in each
+    ]
     known = {}
     for key, path in (sessions[-1] if sessions else {}).items():
         with suppress(InputError, OSError):  # not there, or damaged

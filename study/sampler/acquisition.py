@@ -8,7 +8,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from study.sampler.gp import Covariance, Kernel, Posterior, condition, learn, new_covariance
+from study.sampler.gp import (
+    Covariance,
+    Kernel,
+    Posterior,
+    condition,
+    learn,
+    new_covariance,
+)
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, log_excess, of_log_excess, squarable
 from study.sampler.worlds import Ensemble
@@ -20,17 +27,22 @@ TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
 SQRT_HALF = np.sqrt(0.5)
 SQRT_HALF_PI = np.sqrt(0.5 * np.pi)
-# Of success: below, the likeliest candidate is any that is near the best one, and teaches nothing.
+# Of success: below, the likeliest candidate is any that is near the best one, and
+# teaches nothing.
 LEAST_LOG_CHANCE = np.log(0.01)
 FAR_BELOW, FAR_ABOVE = -1e3, 1e1  # standard deviations
-# A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two nodes.
+# A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two
+# nodes.
 NODES_A_LENGTH = 100
-WORK = 1e10  # multiplications for the variance of all candidates; beyond, a part of them
+WORK = (
+    1e10  # multiplications for the variance of all candidates; beyond, a part of them
+)
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
 CACHED_CONSTANTS = 8
-# Up to so many trials, constants are learned anew after so many: they change ever more slowly.
+# Up to so many trials, constants are learned anew after so many: they change ever more
+# slowly.
 REFITS = ((32, 1), (128, 4), (np.inf, 16))
 
 
@@ -76,11 +88,14 @@ class Model:
         """Finished trials that kept all their limits, [n]."""
         return np.asarray(~(self.limits > 0).any(axis=1))
 
-    def utility(self, points: Points, offered: Mask, rng: np.random.Generator) -> Floats:
+    def utility(
+        self, points: Points, offered: Mask, rng: np.random.Generator
+    ) -> Floats:
         """How good each of m candidates is, [m]; minus infinity where not offered or not examined.
 
-        The log of the expected improvement times the probability that all limits are kept; until a
-        trial has succeeded, of the probability of success times that, while any has a chance.
+        The log of the expected improvement times the probability that all limits are
+        kept; until a trial has succeeded, of the probability of success times that,
+        while any has a chance.
 
         Args:
             points: the candidates.
@@ -151,7 +166,9 @@ class Model:
 
     def expected(self, points: Points, cost: Floats) -> Floats:
         """The mean over the worlds at points, [m], in the unit of these costs; 0 without worlds."""
-        mean = np.zeros(len(points)) if self.ensemble is None else points.features[:, -1]
+        mean = (
+            np.zeros(len(points)) if self.ensemble is None else points.features[:, -1]
+        )
         return mean if self._in_costs is not None else (float(cost.std()) or 1.0) * mean
 
     @property
@@ -185,7 +202,8 @@ class Model:
         every = next(every for most, every in REFITS if len(x) <= most)
         first = len(x) - len(x) % every
         theta = self._learned(covariance, x[:first], y(slice(first)))
-        # Over features alone, noise is the spread of alike candidates: the next one shows it too.
+        # Over features alone, noise is the spread of alike candidates: the next one
+        # shows it too.
         noisy = not self.kernel.of_parameters
         return condition(covariance, theta, x, y(slice(None)), noisy=noisy)
 
@@ -211,18 +229,22 @@ class Model:
     ) -> NDArray[np.int64]:
         """Numbers of the candidates whose posterior is computed.
 
-        Where they are too many, half of them are those that a straight line through the trials
-        (`_merit`) ranks first, the others are drawn.
+        Where they are too many, half of them are those that a straight line through the
+        trials (`_merit`) ranks first, the others are drawn.
         """
         if self.one_dimensional:
             return np.arange(len(points))
         count = len(self.costs) + len(self.running)
         most = max(int(WORK / count**2), LEAST_CANDIDATES)
         if self.kernel.by_order:
-            most = min(most, MOST_CANDIDATES if self.ensemble is None else MOST_IN_WORLDS)
+            most = min(
+                most, MOST_CANDIDATES if self.ensemble is None else MOST_IN_WORLDS
+            )
         free = np.flatnonzero(offered)
         if len(points) <= most and len(free) > len(points) // 2:
-            return np.arange(len(points))  # leaving out a few would cost a copy of the others
+            return np.arange(
+                len(points)
+            )  # leaving out a few would cost a copy of the others
         if len(free) <= most:
             return free
         if not self.kernel.of_features:
@@ -235,7 +257,9 @@ class Model:
     def _merit(self, points: Points) -> Floats:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
         seen, residual = self.trials.features, self.posterior.y
-        residual = residual[: len(seen)]  # less what running trials are believed to show
+        residual = residual[
+            : len(seen)
+        ]  # less what running trials are believed to show
         n, k = seen.shape
         if k <= n:
             slopes = np.linalg.solve(seen.T @ seen + np.eye(k), seen.T @ residual)
@@ -251,7 +275,9 @@ class Model:
         for posterior in self.limit_posteriors:
             kept += log_kept(*posterior.predict(visible))
         feasible = self.feasible
-        if not feasible.any():  # nothing to improve on: first find a candidate that holds
+        if (
+            not feasible.any()
+        ):  # nothing to improve on: first find a candidate that holds
             return kept
         mean, variance = self.posterior.predict(visible)
         cost = self.cost()
@@ -260,7 +286,9 @@ class Model:
             (goal,) = self.standard(np.array([self.success]), self.costs)
             chance = log_kept(mean - goal, variance) + kept
             # Rows come first, and decide for the points off the table too.
-            if self.__dict__.setdefault("_in_sight", bool(chance.max() >= LEAST_LOG_CHANCE)):
+            if self.__dict__.setdefault(
+                "_in_sight", bool(chance.max() >= LEAST_LOG_CHANCE)
+            ):
                 return chance
         best = float(cost[feasible].min())
         return log_expected_improvement(mean, np.sqrt(variance), best) + kept
@@ -271,12 +299,15 @@ def along_feature(
 ) -> Floats:
     """A function of m candidates that differ by one feature alone, [m].
 
-    It is computed once for each value or, where the posterior may be approximate and nodes are
-    fewer, at evenly spaced nodes, between which it is all but straight.
+    It is computed once for each value or, where the posterior may be approximate and
+    nodes are fewer, at evenly spaced nodes, between which it is all but straight.
     """
     values, place = points.distinct
     nodes, span = values, float(values[-1] - values[0])
-    count = int(min(np.ceil(span / posterior.shortest_scale * NODES_A_LENGTH), len(values))) + 1
+    count = (
+        int(min(np.ceil(span / posterior.shortest_scale * NODES_A_LENGTH), len(values)))
+        + 1
+    )
     if posterior.precision is np.float32 and count < len(values):
         nodes = np.linspace(values[0], values[-1], count)
     found = computed(Points(nodes[:, None], np.empty((len(nodes), 0))))
@@ -288,9 +319,9 @@ def along_feature(
 def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
     """log E[max(best - f, 0)] for f ~ N(mean, sd^2): how far below `best` a cost may come, [m].
 
-    = log sd + log h(z), h(z) = phi(z) + z Phi(z), z = (best - mean) / sd: expected improvement
-    (Jones, Schonlau, Welch 1998, eq. 15), which has the same maximum, but underflows; the
-    logarithm does not (Ament et al. 2023, eq. 9 and appendix A.1).
+    = log sd + log h(z), h(z) = phi(z) + z Phi(z), z = (best - mean) / sd: expected
+    improvement (Jones, Schonlau, Welch 1998, eq. 15), which has the same maximum, but
+    underflows; the logarithm does not (Ament et al. 2023, eq. 9 and appendix A.1).
     """
     gain = best - mean
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -304,8 +335,8 @@ def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
 def _log_h(z: Floats) -> Floats:
     """log h(z) as log phi(z) + log(1 + z Phi(z) / phi(z)), [m].
 
-    Phi(z) / phi(z) = sqrt(pi/2) erfcx(-z / sqrt 2). Far below, 1 + ... is a difference of equals,
-    and its series 1/z^2 - 3/z^4 takes over; far above, h(z) is z.
+    Phi(z) / phi(z) = sqrt(pi/2) erfcx(-z / sqrt 2). Far below, 1 + ... is a difference
+    of equals, and its series 1/z^2 - 3/z^4 takes over; far above, h(z) is z.
     """
     middle = np.clip(z, FAR_BELOW, FAR_ABOVE)
     ratio = SQRT_HALF_PI * middle * scipy.special.erfcx(-SQRT_HALF * middle)
@@ -330,8 +361,8 @@ def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:
 def log_kept(mean: Floats, variance: Floats) -> Floats:
     """log P(limit <= 0) of a limit, or of a cost above its goal, ~ N(mean, variance), [m].
 
-    Gelbart, Snoek, Adams 2014, section 3. Of limits that are 1 (failed) or -1, it is the
-    least-squares classifier (Rasmussen, Williams 2006, section 6.5).
+    Gelbart, Snoek, Adams 2014, section 3. Of limits that are 1 (failed) or -1, it is
+    the least-squares classifier (Rasmussen, Williams 2006, section 6.5).
     """
     sd = np.sqrt(np.maximum(variance, 1e-24))
     return np.asarray(scipy.special.log_ndtr(-mean / sd))

@@ -26,7 +26,9 @@ from taichi_nmm import checks, typed
 from taichi_nmm.errors import InputError, listed
 
 if TYPE_CHECKING:
-    from storage.foreign_tables import ForeignTable  # slow to load: where a file is read
+    from storage.foreign_tables import (
+        ForeignTable,
+    )  # slow to load: where a file is read
 
 Floats = NDArray[np.float64]
 Bounds = Mapping[str, tuple[float, float]]
@@ -35,9 +37,7 @@ Content = tuple[Space, Floats, tuple[str, ...], Floats, Worlds | None]
 
 LARGEST_EXACT = 2**53  # of whole numbers in float64
 CHOICES = (str, bool, np.bool_, Real, type(None))
-KINDS = (
-    "numbers, words or flags; of a date or a time make a number, such as the days from the first"
-)
+KINDS = "numbers, words or flags; of a date or a time make a number, such as the days from the first"
 
 
 def checked_columns(
@@ -56,10 +56,14 @@ def checked_columns(
     for field, given in (("table.bounds", bounds), ("table.space", space)):
         for name in given:
             if name not in parameters:
-                raise InputError(field, name, f"one of {listed(sorted(parameters), name)}")
+                raise InputError(
+                    field, name, f"one of {listed(sorted(parameters), name)}"
+                )
     for name, ends in bounds.items():
         if name in space:
-            raise InputError(f"table.bounds.{name}", ends, "none beside space=, which has the name")
+            raise InputError(
+                f"table.bounds.{name}", ends, "none beside space=, which has the name"
+            )
     worlds = None if outcomes is None else Worlds.of(outcomes, better)
     if worlds is None and better is not None:
         raise InputError("table.better", better, "none without outcomes")
@@ -76,17 +80,24 @@ def checked_columns(
     raw = np.empty((len(matrix), len(parameters)))
     distributions: dict[str, BaseDistribution] = {}
     for (name, values), column in zip(parameters.items(), raw.T, strict=True):
-        column[:], distribution = _parameter_column(name, values, len(matrix), space.get(name))
+        column[:], distribution = _parameter_column(
+            name, values, len(matrix), space.get(name)
+        )
         if name in bounds:
             if isinstance(distribution, CategoricalDistribution):
                 allowed = "none: the parameter is categorical"
                 raise InputError(f"table.bounds.{name}", bounds[name], allowed)
             distribution = _within(distribution, *bounds[name])
         own = distributions[name] = distribution
-        if isinstance(own, Number) and (row := first_not_taken(own, column, own)) is not None:
+        if (
+            isinstance(own, Number)
+            and (row := first_not_taken(own, column, own)) is not None
+        ):
             value = float(column[row])
             is_inside = own.low <= value <= own.high
-            allowed = f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
+            allowed = (
+                f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
+            )
             raise InputError(f"table.{name}[{row}]", value, allowed)
         if isinstance(own, FloatDistribution):  # beyond an end by rounding alone
             np.clip(column, own.low, own.high, out=column)
@@ -104,12 +115,16 @@ def _parameter_column(
         column = np.asarray(checks.unmasked(values))
     except ValueError:  # lists of different lengths
         raise InputError(f"table.{name}.shape", "ragged", "[n], n at least 1") from None
-    if column.dtype.kind in "US":  # made words of numbers and gaps among words, if there were any
+    if (
+        column.dtype.kind in "US"
+    ):  # made words of numbers and gaps among words, if there were any
         column = np.asarray(values, dtype=object)
     if column.ndim != 1 or not len(column):
         raise InputError(f"table.{name}.shape", column.shape, "[n], n at least 1")
     if len(column) != length:
-        raise InputError(f"table.{name}.shape", column.shape, f"({length},), as the features")
+        raise InputError(
+            f"table.{name}.shape", column.shape, f"({length},), as the features"
+        )
     if column.dtype.kind == "O" and given is None:
         column = _without_decimals(column)
     may_hide_flags = column.dtype.kind in "iuf" and isinstance(values, list | tuple)
@@ -127,16 +142,16 @@ def _parameter_column(
         raise InputError(f"table.{name}", str(column[0]), "numbers") from None
     bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
-        raise InputError(f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number")
+        raise InputError(
+            f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number"
+        )
     for row in np.flatnonzero(np.abs(numbers) >= LARGEST_EXACT).tolist():
         value: Any = column[row]
         if column.dtype.kind == "f" and isinstance(values, list | tuple):
             value = values[row]
         is_whole = isinstance(value, int | np.integer)  # its float may be that of 2^53
         if is_whole and abs(int(value)) > LARGEST_EXACT:
-            allowed = (
-                "whole numbers up to 2^53, which a float holds; longer ones by space=, as choices"
-            )
+            allowed = "whole numbers up to 2^53, which a float holds; longer ones by space=, as choices"
             raise InputError(f"table.{name}[{row}]", int(value), allowed)
     numbers = numbers + 0.0  # no negative zero: rows are compared by their bits
     if given is not None:
@@ -175,8 +190,12 @@ def feature_matrix(features: ArrayLike | None, names: Sequence[str] | None) -> F
     if whole.dtype.kind in "iu" and np.abs(matrix).max() >= LARGEST_EXACT:
         for column, own in zip(matrix.T, whole.reshape(matrix.shape).T, strict=True):
             if len(np.unique(own)) > len(np.unique(column)):
-                allowed = "whole numbers up to 2^53, or of which no two are the same float"
-                raise InputError("table.features", int(own[np.abs(column).argmax()]), allowed)
+                allowed = (
+                    "whole numbers up to 2^53, or of which no two are the same float"
+                )
+                raise InputError(
+                    "table.features", int(own[np.abs(column).argmax()]), allowed
+                )
     if names is not None and len(names) != matrix.shape[1]:
         raise InputError("table.feature_names", list(names), f"{matrix.shape[1]} names")
     return matrix
@@ -187,7 +206,8 @@ def _choices(
 ) -> tuple[Floats, CategoricalDistribution]:
     """Indices of choices: those given, or the values in the order in which they appear.
 
-    What may be a gap is refused: NaN, and None that does not stand among words or flags.
+    What may be a gap is refused: NaN, and None that does not stand among words or
+    flags.
     """
     listed = column.tolist()
     if given is not None and None in given.choices:  # pandas has NaN for it
@@ -218,7 +238,9 @@ def _choices(
     for row, value in enumerate(listed):
         if value not in index:
             raise InputError(f"table.{name}[{row}]", value, f"one of {choices}")
-    return np.array([index[value] for value in listed]), given or CategoricalDistribution(choices)
+    return np.array(
+        [index[value] for value in listed]
+    ), given or CategoricalDistribution(choices)
 
 
 def _require_told_apart(name: str, values: Sequence[Any]) -> None:
@@ -226,9 +248,13 @@ def _require_told_apart(name: str, values: Sequence[Any]) -> None:
     known = dict[str, tuple[int, str]]()
     for row, value in enumerate(values):
         if isinstance(value, str):
-            first, same = known.setdefault(normalize("NFC", value.strip()), (row, value))
+            first, same = known.setdefault(
+                normalize("NFC", value.strip()), (row, value)
+            )
             if same != value:
-                allowed = f"a word that does not look the same as {same!r} in row {first}"
+                allowed = (
+                    f"a word that does not look the same as {same!r} in row {first}"
+                )
                 raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
@@ -277,9 +303,13 @@ class FileColumns:
             raise InputError("features", "none", "at least one column")
         # Where the sampler is installed alone, Arrow may be missing, and stores are.
         if find_spec("pyarrow") is None:
-            raise InputError("store", str(self.path), "an installed pyarrow, which reads it")
+            raise InputError(
+                "store", str(self.path), "an installed pyarrow, which reads it"
+            )
         if self.parameters is None and find_spec("storage.store") is None:
-            raise InputError("parameters", "none", "columns; only taichi-nmm whole reads stores")
+            raise InputError(
+                "parameters", "none", "columns; only taichi-nmm whole reads stores"
+            )
         if self.parameters is None:
             return self._of_store()
         from storage.foreign_tables import ForeignTable
@@ -288,7 +318,9 @@ class FileColumns:
         table = ForeignTable.read("store", self.path, list(wanted), of_columns="column")
         columns = {name: table.values(name) for name in self.parameters}
         features = _features(table, self.features)
-        return checked_columns(columns, features, self.features, self.bounds, self.space)
+        return checked_columns(
+            columns, features, self.features, self.bounds, self.space
+        )
 
     def _of_store(self) -> Content:
         """The columns of a store, with its parameters and their bounds."""
@@ -302,19 +334,25 @@ class FileColumns:
         for name in self.features:
             if name not in others:
                 raise InputError("score", name, f"one of {listed(others, name)}")
-        features = _features(ForeignTable("score", store.table(self.features)), self.features)
+        features = _features(
+            ForeignTable("score", store.table(self.features)), self.features
+        )
         columns, bounds, space = store_parameters(ranges, store.gains())
         space |= self.space or {}
-        return checked_columns(columns, features, self.features, self.bounds or bounds, space)
+        return checked_columns(
+            columns, features, self.features, self.bounds or bounds, space
+        )
 
 
 def store_parameters(
     ranges: Mapping[str, Mapping[str, Any]], matrix: Floats
-) -> tuple[dict[str, NDArray[Any]], dict[str, tuple[float, float]], dict[str, BaseDistribution]]:
+) -> tuple[
+    dict[str, NDArray[Any]], dict[str, tuple[float, float]], dict[str, BaseDistribution]
+]:
     """The parameters of a store as studies suggest them, of columns [n, p]; a choice is its number.
 
-    Columns by name, [n] each; bounds of plain floats; distributions of all others. `ranges` are
-    those of the store's specification.
+    Columns by name, [n] each; bounds of plain floats; distributions of all others.
+    `ranges` are those of the store's specification.
     """
     columns: dict[str, NDArray[Any]] = dict(zip(ranges, matrix.T, strict=True))
     bounds, space = {}, {}
@@ -327,10 +365,14 @@ def store_parameters(
             if isinstance(own, CategoricalDistribution):
                 if not np.isin(columns[name], np.arange(len(own.choices))).all():
                     raise ValueError("a number that is none of its choices")
-                columns[name] = np.array(own.choices, dtype=object)[columns[name].astype(int)]
+                columns[name] = np.array(own.choices, dtype=object)[
+                    columns[name].astype(int)
+                ]
         except (KeyError, TypeError, ValueError) as error:
             allowed = f"a distribution of Optuna ({error})"
-            raise InputError(f"store.gains.{name}", ends["distribution"], allowed) from None
+            raise InputError(
+                f"store.gains.{name}", ends["distribution"], allowed
+            ) from None
     return columns, bounds, space
 
 

@@ -19,8 +19,9 @@ from study.sampler.worlds import Ensemble
 Floats = NDArray[np.float64]
 
 LEAST_TRIALS = 5
-# Standard errors that make a gain: with two, one in ten studies of features that say nothing would
-# have one, since the constants were learned from the trials that are left out.
+# Standard errors that make a gain: with two, one in ten studies of features that say
+# nothing would have one, since the constants were learned from the trials that are left
+# out.
 GAIN = 3.0
 TITLE = "Are the features worth anything?"
 WORLDS_TITLE = "Which worlds is the robot like?"
@@ -31,7 +32,9 @@ LEAST_RANKED = 4  # trials with a feature, for its correlation
 NORMAL_95 = 1.959964  # 97.5 % quantile of the normal distribution
 SHOWN_CANDIDATES = 10
 LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
-LEAST_SPREAD = 1e-6  # of worlds, in standard deviations of the table: below, they agree by chance
+LEAST_SPREAD = (
+    1e-6  # of worlds, in standard deviations of the table: below, they agree by chance
+)
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 
 
@@ -39,14 +42,15 @@ NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 class RankCorrelation:
     """Spearman's rank correlation of a feature and the cost, -1 to 1, with its interval.
 
-    r is the correlation of ranks, equal values sharing the mean of theirs. Its interval is that of
-    Fisher's z = artanh r, which is about normal with the standard error
+    r is the correlation of ranks, equal values sharing the mean of theirs. Its interval
+    is that of Fisher's z = artanh r, which is about normal with the standard error
 
         sqrt((1 + r^2 / 2) / (n - 3))
 
-    (Bonett, Wright 2000, "Sample size requirements for estimating Pearson, Kendall and Spearman
-    correlations"). Of trials in perfect order z is infinite: they get the interval of trials of
-    which two neighbours are out of order, up to the end of the scale.
+    (Bonett, Wright 2000, "Sample size requirements for estimating Pearson, Kendall and
+    Spearman correlations"). Of trials in perfect order z is infinite: they get the
+    interval of trials of which two neighbours are out of order, up to the end of the
+    scale.
 
     Attributes:
         value: r.
@@ -73,12 +77,16 @@ class RankCorrelation:
         n = int(known.sum())
         if n < LEAST_RANKED:
             return None
-        a, b = (scipy.stats.rankdata(v) - (n + 1) / 2 for v in (feature[known], cost[known]))
+        a, b = (
+            scipy.stats.rankdata(v) - (n + 1) / 2 for v in (feature[known], cost[known])
+        )
         spread = sqrt(float((a @ a) * (b @ b)))
         if spread == 0:
             return None
         value = float(np.clip(a @ b / spread, -1.0, 1.0))
-        most = 1.0 - 12.0 / (n**3 - n)  # 1 - 6 sum d^2 / (n^3 - n), two neighbours exchanged
+        most = 1.0 - 12.0 / (
+            n**3 - n
+        )  # 1 - 6 sum d^2 / (n^3 - n), two neighbours exchanged
         inner = min(max(value, -most), most)
         z, error = atanh(inner), sqrt((1.0 + inner**2 / 2.0) / (n - 3))
         low, high = tanh(z - NORMAL_95 * error), tanh(z + NORMAL_95 * error)
@@ -92,8 +100,8 @@ class Errors:
     Attributes:
         model: of the sampler's model.
         without: of one over the parameters alone; None: the sampler has none.
-        gain: by how much the model is nearer to the costs than the better of the others,
-            on average over the trials, in standard errors of this average.
+        gain: by how much the model is nearer to the costs than the better of the
+            others, on average over the trials, in standard errors of this average.
     """
 
     model: float
@@ -108,7 +116,8 @@ class Worth:
     Attributes:
         trials: that could be learned from.
         names: of the k features; () where nothing is known of them yet.
-        correlations: of each with the cost; None: too few trials have it, or it is constant.
+        correlations: of each with the cost; None: too few trials have it, or it is
+            constant.
         errors: None: too few trials, or all cost the same.
         is_doubted: every other trial is left to the parameters at present.
         maximised: the study's value is; costs are minus the values.
@@ -144,7 +153,9 @@ class Worth:
         if better:
             part = f"part of the costs, which {self.trials} trials do not settle"
             return f"The features may explain {part}: {error}."
-        return f"Among these trials, the features are not (yet) worth anything: {error}."
+        return (
+            f"Among these trials, the features are not (yet) worth anything: {error}."
+        )
 
     def _strongest(self) -> tuple[str, RankCorrelation] | None:
         """The feature with the surest correlation; None: none is sure, of so many."""
@@ -158,14 +169,21 @@ class Worth:
         rows = [HEAD, *self._rows()]
         width = max(len(name) for name, _ in rows)
         lines = [f"{name:<{width}}  {r}" for name, r in rows]
-        return "\n".join([self.verdict, "", *(lines if self.names else ()), *self._remarks()])
+        return "\n".join(
+            [self.verdict, "", *(lines if self.names else ()), *self._remarks()]
+        )
 
     def markdown(self) -> str:
         """The table in Markdown, for a note in the dashboard."""
         head = [f"| {' | '.join(HEAD)} |", "|---|---|"]
-        rows = ["| {} | {} |".format(name.replace("|", "\\|"), r) for name, r in self._rows()]
+        rows = [
+            "| {} | {} |".format(name.replace("|", "\\|"), r)
+            for name, r in self._rows()
+        ]
         table = [*head, *rows, ""] if self.names else []
-        return "\n".join([f"## {TITLE}", "", self.verdict, "", *table, *self._remarks()]).rstrip()
+        return "\n".join(
+            [f"## {TITLE}", "", self.verdict, "", *table, *self._remarks()]
+        ).rstrip()
 
     def _rows(self) -> list[tuple[str, str]]:
         named = zip(self.names, self.correlations, strict=True)
@@ -213,16 +231,19 @@ class Present:
 def worth_of(present: Present | None, *, maximised: bool) -> Worth:
     """The worth of features.
 
-    The error of a model is compared with that of a constant and, where the model uses parameters
-    too, with that of the same model blind to the features. The gain is the difference of the
-    absolute leave-one-out errors, averaged over the trials; its standard error follows from how it
-    differs from trial to trial, as in Vehtari, Gelman, Gabry 2017 ("Practical Bayesian model
-    evaluation using leave-one-out cross-validation and WAIC", section 5.1) for log densities.
+    The error of a model is compared with that of a constant and, where the model uses
+    parameters too, with that of the same model blind to the features. The gain is the
+    difference of the absolute leave-one-out errors, averaged over the trials; its
+    standard error follows from how it differs from trial to trial, as in Vehtari,
+    Gelman, Gabry 2017 ("Practical Bayesian model evaluation using leave-one-out
+    cross-validation and WAIC", section 5.1) for log densities.
     """
     if present is None:
         return Worth(0, (), (), None, False, maximised)
     cost, names = present.model.costs, present.names
-    correlations = tuple(RankCorrelation.of(feature, cost) for feature in present.features.T)
+    correlations = tuple(
+        RankCorrelation.of(feature, cost) for feature in present.features.T
+    )
     errors = _errors(present.model) if len(cost) >= LEAST_TRIALS else None
     return Worth(len(cost), names, correlations, errors, present.is_doubted, maximised)
 
@@ -230,9 +251,9 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
 def _errors(model: Model) -> Errors | None:
     """None where all trials cost the same.
 
-    The model without features is the same learned where all trials have the same features. The
-    sampler's own model over the parameters alone learns no mean, and would fall behind also where
-    features say nothing at all.
+    The model without features is the same learned where all trials have the same
+    features. The sampler's own model over the parameters alone learns no mean, and
+    would fall behind also where features say nothing at all.
     """
     cost = model.cost()
     constant = residuals_of_constant(cost)
@@ -258,8 +279,9 @@ class Likeness:
     Attributes:
         trials: that could be learned from.
         names: of the w worlds.
-        values: above 0 where the trials cost what the world adds to the mean, below 0 where they
-            cost the opposite, in standard deviations of what was thought before any trial.
+        values: above 0 where the trials cost what the world adds to the mean, below 0
+            where they cost the opposite, in standard deviations of what was thought
+            before any trial.
     """
 
     trials: int
@@ -322,8 +344,9 @@ class Best:
         params: its parameters.
         row: of the table; None off it, or without one.
         value: as likely too high as too low; infinite where the best one is.
-        low: end of the interval that holds its value, without noise, with 95 %; NaN where nothing
-            tells how far the value may be off: an infinite one, or all trials gave the same.
+        low: end of the interval that holds its value, without noise, with 95 %; NaN
+            where nothing tells how far the value may be off: an infinite one, or all
+            trials gave the same.
         high: its other end.
         trials: finished ones of these parameters.
         untold: limits of which other trials have told, and this one has not.
@@ -340,7 +363,11 @@ class Best:
 
     def __str__(self) -> str:
         row = "" if self.row is None else f", row {self.row}"
-        limits = f" Whether it keeps {', '.join(self.untold)} is unknown." if self.untold else ""
+        limits = (
+            f" Whether it keeps {', '.join(self.untold)} is unknown."
+            if self.untold
+            else ""
+        )
         return (
             f"Trial {self.number}{row}: {self.value:.4g} ({_interval_text(self.low, self.high)}), "
             f"by {_trials(self.trials)} of it and what the others tell.{limits}"
@@ -350,14 +377,16 @@ class Best:
 def best_of(present: Present, *, maximised: bool) -> Best:
     """The trial of the least expected cost, of those that kept their limits if any did.
 
-    Where the model has no parameters, noise is what parameters do, and is part of the interval.
+    Where the model has no parameters, noise is what parameters do, and is part of the
+    interval.
     """
     model, trials = present.model, present.trials
     mean, variance = _over_noise(model)
     mean += model.expected(model.trials, model.cost())
     kept = ~(read_limits(trials) > 0).any(axis=1)
     told = np.array([trial.values[0] for trial in trials])
-    # To the model infinity is a number beyond the others, which noise may bring near to them.
+    # To the model infinity is a number beyond the others, which noise may bring near to
+    # them.
     told = np.where(np.isfinite(told), 0.0, -told if maximised else told)
     order = np.lexsort((mean, told, ~kept))
     best = int(order[0])
@@ -384,14 +413,15 @@ class Prediction:
     Attributes:
         rows: of the table, [m]; -1 off it.
         value: as likely too high as too low, [m]; NaN where nothing is known.
-        low: end of the interval that holds the value with 95 %, [m], without noise unless the
-            model is over features alone; NaN where nothing tells how far the value may be off: one
-            world, worlds that agree, trials that all gave the same.
+        low: end of the interval that holds the value with 95 %, [m], without noise
+            unless the model is over features alone; NaN where nothing tells how far the
+            value may be off: one world, worlds that agree, trials that all gave the
+            same.
         high: its other end, [m].
-        success: chance of a value that is a success, [m]; NaN where the interval is, or where no
-            success is defined.
-        kept: chance that all limits are kept, [m]; NaN before trials have told of them, and while
-            fewer than three have, none of which broke one.
+        success: chance of a value that is a success, [m]; NaN where the interval is, or
+            where no success is defined.
+        kept: chance that all limits are kept, [m]; NaN before trials have told of them,
+            and while fewer than three have, none of which broke one.
     """
 
     rows: NDArray[np.int64]
@@ -408,8 +438,12 @@ class Prediction:
             name = "off the table" if row < 0 else f"row {row}"
             value = _number_text(float(self.value[place]))
             interval = _interval_text(float(self.low[place]), float(self.high[place]))
-            success, kept = (_share_text(float(each[place])) for each in (self.success, self.kept))
-            lines.append(f"{name}: {value} ({interval}), success {success}, limits kept {kept}")
+            success, kept = (
+                _share_text(float(each[place])) for each in (self.success, self.kept)
+            )
+            lines.append(
+                f"{name}: {value} ({interval}), success {success}, limits kept {kept}"
+            )
         if (more := len(self.rows) - len(lines)) > 0:
             lines.append(f"and {more} more")
         return "\n".join(lines)
@@ -420,7 +454,9 @@ def _number_text(value: float) -> str:
 
 
 def _interval_text(low: float, high: float) -> str:
-    return "interval unknown" if isnan(low) or isnan(high) else f"{low:.4g} to {high:.4g}"
+    return (
+        "interval unknown" if isnan(low) or isnan(high) else f"{low:.4g} to {high:.4g}"
+    )
 
 
 def _share_text(share: float) -> str:
@@ -432,7 +468,8 @@ def prediction_of(
 ) -> Prediction:
     """The prediction at points, after the trials of a history.
 
-    Before any trial only worlds in the study's units tell something: their mean and spread.
+    Before any trial only worlds in the study's units tell something: their mean and
+    spread.
     """
     unknown, sign = np.full(len(points), np.nan), history.sign
     kept = _chance_kept(model, points)
@@ -446,22 +483,31 @@ def prediction_of(
             return Prediction(rows, unknown, unknown, unknown, unknown, kept)
     elif isinstance(model.ensemble, Ensemble) and model.ensemble.in_costs:
         w = model.ensemble.parts.shape[1]
-        mean, variance = points.features[:, -1], (points.features[:, -w - 2 : -2] ** 2).sum(axis=1)
+        mean, variance = (
+            points.features[:, -1],
+            (points.features[:, -w - 2 : -2] ** 2).sum(axis=1),
+        )
         is_known = np.sqrt(variance) > LEAST_SPREAD
         freedom = model.ensemble.freedom
         if freedom > 0.0:  # of a further world, by those that were drawn
             variance = variance * (freedom + 2.0) / freedom
     else:
         return Prediction(rows, unknown, unknown, unknown, unknown, kept)
-    errors = NORMAL_95 if isinf(freedom) else float(scipy.special.stdtrit(freedom, 0.975))
+    errors = (
+        NORMAL_95 if isinf(freedom) else float(scipy.special.stdtrit(freedom, 0.975))
+    )
     away = errors * np.sqrt(variance)
-    value, low, high = (sign * model.in_units(y) for y in (mean, mean - away, mean + away))
+    value, low, high = (
+        sign * model.in_units(y) for y in (mean, mean - away, mean + away)
+    )
     low, high = (low, high) if sign > 0 else (high, low)
     success = unknown
     if model.success is not None:
         (goal,) = model.standard(np.array([model.success]), model.costs)
         success = _chance_below(goal - mean, variance, freedom)
-    low, high, success = (np.where(is_known, each, np.nan) for each in (low, high, success))
+    low, high, success = (
+        np.where(is_known, each, np.nan) for each in (low, high, success)
+    )
     return Prediction(rows, value, low, high, success, kept)
 
 
@@ -469,15 +515,17 @@ def _chance_below(away: Floats, variance: Floats, freedom: float) -> Floats:
     """P(y <= mean + away), [m]; by Student's t where the variance is that of few samples."""
     if isinf(freedom):
         return np.exp(log_kept(-away, variance))
-    return np.asarray(scipy.special.stdtr(freedom, away / np.sqrt(np.maximum(variance, 1e-24))))
+    return np.asarray(
+        scipy.special.stdtr(freedom, away / np.sqrt(np.maximum(variance, 1e-24)))
+    )
 
 
 def _chance_kept(model: Model, points: Points) -> Floats:
     """The chance that all limits are kept, [m]; NaN where too few trials have told of one.
 
-    Where all trials gave the same of a limit (a flag), nothing is known of its scale: it is
-    Laplace's rule of succession. Else it is the model's, with Student's t for the few trials that
-    its scale was learned from.
+    Where all trials gave the same of a limit (a flag), nothing is known of its scale:
+    it is Laplace's rule of succession. Else it is the model's, with Student's t for the
+    few trials that its scale was learned from.
     """
     limits = [limit[np.isfinite(limit)] for limit in model.told_limits.T]
     limits = [told for told in limits if len(told)]
@@ -497,15 +545,19 @@ def _chance_kept(model: Model, points: Points) -> Floats:
 def _over_noise(model: Model) -> tuple[Floats, Floats]:
     """Mean and variance of n trials' costs, averaged over the noise by its likelihood, [n] each.
 
-    Proposals take the likeliest noise under a prior that expects little: enough to choose by, too
-    sure for an interval.
+    Proposals take the likeliest noise under a prior that expects little: enough to
+    choose by, too sure for an interval.
     """
     own, points = model.posterior, model.visible(model.trials)
     found, misfits = list[tuple[Floats, Floats]](), list[float]()
     for noise in NOISES:
         posterior = replace(own, theta=np.append(own.theta[:-1], np.log(noise)))
-        z = (posterior.theta[-1] - own.covariance.modes[-1]) / own.covariance.spreads[-1]
-        misfits.append(misfit(own.covariance, own.x, own.y, posterior.theta)[0] - 0.5 * z**2)
+        z = (posterior.theta[-1] - own.covariance.modes[-1]) / own.covariance.spreads[
+            -1
+        ]
+        misfits.append(
+            misfit(own.covariance, own.x, own.y, posterior.theta)[0] - 0.5 * z**2
+        )
         found.append(posterior.predict(points))
     means, variances = np.array(found).transpose(1, 0, 2)
     weights = scipy.special.softmax(-np.array(misfits))
@@ -516,11 +568,12 @@ def _over_noise(model: Model) -> tuple[Floats, Floats]:
 def residuals(posterior: Posterior) -> Floats:
     """Costs less what the other trials let expect, in the unit of the costs, [n].
 
-    With K the covariance of the n trials, noise included, and y their costs less what is expected
-    before any of them, the cost of trial i is missed by [K^-1 y]_i / [K^-1]_ii (Rasmussen, Williams
-    2006, equation 5.12), without a fit for each trial: the constants are those learned from all.
-    What is expected is the mean of the costs, here that of the others, so that a model that knows
-    nothing errs as the constant does.
+    With K the covariance of the n trials, noise included, and y their costs less what
+    is expected before any of them, the cost of trial i is missed by [K^-1 y]_i /
+    [K^-1]_ii (Rasmussen, Williams 2006, equation 5.12), without a fit for each trial:
+    the constants are those learned from all. What is expected is the mean of the costs,
+    here that of the others, so that a model that knows nothing errs as the constant
+    does.
     """
     n, y = len(posterior.y), posterior.y  # whose mean is zero
     inverse = np.linalg.inv(posterior.gram() + (posterior.noise + JITTER) * np.eye(n))

@@ -1,7 +1,8 @@
 """Random numbers that depend on the seed, the purpose and the trial: on nothing else.
 
-A study that is resumed, or continued by another process, therefore draws what it would have drawn:
-also by the sampler here, whereas Optuna's own `RandomSampler` walks along one stream.
+A study that is resumed, or continued by another process, therefore draws what it would
+have drawn: also by the sampler here, whereas Optuna's own `RandomSampler` walks along
+one stream.
 """
 
 import secrets
@@ -76,8 +77,9 @@ def name_key(name: str) -> int:
 def turn(study: optuna.Study, trial: FrozenTrial) -> int:
     """The trial's number in a study in which nothing had ever been killed.
 
-    A killed trial is run again under a new number (Optuna's retry callback does it). The repetition
-    takes the turn of the original, and the trials after it are counted as if it were not there.
+    A killed trial is run again under a new number (Optuna's retry callback does it).
+    The repetition takes the turn of the original, and the trials after it are counted
+    as if it were not there.
     """
     originals = {}
     with warnings.catch_warnings():

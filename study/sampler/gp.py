@@ -25,25 +25,27 @@ A kernel is a sum of terms, each a variance times a shape:
 | shift | c^2 for all rows, where outcomes are in the unit of the costs | worlds |
 | similarity | s^2 K, of a pool (`study.sampler.similarity`) | similarity |
 
-With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen, Williams 2006,
-section 2.7). The constants maximise
+With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen,
+Williams 2006, section 2.7). The constants maximise
 
     log p(y | X, theta) + sum_i log N(theta_i; mode_i, sd_i^2),
     log p(y | X, theta) = -(y . a + log det K + n log 2 pi) / 2,
 
-whose derivative by K is (a a^T - K^-1) / 2 (equations 2.30 and 5.9 there). With few trials the
-likelihood alone would allow almost any constants. The posterior at a candidate x has
+whose derivative by K is (a a^T - K^-1) / 2 (equations 2.30 and 5.9 there). With few
+trials the likelihood alone would allow almost any constants. The posterior at a
+candidate x has
 
     mean = k^T K^-1 y = (L^-1 k)^T (L^-1 y),   variance = k(x, x) - |L^-1 k|^2  (algorithm 2.1).
 
-The priors are normal in the logarithm of each constant. Length scales of parameters follow
-Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization performs great in high dimensions"):
-log-normal with mu = sqrt 2 + (log d) / 2, sigma = sqrt 3, so that the assumed complexity does not
-grow with d. A log-normal density of L is, as a function of log L and up to a factor, a normal
-density around mu - sigma^2; so is BoTorch's log-normal(-4, 1) of the noise around -5.
+The priors are normal in the logarithm of each constant. Length scales of parameters
+follow Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization performs great in
+high dimensions"): log-normal with mu = sqrt 2 + (log d) / 2, sigma = sqrt 3, so that
+the assumed complexity does not grow with d. A log-normal density of L is, as a function
+of log L and up to a factor, a normal density around mu - sigma^2; so is BoTorch's
+log-normal(-4, 1) of the noise around -5.
 
-Parameter sets with equal features differ in cost, and no repetition would show it. Over features,
-noise is that spread, so it is expected to be large.
+Parameter sets with equal features differ in cost, and no repetition would show it. Over
+features, noise is that spread, so it is expected to be large.
 """
 
 from collections.abc import Callable, Iterator
@@ -74,7 +76,10 @@ NEGLIGIBLE = -80.0  # exp of it is 1e-35
 JITTER = 1e-10  # variance added to the noise, so that equal rows do no harm
 LIKELIHOOD_TRIALS = 120  # at most; constants are few, and the cost grows with the cube
 ITERATIONS = 40
-NOISE_STARTS = (0.0, 3.0)  # added to the log noise: the likelihood has a mode that is all noise
+NOISE_STARTS = (
+    0.0,
+    3.0,
+)  # added to the log noise: the likelihood has a mode that is all noise
 SECOND_START_TRIALS = 30  # up to so many: with more, the modes are rarely two
 BLOCK = 512  # candidates at a time, so that a block stays in the cache
 LARGEST_RATIO = 5e2  # of prior variance to noise, for which 32 bits keep within 1e-4
@@ -141,11 +146,14 @@ SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)  # s^2, t^2: cost^2
 SLOPE = Constant(log(0.3), 1.5, SLOPE_BOUNDS)  # v: (cost / feature)^2
 FEATURE_NOISE = Constant(log(0.1), 1.5, NOISE_BOUNDS)  # cost^2
 PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
-# Of costs in units of a table, of whose costs in all worlds the standard deviation is one.
+# Of costs in units of a table, of whose costs in all worlds the standard deviation is
+# one.
 WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)  # a^2
 SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)  # c^2
 BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2
-BEYOND_SCALE = Constant(log(0.8), 0.7, PARAMETER_SCALE_BOUNDS)  # L, in ranges of the parameters
+BEYOND_SCALE = Constant(
+    log(0.8), 0.7, PARAMETER_SCALE_BOUNDS
+)  # L, in ranges of the parameters
 WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 
 
@@ -185,7 +193,11 @@ class Covariance:
     @cached_property
     def constants(self) -> tuple[Constant, ...]:
         """In the order of theta, t of them: variance and scales of each term, then the noise."""
-        each = (constant for term in self.terms for constant in (term.variance, *term.scales))
+        each = (
+            constant
+            for term in self.terms
+            for constant in (term.variance, *term.scales)
+        )
         return (*each, self.noise)
 
     @cached_property
@@ -220,8 +232,9 @@ class Covariance:
     def gram(self, theta: Floats, x: Floats) -> tuple[Floats, Pull]:
         """K without noise of rows [n, p], and the derivative of a number by theta, from its W.
 
-        No derivative of K is formed: sum_ij W_ij dK_ij/dtheta is taken term by term (reverse
-        accumulation; Griewank, Walther 2008, chapter 3). W may be of any form, as triangular.
+        No derivative of K is formed: sum_ij W_ij dK_ij/dtheta is taken term by term
+        (reverse accumulation; Griewank, Walther 2008, chapter 3). W may be of any form,
+        as triangular.
         """
         k: Any = 0.0
         parts: list[tuple[float, Floats, Pull]] = []
@@ -239,19 +252,26 @@ class Covariance:
 
         return k, pull_all
 
-    def towards(self, theta: Floats, a: Floats, precision: type[np.floating[Any]]) -> Towards:
+    def towards(
+        self, theta: Floats, a: Floats, precision: type[np.floating[Any]]
+    ) -> Towards:
         """The covariance, without noise, of rows a [n, p] and others; in 32 or 64 bits.
 
-        Distances are taken in 64 bits always; what is of size [n, m] after that may be in 32.
+        Distances are taken in 64 bits always; what is of size [n, m] after that may be
+        in 32.
         """
-        weights = np.zeros(a.shape[1])  # of the columns of linear terms, which are one product
+        weights = np.zeros(
+            a.shape[1]
+        )  # of the columns of linear terms, which are one product
         curved = []
         for term, variance, scales in self.valued(theta):
             columns = slice(term.first, term.end)
             if not len(scales):
                 weights[columns] += variance
                 continue
-            curved.append((columns, variance, scales, _left(_scaled(a[:, columns], scales)).T))
+            curved.append(
+                (columns, variance, scales, _left(_scaled(a[:, columns], scales)).T)
+            )
         used = np.flatnonzero(weights)
         straight = slice(used[0], used[-1] + 1) if len(used) else slice(0)
         slopes = a[:, straight] * weights[straight]
@@ -259,7 +279,9 @@ class Covariance:
         def cross(x: Floats) -> AnyFloats:
             total = (slopes @ x[:, straight].T).astype(precision, copy=False)
             for columns, variance, scales, left in curved:
-                k = (left @ _right(_scaled(x[:, columns], scales))).astype(precision, copy=False)
+                k = (left @ _right(_scaled(x[:, columns], scales))).astype(
+                    precision, copy=False
+                )
                 np.exp(k, out=k)
                 k *= variance
                 total += k
@@ -272,7 +294,9 @@ class Covariance:
         total: Any = 0.0
         for term, variance, scales in self.valued(theta):
             seen = x[:, term.first : term.end]
-            total = total + variance * (1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen))
+            total = total + variance * (
+                1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen)
+            )
         return total
 
 
@@ -281,7 +305,8 @@ def new_covariance(
 ) -> Covariance:
     """The covariance of rows that have k features, then e coordinates of d parameters.
 
-    With worlds, the last w + 2 features are what each world adds, a one, and the expected cost.
+    With worlds, the last w + 2 features are what each world adds, a one, and the
+    expected cost.
     """
     own = k - w - 2 if kernel.worlds else k
     if kernel.worlds and not kernel.of_parameters:
@@ -305,14 +330,16 @@ def new_covariance(
         scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
         count = e if kernel.parameter_scales == "each" else 1
         terms.append(Term(k, k + e, SIGNAL, (scale,) * count))
-    return Covariance(tuple(terms), FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE)
+    return Covariance(
+        tuple(terms), FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
+    )
 
 
 def shape_of(x: Floats, scales: Floats) -> tuple[Floats, Pull]:
     """The shape of a term for all pairs of rows [n, q], and its pull by the log length scales.
 
-    Without scales x . x'; else exp(-r^2 / 2), r the distance in length scales, whose derivative by
-    log l_j is itself times (x_j - x'_j)^2 / l_j^2.
+    Without scales x . x'; else exp(-r^2 / 2), r the distance in length scales, whose
+    derivative by log l_j is itself times (x_j - x'_j)^2 / l_j^2.
     """
     if not len(scales):
         return x @ x.T, lambda weights: np.empty(0)
@@ -340,8 +367,8 @@ def _scaled(x: Floats, scales: Floats) -> Floats:
 def _left(scaled: Floats) -> Floats:
     """a, -|a|^2/2 and -1/2 on top of each other, [q + 2, n].
 
-    `_left`^T `_right` is -r^2/2 = a . b - |a|^2/2 - |b|^2/2, by one product of matrices; it is
-    wrong by 1e-16 of |a|^2 + |b|^2.
+    `_left`^T `_right` is -r^2/2 = a . b - |a|^2/2 - |b|^2/2, by one product of
+    matrices; it is wrong by 1e-16 of |a|^2 + |b|^2.
     """
     extended = _right(scaled)
     extended[-2:] = -0.5 * extended[:-3:-1]
@@ -358,11 +385,13 @@ def _right(scaled: Floats) -> Floats:
     return extended
 
 
-def misfit(covariance: Covariance, x: Floats, y: Floats, theta: Floats) -> tuple[float, Floats]:
+def misfit(
+    covariance: Covariance, x: Floats, y: Floats, theta: Floats
+) -> tuple[float, Floats]:
     """-log p(y | X, theta) - sum_i log N(theta_i; mode_i, sd_i^2), and its gradient [t].
 
-    The constant of the normal densities is left out. Infinite, with gradient zero, where rounding
-    leaves K without a Cholesky factor.
+    The constant of the normal densities is left out. Infinite, with gradient zero,
+    where rounding leaves K without a Cholesky factor.
     """
     noise = float(np.exp(theta[-1]))
     k, pull = covariance.gram(theta, x)
@@ -372,8 +401,8 @@ def misfit(covariance: Covariance, x: Floats, y: Floats, theta: Floats) -> tuple
     alpha = scipy.linalg.lapack.dpotrs(factor, y, lower=1)[0]
     log_root = np.log(factor.diagonal()).sum()  # of det K
     value = 0.5 * y @ alpha + (log_root + 0.5 * len(y) * np.log(2 * np.pi))
-    # The lower halves of K^-1 and of K^-1 - a a^T. K is symmetric: one half, of which the diagonal
-    # counts once and the rest twice, stands for both.
+    # The lower halves of K^-1 and of K^-1 - a a^T. K is symmetric: one half, of which
+    # the diagonal counts once and the rest twice, stands for both.
     inverse = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
     syrk = scipy.linalg.blas.dsyrk
     w = syrk(-1.0, alpha[:, None], beta=1.0, c=inverse, lower=1, overwrite_c=1).T
@@ -397,7 +426,9 @@ def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
     scaled = _standard(y)[0] if covariance.standardised else y
     x, y = x[some], scaled[some]
     found = []
-    for shift in NOISE_STARTS if len(scaled) <= SECOND_START_TRIALS else NOISE_STARTS[:1]:
+    for shift in (
+        NOISE_STARTS if len(scaled) <= SECOND_START_TRIALS else NOISE_STARTS[:1]
+    ):
         start = covariance.start.copy()
         start[-1] += shift
         result = scipy.optimize.minimize(
@@ -434,7 +465,9 @@ def _informative(y: Floats) -> NDArray[np.int64]:
         return np.arange(len(y))
     order = np.argsort(y, kind="stable")
     best, others = np.split(order, [LIKELIHOOD_TRIALS // 2])
-    spread = np.linspace(0, len(others) - 1, LIKELIHOOD_TRIALS - len(best)).astype(np.int64)
+    spread = np.linspace(0, len(others) - 1, LIKELIHOOD_TRIALS - len(best)).astype(
+        np.int64
+    )
     return np.sort(np.concatenate([best, others[spread]]))
 
 
@@ -442,8 +475,8 @@ def _informative(y: Floats) -> NDArray[np.int64]:
 class Posterior:
     """The distribution of the cost, in its own unit, after some trials.
 
-    Where 32 bits are enough, the mean is (L^-1 k)^T (L^-1 y), whose factors are of the size of the
-    costs; those of k^T K^-1 y would cancel.
+    Where 32 bits are enough, the mean is (L^-1 k)^T (L^-1 y), whose factors are of the
+    size of the costs; those of k^T K^-1 y would cancel.
 
     Attributes:
         covariance: of the trials.
@@ -452,8 +485,8 @@ class Posterior:
         y: their costs in standard units, [n].
         cost_mean: what `y` was centred by, in the unit of the cost.
         cost_sd: what `y` was divided by, in the same unit, positive.
-        noisy: whether the variance is that of the next trial, noise included; if not, of
-            its expectation.
+        noisy: whether the variance is that of the next trial, noise included; if not,
+            of its expectation.
     """
 
     covariance: Covariance
@@ -473,7 +506,10 @@ class Posterior:
     def shortest_scale(self) -> float:
         """The smallest length scale, in standard units; infinite without any."""
         values = self.covariance.valued(self.theta)
-        return min((float(scales.min()) for _, _, scales in values if len(scales)), default=np.inf)
+        return min(
+            (float(scales.min()) for _, _, scales in values if len(scales)),
+            default=np.inf,
+        )
 
     def gram(self) -> Floats:
         """K without noise, [n, n]."""
@@ -522,7 +558,9 @@ class Posterior:
         """L^-1, [n, n]."""
         factor, failed = cholesky(self.gram(), self.noise)
         if failed:
-            raise np.linalg.LinAlgError("the covariance of the trials has no Cholesky factor")
+            raise np.linalg.LinAlgError(
+                "the covariance of the trials has no Cholesky factor"
+            )
         return np.asarray(scipy.linalg.lapack.dtrtri(factor, lower=1, overwrite_c=1)[0])
 
     @cached_property
@@ -532,6 +570,7 @@ class Posterior:
     def _whitened(self, x: Floats) -> AnyFloats:
         """L^-1 k of candidates [b, p], [n, b]: by a triangle, in half the steps of a square."""
         times = scipy.linalg.get_blas_funcs("trmm", [self._whitener])
-        # BLAS counts along columns: to it, k is its transpose, and is multiplied from the right.
+        # BLAS counts along columns: to it, k is its transpose, and is multiplied from
+        # the right.
         options = {"side": 1, "lower": 1, "trans_a": 1, "overwrite_b": 1}
         return np.asarray(times(1.0, self._whitener, self._cross(x).T, **options).T)

@@ -1,8 +1,9 @@
 """The trials of a study as a sampler sees them: parameters, rows and costs.
 
-A trial is a row of a table if its parameters are that row's. Its number, and its features, are left
-in the trial as user attributes, to be read and sorted by. The study may suggest a parameter in
-another way than the table has it: by another kind, scale or range. Its values count.
+A trial is a row of a table if its parameters are that row's. Its number, and its
+features, are left in the trial as user attributes, to be read and sorted by. The study
+may suggest a parameter in another way than the table has it: by another kind, scale or
+range. Its values count.
 """
 
 import math
@@ -28,7 +29,9 @@ Floats = NDArray[np.float64]
 ROW_ATTRIBUTE = "row"  # of the table; -1 for a point off it
 SCORE_ATTRIBUTE = "score"  # the feature, where there is one
 FEATURES_ATTRIBUTE = "features"  # as a list, where there are several, or no table
-FIXED_ATTRIBUTE = "fixed_params"  # Optuna's, of the system: what `enqueue_trial` was given
+FIXED_ATTRIBUTE = (
+    "fixed_params"  # Optuna's, of the system: what `enqueue_trial` was given
+)
 OFF_TABLE = -1
 
 LookedUp = dict[int, tuple[FrozenTrial, int | None, Floats | None]]
@@ -45,7 +48,8 @@ class History:
         rows: of each, the row of the table that it is, or OFF_TABLE, [n].
         cost: of each, lower is better, finite: infinity is beyond the others, [n].
         costs: of each, for each of the k goals of the study, [n, k].
-        signs: of costs in the study's values: -1 where these are maximised, else 1, [k].
+        signs: of costs in the study's values: -1 where these are maximised, else 1,
+            [k].
         running: parameters of the r trials that run elsewhere, [r, d].
         running_rows: of each, the row, or OFF_TABLE, [r].
         tried: whether any trial has taken a row, whatever became of it, [table rows].
@@ -92,10 +96,11 @@ def read_history(
 ) -> History:
     """The history that the trial `before`, which is left out itself, is proposed from.
 
-    A trial must have the parameters of the space to be learned from. If it is no row of the table,
-    it must also have features, unless all have a place. Trials that were looked up before in the
-    table are known, new ones added. An infinite value is beyond all others, and beyond what it is
-    `compared` with: numbers for each of the k goals, in the study's values.
+    A trial must have the parameters of the space to be learned from. If it is no row of
+    the table, it must also have features, unless all have a place. Trials that were
+    looked up before in the table are known, new ones added. An infinite value is beyond
+    all others, and beyond what it is `compared` with: numbers for each of the k goals,
+    in the study's values.
     """
     known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
@@ -118,14 +123,18 @@ def read_history(
             unplaced.append(trial)
 
     def points(state: TrialState) -> tuple[Floats, NDArray[np.int64]]:
-        found = np.array([parameters for _, parameters, _ in placed[state]], dtype=np.float64)
+        found = np.array(
+            [parameters for _, parameters, _ in placed[state]], dtype=np.float64
+        )
         rows = np.array([row for _, _, row in placed[state]], dtype=np.int64)
         return found.reshape(len(rows), len(space)), rows
 
     trials = tuple(trial for trial, _, _ in placed[TrialState.COMPLETE])
     values = np.array([trial.values for trial in trials], dtype=np.float64)
     values = values.reshape(len(trials), len(study.directions))
-    signs = [-1.0 if each is StudyDirection.MAXIMIZE else 1.0 for each in study.directions]
+    signs = [
+        -1.0 if each is StudyDirection.MAXIMIZE else 1.0 for each in study.directions
+    ]
     others = compared or [np.empty(0)] * len(signs)
     columns = []
     for sign, column, other in zip(signs, values.T, others, strict=True):
@@ -134,8 +143,17 @@ def read_history(
     settled = values_of(before)
     fixed = {name: settled[name] for name in space.names if name in settled}
     done, running = points(TrialState.COMPLETE), points(TrialState.RUNNING)
-    return History(trials, *done, costs[:, 0], costs, np.array(signs), *running, tried,
-                   tuple(unplaced), fixed)  # fmt: skip
+    return History(
+        trials,
+        *done,
+        costs[:, 0],
+        costs,
+        np.array(signs),
+        *running,
+        tried,
+        tuple(unplaced),
+        fixed,
+    )
 
 
 def _looked_up(
@@ -143,8 +161,9 @@ def _looked_up(
 ) -> tuple[int | None, Floats | None]:
     """The row of a table that a trial is, and its parameters [d]; None for either it has not.
 
-    A finished trial stays as it is, and is looked up once. Storages give the same object for it
-    each time; another object under its number (of another study) is looked up anew.
+    A finished trial stays as it is, and is looked up once. Storages give the same
+    object for it each time; another object under its number (of another study) is
+    looked up anew.
     """
     if table is None:
         return None, space.row(trial.params)
@@ -169,17 +188,22 @@ def values_of(trial: FrozenTrial) -> dict[str, Any]:
 def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     """The row that a trial is, or is about to be; None where its parameters are no row.
 
-    The number that was left in the trial counts if what the trial has is that row's; of a COMPLETE
-    one that is all of it. A trial without a number is looked up by its values.
+    The number that was left in the trial counts if what the trial has is that row's; of
+    a COMPLETE one that is all of it. A trial without a number is looked up by its
+    values.
     """
     row, values = trial.user_attrs.get(ROW_ATTRIBUTE), values_of(trial)
     if isinstance(row, int) and 0 <= row < len(table):
         expected = table.as_parameters(row)
-        if values == expected:  # nearly always; the rest is for those that have more, or fewer
+        if (
+            values == expected
+        ):  # nearly always; the rest is for those that have more, or fewer
             return row
         named = {name: values[name] for name in expected if name in values}
         is_whole = len(named) == len(expected) or trial.state is not TrialState.COMPLETE
-        if is_whole and (named.items() <= expected.items() or bool(table.having(named)[row])):
+        if is_whole and (
+            named.items() <= expected.items() or bool(table.having(named)[row])
+        ):
             return row
     return table.find(values)
 
@@ -222,11 +246,13 @@ def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
 # What a study suggests, and whether a table fits it.
 
 
-def suggested_so_far(names: Iterable[str], study: optuna.Study) -> dict[str, BaseDistribution]:
+def suggested_so_far(
+    names: Iterable[str], study: optuna.Study
+) -> dict[str, BaseDistribution]:
     """Distributions by name, of the latest trial that has each; names that none has are left out.
 
-    Within a study Optuna holds a parameter to one kind of distribution, one scale, and, of a
-    categorical, one list of choices.
+    Within a study Optuna holds a parameter to one kind of distribution, one scale, and,
+    of a categorical, one list of choices.
     """
     missing, found = set(names), dict[str, BaseDistribution]()
     for trial in reversed(study.get_trials(deepcopy=False)):
@@ -241,8 +267,9 @@ def suggested_so_far(names: Iterable[str], study: optuna.Study) -> dict[str, Bas
 def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> Rows:
     """The rows with a logarithmic scale for what a study suggests on one.
 
-    It is the scale of the kernels that look at parameters, and of points near the rows. A scale or
-    step that the table was given stays. Rows that the study does not hold stay as they are, too.
+    It is the scale of the kernels that look at parameters, and of points near the rows.
+    A scale or step that the table was given stays. Rows that the study does not hold
+    stay as they are, too.
     """
     distributions = list(rows.space.distributions)
     for column, name in enumerate(rows.names):
@@ -255,7 +282,9 @@ def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> 
             continue
         low, high = max(own.low, theirs.low), min(own.high, theirs.high)
         if isinstance(own, IntDistribution):
-            distributions[column] = IntDistribution(math.ceil(low), math.floor(high), log=True)
+            distributions[column] = IntDistribution(
+                math.ceil(low), math.floor(high), log=True
+            )
         elif own.step is None:
             distributions[column] = FloatDistribution(low, high, log=True)
     return replace(rows, space=Space(rows.names, tuple(distributions)))
@@ -266,11 +295,15 @@ def shown_misfit(
 ) -> InputError | None:
     """The misfit of a table that earlier trials have shown; None without any.
 
-    `suggested` is how they suggested its parameters, or some of them; the latest finished one may
-    have suggested some of them only.
+    `suggested` is how they suggested its parameters, or some of them; the latest
+    finished one may have suggested some of them only.
     """
     for column, name in enumerate(rows.names):
-        error = distribution_misfit(rows, column, suggested[name]) if name in suggested else None
+        error = (
+            distribution_misfit(rows, column, suggested[name])
+            if name in suggested
+            else None
+        )
         if error is not None:
             return error
     trial = _latest(study)
@@ -303,7 +336,9 @@ def not_suggested(names: Sequence[str], trial: FrozenTrial) -> InputError | None
     return None
 
 
-def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) -> InputError | None:
+def distribution_misfit(
+    rows: Rows, column: int, suggested: BaseDistribution
+) -> InputError | None:
     """An error if what is suggested for one parameter leaves rows out; None if it holds all.
 
     Kind, scale and order of choices may be others than the table's: its values count.
@@ -313,7 +348,9 @@ def distribution_misfit(rows: Rows, column: int, suggested: BaseDistribution) ->
         return None
     name, own = rows.names[column], rows.space.distributions[column]
     value = rows.as_parameters(outside)[name]
-    what = "a range that holds" if isinstance(suggested, Number) else "choices that hold"
+    what = (
+        "a range that holds" if isinstance(suggested, Number) else "choices that hold"
+    )
     allowed = f"{what} all rows: row {outside} has {value!r} (the table: {own}, or as space= says)"
     return InputError(name, str(suggested), allowed)
 

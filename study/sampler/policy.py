@@ -1,9 +1,10 @@
 """The common part of proposals from a table and from a space.
 
-The first trials come before there is a model. With worlds they are the best rows by their mean,
-`RANKED` of them; where outcomes are costs, until a trial succeeds, and one where none can. With
-features they are the `ENDS` of their first principal component, where candidates are extreme by
-most of them at once, so that one end is good where several predict the cost; else `RANDOM` ones.
+The first trials come before there is a model. With worlds they are the best rows by
+their mean, `RANKED` of them; where outcomes are costs, until a trial succeeds, and one
+where none can. With features they are the `ENDS` of their first principal component,
+where candidates are extreme by most of them at once, so that one end is good where
+several predict the cost; else `RANDOM` ones.
 """
 
 import warnings
@@ -49,8 +50,8 @@ class Options:
 
     Attributes:
         kernel: that was named, or chosen where none was.
-        off_grid: number of points off the table that are added to the candidates of each
-            trial.
+        off_grid: number of points off the table that are added to the candidates of
+            each trial.
         space: distributions by name; None: those that all finished trials share, or the
             table's.
         extra_parameters: names that the study suggests and the table does not have.
@@ -78,7 +79,8 @@ class Proposal:
 
     Attributes:
         values: by parameter; none where the independent sampler gives them.
-        notes: user attributes that say what these values are: the row, and its features.
+        notes: user attributes that say what these values are: the row, and its
+            features.
     """
 
     values: Mapping[str, Any]
@@ -95,9 +97,15 @@ class Policy:
     """
 
     def __init__(
-        self, function: Features | None, options: Options, seed: int, independent: BaseSampler
+        self,
+        function: Features | None,
+        options: Options,
+        seed: int,
+        independent: BaseSampler,
     ) -> None:
-        self.function = function  # of points; None: they have no features, but rows may have
+        self.function = (
+            function  # of points; None: they have no features, but rows may have
+        )
         self.options = options
         self.seed = seed
         self.independent = independent  # for what is not proposed here
@@ -115,7 +123,9 @@ class Policy:
 
     def remember(self, trial: FrozenTrial, proposal: Proposal) -> None:
         """Keep what was proposed for a trial, and forget the oldest if they are many."""
-        self._proposals[trial.number, trial.datetime_start] = proposal  # also of several studies
+        self._proposals[trial.number, trial.datetime_start] = (
+            proposal  # also of several studies
+        )
         if len(self._proposals) > REMEMBERED:
             self._proposals.pop(next(iter(self._proposals)), None)
 
@@ -132,7 +142,9 @@ class Policy:
         success = self.options.success
         return [np.array([] if success is None else [success])] * len(study.directions)
 
-    def one_goal(self, history: History, turn: int, known: Floats | None = None) -> History:
+    def one_goal(
+        self, history: History, turn: int, known: Floats | None = None
+    ) -> History:
         """The history with one cost in place of several; `known` [n, k] tells their scale."""
         if len(history.signs) == 1:
             return history
@@ -166,10 +178,14 @@ class Policy:
     ) -> Model:
         """The model of one trial, after the trials of a history, at the points where they were.
 
-        Without `running`, that of finished trials alone, whatever limits they have. `elsewhere` is
-        where the trials of `limits_of` were.
+        Without `running`, that of finished trials alone, whatever limits they have.
+        `elsewhere` is where the trials of `limits_of` were.
         """
-        kernel, cost, nowhere = self.options.kernel, history.cost, seen.take(np.arange(0))
+        kernel, cost, nowhere = (
+            self.options.kernel,
+            history.cost,
+            seen.take(np.arange(0)),
+        )
         no_limits, d = np.empty((len(cost), 0)), history.parameters.shape[1]
         model = Model(kernel, d, seen, cost, no_limits, nowhere, self.known, ensemble)
         if running is None:
@@ -209,24 +225,36 @@ class Policy:
 
 
 def call_features(
-    function: Features, points: Floats, width: int | None = None, *, to_choose: bool = True
+    function: Features,
+    points: Floats,
+    width: int | None = None,
+    *,
+    to_choose: bool = True,
 ) -> Floats:
     """Features [n, k] of points [n, d], by one call; NaN is a gap, infinity a value.
 
-    `width` is k, where it is known. Gaps in all points are an error if one is to be proposed, as
-    is what the function raises (its exception is the cause), and all that is not [n, k].
+    `width` is k, where it is known. Gaps in all points are an error if one is to be
+    proposed, as is what the function raises (its exception is the cause), and all that
+    is not [n, k].
     """
     try:
         returned = function(points.copy())
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
-        raise InputError("features(params)", what, "features [n, k], no exception") from error
+        raise InputError(
+            "features(params)", what, "features [n, k], no exception"
+        ) from error
     features = matrix_of("features(params)", returned, "k")
-    shape, expected = features.shape, f"[{len(points)}, {'k' if width is None else width}]"
+    shape, expected = (
+        features.shape,
+        f"[{len(points)}, {'k' if width is None else width}]",
+    )
     if shape[0] != len(points) or width not in (None, shape[1]):
         raise InputError("features(params).shape", shape, expected)
     if to_choose and np.isnan(features).any(axis=1).all():
-        raise InputError("features(params)", "no row without NaN", f"finite numbers {expected}")
+        raise InputError(
+            "features(params)", "no row without NaN", f"finite numbers {expected}"
+        )
     return features
 
 
@@ -238,12 +266,18 @@ def one_thread() -> AbstractContextManager[Any]:
 @cache
 def _thread_pools() -> ThreadpoolController:
     """The BLAS libraries of this process, found once: NumPy's, and SciPy's own."""
-    import_module("scipy.linalg")  # SciPy loads its library with this module, at first use
+    import_module(
+        "scipy.linalg"
+    )  # SciPy loads its library with this module, at first use
     return ThreadpoolController()
 
 
-def set_attributes(study: optuna.Study, trial: FrozenTrial, attributes: Mapping[str, Any]) -> None:
+def set_attributes(
+    study: optuna.Study, trial: FrozenTrial, attributes: Mapping[str, Any]
+) -> None:
     """Leave notes in a running trial: samplers are given no public way, Optuna's own do this."""
     for key, value in attributes.items():
         study._storage.set_trial_user_attr(trial._trial_id, key, value)
-        trial.user_attrs[key] = value  # which the objective sees, as it does what it sets itself
+        trial.user_attrs[key] = (
+            value  # which the objective sees, as it does what it sets itself
+        )

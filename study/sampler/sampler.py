@@ -40,7 +40,9 @@ PAPER: dict[str, Any] = {"kernel": "rbf"}
 
 
 _MASK = checks.that(
-    lambda value: isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype == bool,
+    lambda value: (
+        isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype == bool
+    ),
     "an array of flags, one a row",
 )
 
@@ -50,72 +52,84 @@ class FeatureKernelSampler(BaseSampler):
 
     Three forms, by `features`:
 
-    - a `FeatureTable`: a trial is a row of the table that no trial has taken, named by the user
-      attribute `row`; with `feature_function` and `off_grid`, also a point near the best rows;
-      with outcomes in simulated worlds, also a point near the best trials; these may be any
-      ranking of the rows, in units of its own;
+    - a `FeatureTable`: a trial is a row of the table that no trial has taken, named by
+      the user attribute `row`; with `feature_function` and `off_grid`, also a point
+      near the best rows; with outcomes in simulated worlds, also a point near the best
+      trials; these may be any ranking of the rows, in units of its own;
     - a function, params [n, d] -> features [n, k]: a trial is any point of the space;
     - None: a Gaussian process over the parameters themselves, the usual baseline.
 
-    The model, with y the cost and phi the features, in standard units (phi: normal scores of their
-    ranks; y: the logarithm of the excess over the least cost), u the parameters in the unit cube:
+    The model, with y the cost and phi the features, in standard units (phi: normal
+    scores of their ranks; y: the logarithm of the excess over the least cost), u the
+    parameters in the unit cube:
 
         y(x) = w^T phi(x) + f(phi(x)) + g(u(x)) + noise,
         w ~ N(0, v I),  f ~ GP(0, s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2)),
         g ~ GP(0, t^2 exp(-|u - u'|^2 / 2 L^2))
 
-    On a table with outcomes in worlds, costs are in the table's units, and the mean and covariance
-    of the rows over the worlds are a part of the model (`study.sampler.worlds`). On a pool of which
-    a similarity is known, that alone is the model (`study.sampler.similarity`).
+    On a table with outcomes in worlds, costs are in the table's units, and the mean and
+    covariance of the rows over the worlds are a part of the model
+    (`study.sampler.worlds`). On a pool of which a similarity is known, that alone is
+    the model (`study.sampler.similarity`).
 
-    v, s, t, the length scales and the noise are learned (`study.sampler.gp`). Once no trial has
-    been better than all before for some time, every other one is left to g alone
-    (`study.sampler.transforms`). Trials running elsewhere are conditioned on as if they had shown
-    what is expected of them. Constraints are those that the objective names by
-    `trial.set_constraint(key, value)`, feasible where the value is <= 0: improvement is multiplied
-    by the probability that all are kept (Gelbart, Snoek, Adams 2014).
+    v, s, t, the length scales and the noise are learned (`study.sampler.gp`). Once no
+    trial has been better than all before for some time, every other one is left to g
+    alone (`study.sampler.transforms`). Trials running elsewhere are conditioned on as
+    if they had shown what is expected of them. Constraints are those that the objective
+    names by `trial.set_constraint(key, value)`, feasible where the value is <= 0:
+    improvement is multiplied by the probability that all are kept (Gelbart, Snoek,
+    Adams 2014).
 
-    Of a study with several objectives each trial has weights of its own (`study.sampler.goals`).
+    Of a study with several objectives each trial has weights of its own
+    (`study.sampler.goals`).
 
-    What it promises: everything is recomputed from the study's trials, and each draw is seeded by
-    the seed and the trial, so a resumed study or another process proposes the same. FAIL and PRUNED
-    trials are not learned from; infinite values are worse, or better, than all finite ones.
+    What it promises: everything is recomputed from the study's trials, and each draw is
+    seeded by the seed and the trial, so a resumed study or another process proposes the
+    same. FAIL and PRUNED trials are not learned from; infinite values are worse, or
+    better, than all finite ones.
 
     Args:
-        features: see above. A function gets its columns in the order of `space` or, without it, of
-            the names; logarithmic parameters as they are, categorical ones as indices of choices.
+        features: see above. A function gets its columns in the order of `space` or,
+            without it, of the names; logarithmic parameters as they are, categorical
+            ones as indices of choices.
         seed: of all draws; None takes one from the machine's entropy.
-        kernel: None: the model above with features, "euclidean" without. "additive": the model
-            above; a kernel that is named leaves outcomes out. "rbf": f alone, of features as they
-            are (standardised), one length scale for all and the cost as it is, the paper's.
-            "euclidean": over the parameters alone, a length scale each, as Hvarfner, Hellsten,
-            Nardi 2024. All but the first start with three random trials.
-        feature_function: for a table, features of points off it, in the table's order and units.
-        off_grid: with such a function, the number of points near the best ones that are added to
-            the candidates of each trial; by default none. With outcomes in worlds, of points near
-            the best trials, by default 1,500; 0: rows alone are proposed.
-        space: what the study suggests: distributions by name. None takes those that all finished
-            trials share, the first trial being random. A table has its own.
-        strict: True: what does not fit is an error before the objective has its parameters; False:
-            the independent sampler takes over, with one warning.
-        extra_parameters: names that the study suggests before or between those of the table, and
-            that the table does not have (they go to the independent sampler). Those suggested
-            after the table's need not be named.
-        independent_sampler: for parameters that the features do not cover; by default uniform.
-        success: the value of the study from which on a trial has succeeded: at most this, or at
-            least, where values are maximised. Until one has, the candidate that most likely
-            succeeds comes next (with costs in worlds after the three best rows by their mean), then
-            that of the largest expected improvement. None: improvement alone counts.
-        allowed: which rows of a table may be proposed, [n]; None: all. Points off it are not looked
-            at then.
-        limits_of: trials of other studies over the same table, whose constraints alone are learned:
-            what broke a limit there is expected to break it here.
+        kernel: None: the model above with features, "euclidean" without. "additive":
+            the model above; a kernel that is named leaves outcomes out. "rbf": f alone,
+            of features as they are (standardised), one length scale for all and the
+            cost as it is, the paper's. "euclidean": over the parameters alone, a length
+            scale each, as Hvarfner, Hellsten, Nardi 2024. All but the first start with
+            three random trials.
+        feature_function: for a table, features of points off it, in the table's order
+            and units.
+        off_grid: with such a function, the number of points near the best ones that are
+            added to the candidates of each trial; by default none. With outcomes in
+            worlds, of points near the best trials, by default 1,500; 0: rows alone are
+            proposed.
+        space: what the study suggests: distributions by name. None takes those that all
+            finished trials share, the first trial being random. A table has its own.
+        strict: True: what does not fit is an error before the objective has its
+            parameters; False: the independent sampler takes over, with one warning.
+        extra_parameters: names that the study suggests before or between those of the
+            table, and that the table does not have (they go to the independent
+            sampler). Those suggested after the table's need not be named.
+        independent_sampler: for parameters that the features do not cover; by default
+            uniform.
+        success: the value of the study from which on a trial has succeeded: at most
+            this, or at least, where values are maximised. Until one has, the candidate
+            that most likely succeeds comes next (with costs in worlds after the three
+            best rows by their mean), then that of the largest expected improvement.
+            None: improvement alone counts.
+        allowed: which rows of a table may be proposed, [n]; None: all. Points off it
+            are not looked at then.
+        limits_of: trials of other studies over the same table, whose constraints alone
+            are learned: what broke a limit there is expected to break it here.
 
     Raises:
-        InputError: an option that cannot be used; in a trial (strict), before its objective has
-            all parameters: names or ranges of the study that do not fit the table or the space,
-            values enqueued that no row has, or a function that raises or returns other than finite
-            [n, k]. At a trial's end: it has not suggested all of the table (strict).
+        InputError: an option that cannot be used; in a trial (strict), before its
+            objective has all parameters: names or ranges of the study that do not fit
+            the table or the space, values enqueued that no row has, or a function that
+            raises or returns other than finite [n, k]. At a trial's end: it has not
+            suggested all of the table (strict).
         TableExhaustedError: in a trial, when no row is left (strict).
         ValueError: `best`, `predict` or `worth` of a study with several objectives.
     """
@@ -150,7 +164,9 @@ class FeatureKernelSampler(BaseSampler):
         limits_of: Sequence[FrozenTrial] = (),
     ) -> None:
         given = dict(locals())
-        self._kernel = kernel if kernel is not None else DEFAULT_KERNELS[features is None]
+        self._kernel = (
+            kernel if kernel is not None else DEFAULT_KERNELS[features is None]
+        )
         if self._kernel not in KERNELS:
             raise InputError("kernel", self._kernel, f"one of {', '.join(KERNELS)}")
         chosen = KERNELS[self._kernel]
@@ -202,7 +218,9 @@ class FeatureKernelSampler(BaseSampler):
         self._raise_error_if_multi_objective(study)
         if not self.has_features:
             raise InputError(
-                "kernel", self._kernel, "one that uses features, or there is nothing to report"
+                "kernel",
+                self._kernel,
+                "one that uses features, or there is nothing to report",
             )
         with one_thread():
             present = self._policy.present(study)
@@ -227,7 +245,9 @@ class FeatureKernelSampler(BaseSampler):
             if present is None or not present.trials:
                 allowed = "a study with a finished trial of these parameters"
                 raise InputError("study", study.study_name, allowed)
-            return best_of(present, maximised=study.direction is StudyDirection.MAXIMIZE)
+            return best_of(
+                present, maximised=study.direction is StudyDirection.MAXIMIZE
+            )
 
     @checks.checked(
         study=checks.instance(optuna.Study),
@@ -247,7 +267,9 @@ class FeatureKernelSampler(BaseSampler):
         """
         self._raise_error_if_multi_objective(study)
         if not isinstance(self._policy, TablePolicy):
-            raise InputError("features", "no table", "a FeatureTable: its rows are predicted")
+            raise InputError(
+                "features", "no table", "a FeatureTable: its rows are predicted"
+            )
         with one_thread():
             return self._policy.predict(study, params)
 
@@ -258,7 +280,10 @@ class FeatureKernelSampler(BaseSampler):
         return self._policy.search_space(study, trial)
 
     def sample_relative(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         """The parameters of one candidate."""
         return self._policy.propose(study, trial, search_space)
@@ -288,8 +313,8 @@ class FeatureKernelSampler(BaseSampler):
         """Correct the notes of the trial; passed on to the independent sampler first.
 
         Raises:
-            InputError: the objective has not suggested all of a table (strict). The trial's value
-                is stored nevertheless.
+            InputError: the objective has not suggested all of a table (strict). The
+                trial's value is stored nevertheless.
         """
         self._independent.after_trial(study, trial, state, values)
         self._policy.after(study, trial, is_complete=state is TrialState.COMPLETE)
@@ -306,16 +331,20 @@ class DoGSampler(FeatureKernelSampler):
 
         k(x, x') = exp(-(phi(x) - phi(x'))^2 / 2),
 
-    the score phi of each having been computed beforehand, on a grid from which candidates come.
-    Scale, length scale and noise are learned; everything else is as in the paper.
+    the score phi of each having been computed beforehand, on a grid from which
+    candidates come. Scale, length scale and noise are learned; everything else is as in
+    the paper.
 
     Args:
-        table: parameter sets and their score (or scores, with one length scale for all).
+        table: parameter sets and their score (or scores, with one length scale for
+            all).
         seed: of all draws; None takes one from the machine's entropy.
         **options: of `FeatureKernelSampler`, for what differs from `PAPER`.
     """
 
-    def __init__(self, table: FeatureTable, *, seed: int | None = None, **options: Any) -> None:
+    def __init__(
+        self, table: FeatureTable, *, seed: int | None = None, **options: Any
+    ) -> None:
         super().__init__(table, seed=seed, **PAPER | options)
 
 
@@ -332,7 +361,11 @@ def _require_sense(
             raise InputError(field, value, allowed)
 
     off_grid, mask = options.off_grid, options.allowed
-    given, worlds, of_features = "given", options.kernel.worlds, options.kernel.of_features
+    given, worlds, of_features = (
+        "given",
+        options.kernel.worlds,
+        options.kernel.of_features,
+    )
     if worlds:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
         refuse(function is not None, "feature_function", given, allowed)
@@ -342,11 +375,20 @@ def _require_sense(
             refuse(mask.shape != (rows,), "allowed", "another size", f"[{rows}]")
             refuse(off_grid, "off_grid", off_grid, "0 beside `allowed` rows")
         without = function is None and not worlds
-        refuse(off_grid and without, "off_grid", off_grid, "0 without a feature_function")
-        refuse(off_grid and pool, "off_grid", off_grid, "0: a similarity knows its rows alone")
+        refuse(
+            off_grid and without, "off_grid", off_grid, "0 without a feature_function"
+        )
+        refuse(
+            off_grid and pool,
+            "off_grid",
+            off_grid,
+            "0: a similarity knows its rows alone",
+        )
         refuse(options.space is not None, "space", given, "none: a table knows its own")
         lacking = of_features and not worlds and not features.rows.feature_names
-        refuse(lacking, "kernel", kernel, "none, or euclidean: the table has no features")
+        refuse(
+            lacking, "kernel", kernel, "none, or euclidean: the table has no features"
+        )
         return
     refuse(mask is not None, "allowed", given, "none without a table")
     refuse(options.limits_of, "limits_of", given, "none without a table")
@@ -354,7 +396,12 @@ def _require_sense(
     refuse(function is not None, "feature_function", given, allowed)
     if features is None:
         refuse(of_features, "kernel", kernel, "euclidean: there are no features")
-        refuse(off_grid, "off_grid", off_grid, "0: points are off any grid without features")
+        refuse(
+            off_grid,
+            "off_grid",
+            off_grid,
+            "0: points are off any grid without features",
+        )
     elif not callable(features):
         name = type(features).__name__
         raise InputError("features", name, "a FeatureTable, a function, or None")
@@ -365,7 +412,9 @@ def _call_text(given: Mapping[str, Any]) -> str:
     parts = []
     for name, parameter in inspect.signature(FeatureKernelSampler).parameters.items():
         value, default = given[name], parameter.default
-        if value is default or (type(value) is type(default) and bool(value == default)):
+        if value is default or (
+            type(value) is type(default) and bool(value == default)
+        ):
             continue
         shown = repr(value)
         if isinstance(value, BaseSampler):

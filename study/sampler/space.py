@@ -6,13 +6,14 @@
 | rows | [n, d] | the index of its choice | as suggested |
 | unit cube | [n, e], e >= d | one column a choice, 1/sqrt(2) where taken | its logarithm |
 
-A number stands for another one, of a row or at the end of a range, if it is that number as printed
-with `PRINTED_DIGITS` digits or more, or is as near to it as rounding brings two ways of computing a
-decimal grid: `GRID_TOLERANCE` of the distance to the next row. Where several are that near, an
-equal one comes first, then the nearest.
+A number stands for another one, of a row or at the end of a range, if it is that number
+as printed with `PRINTED_DIGITS` digits or more, or is as near to it as rounding brings
+two ways of computing a decimal grid: `GRID_TOLERANCE` of the distance to the next row.
+Where several are that near, an equal one comes first, then the nearest.
 
-Distances in the unit cube are what a Euclidean kernel sees: a parameter's whole range is 1, and two
-different choices are 1 apart. New points are drawn anywhere, or near good ones.
+Distances in the unit cube are what a Euclidean kernel sees: a parameter's whole range
+is 1, and two different choices are 1 apart. New points are drawn anywhere, or near good
+ones.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,9 +36,14 @@ Number = FloatDistribution | IntDistribution
 
 PRINTED_DIGITS = 8  # significant ones, as of a bench's sheet
 GRID_TOLERANCE = 1e-6  # np.arange(-100, 100, 0.001) is off by 7e-7 of its step
-STEP_TOLERANCE = 1e-8  # of a step: how far a value on the grid may be off, as for Optuna
+STEP_TOLERANCE = (
+    1e-8  # of a step: how far a value on the grid may be off, as for Optuna
+)
 CHOICE_LENGTH = np.sqrt(0.5)  # of a one-hot code: two of them are 1 apart
-STEP_DECADES = (-2.5, -0.3)  # log10 of a step's standard deviation, in ranges: 0.3 % to 50 %
+STEP_DECADES = (
+    -2.5,
+    -0.3,
+)  # log10 of a step's standard deviation, in ranges: 0.3 % to 50 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +77,10 @@ class Space:
         """A trial's values as one row [d]; None where one is missing, or of no use here."""
         row = np.empty(len(self))
         for column, name in enumerate(self.names):
-            if name not in values or (number := self.number(column, values[name])) is None:
+            if (
+                name not in values
+                or (number := self.number(column, values[name])) is None
+            ):
                 return None
             row[column] = number
         return row
@@ -85,7 +94,9 @@ class Space:
         if not is_number(value):
             return None
         try:
-            number = float(distribution.to_internal_repr(value))  # also outside of the range
+            number = float(
+                distribution.to_internal_repr(value)
+            )  # also outside of the range
         except (TypeError, ValueError, OverflowError):
             return None
         is_other = isinstance(value, int) and int(number) != value  # beyond 2^53
@@ -100,7 +111,9 @@ class Space:
     def values(self, row: Floats) -> dict[str, Any]:
         """One row [d] as values, numbers of Python's own types."""
         pairs = zip(self.names, self.distributions, row.tolist(), strict=True)
-        return {name: _external(distribution, value) for name, distribution, value in pairs}
+        return {
+            name: _external(distribution, value) for name, distribution, value in pairs
+        }
 
     def unit(self, rows: Floats) -> Floats:
         """Rows [n, d] in the unit cube, [n, e]; values outside the ranges are moved to the edge."""
@@ -134,11 +147,14 @@ def anywhere(space: Space, count: int, rng: np.random.Generator) -> Floats:
     return space.from_fractions(rng.random((count, len(space))))
 
 
-def nearby(space: Space, centres: Floats, count: int, rng: np.random.Generator) -> Floats:
+def nearby(
+    space: Space, centres: Floats, count: int, rng: np.random.Generator
+) -> Floats:
     """Points near some of the centres [c, d], each at its own distance, [count, d].
 
-    Each moves a random part of its coordinates (at least one) by normal steps of one size, drawn
-    evenly over decades; at an edge it is reflected. A categorical that moves takes any choice.
+    Each moves a random part of its coordinates (at least one) by normal steps of one
+    size, drawn evenly over decades; at an edge it is reflected. A categorical that
+    moves takes any choice.
     """
     start = space.fractions(centres[rng.integers(len(centres), size=count)])
     size = 10.0 ** rng.uniform(*STEP_DECADES, (count, 1))
@@ -156,7 +172,9 @@ def nearby(space: Space, centres: Floats, count: int, rng: np.random.Generator) 
 def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
     """Which points [m, d] are none of the taken ones [t, d]; all, if that leaves none, [m]."""
     known = {row.tobytes() for row in np.ascontiguousarray(taken)}
-    new = np.array([row.tobytes() not in known for row in np.ascontiguousarray(points)], dtype=bool)
+    new = np.array(
+        [row.tobytes() not in known for row in np.ascontiguousarray(points)], dtype=bool
+    )
     return new if new.any() else np.ones(len(points), dtype=bool)
 
 
@@ -193,7 +211,9 @@ def printed_tolerance(value: float) -> float:
     """How far a number may be from one that is printed like it, with eight digits or more."""
     shown = Decimal(repr(value)).normalize()
     digits = max(len(shown.as_tuple().digits), PRINTED_DIGITS)
-    return 0.5 * (1.0 + 1e-6) * 10.0 ** (shown.adjusted() + 1 - digits) if value else 0.0
+    return (
+        0.5 * (1.0 + 1e-6) * 10.0 ** (shown.adjusted() + 1 - digits) if value else 0.0
+    )
 
 
 def standing_for(
@@ -211,7 +231,9 @@ def standing_for(
     near = printed
     if abs(nearest - value) <= max(printed, GRID_TOLERANCE * span):
         gap = np.abs(column[column != nearest] - nearest).min(initial=span)
-        if distribution.log:  # or the least of 1e-9 to 1 would be all that is below 1e-6
+        if (
+            distribution.log
+        ):  # or the least of 1e-9 to 1 would be all that is below 1e-6
             gap = min(gap, abs(nearest))
         near = max(printed, GRID_TOLERANCE * gap)
     return away <= near, away / span
@@ -232,13 +254,19 @@ def _choice(distribution: CategoricalDistribution, value: Any) -> int | None:
     except (TypeError, ValueError):
         pass
     choices: Sequence[Any] = distribution.choices
-    numbers = [(place, choice) for place, choice in enumerate(choices) if isinstance(choice, float)]
+    numbers = [
+        (place, choice)
+        for place, choice in enumerate(choices)
+        if isinstance(choice, float)
+    ]
     if not numbers or not is_number(value):
         return None
     column = np.array([float(choice) for _, choice in numbers])
     ends = FloatDistribution(column.min(), column.max())
     near, away = standing_for(ends, column, float(value))
-    return numbers[int(np.where(near, away, np.inf).argmin())][0] if near.any() else None
+    return (
+        numbers[int(np.where(near, away, np.inf).argmin())][0] if near.any() else None
+    )
 
 
 def first_not_taken(
@@ -267,7 +295,8 @@ def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
         high += max(printed_tolerance(high), STEP_TOLERANCE * (high - low))
     inside = (low <= values) & (values <= high)
     if isinstance(distribution, FloatDistribution):
-        # An end of 17 digits, as a sheet has it with eight, may lie beyond the end itself.
+        # An end of 17 digits, as a sheet has it with eight, may lie beyond the end
+        # itself.
         beyond = np.maximum(distribution.low - values, values - distribution.high)
         widest = 10.0 ** (1 - PRINTED_DIGITS) * np.abs(values)
         for place in np.flatnonzero(~inside & (beyond <= widest)).tolist():
@@ -294,7 +323,9 @@ def _to_unit(distribution: BaseDistribution, values: Floats) -> Floats:
     """One parameter in the unit cube, [n, 1] or, categorical, [n, choices]."""
     if isinstance(distribution, CategoricalDistribution):
         choices = np.arange(len(distribution.choices))
-        return np.asarray(CHOICE_LENGTH * (values[:, None] == choices).astype(np.float64))
+        return np.asarray(
+            CHOICE_LENGTH * (values[:, None] == choices).astype(np.float64)
+        )
     assert isinstance(distribution, Number)
     low, high = _ends(distribution)
     if high <= low:  # a range of one value
@@ -325,4 +356,6 @@ def _ends(distribution: Number) -> tuple[float, float]:
     """Where the unit interval begins and ends: half a step outside, for steps and integers."""
     half = 0.5 * (distribution.step or 0.0)
     low, high = distribution.low - half, distribution.high + half
-    return (float(np.log(low)), float(np.log(high))) if distribution.log else (low, high)
+    return (
+        (float(np.log(low)), float(np.log(high))) if distribution.log else (low, high)
+    )

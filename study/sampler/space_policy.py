@@ -37,13 +37,17 @@ Floats = NDArray[np.float64]
 CANDIDATES = 2048  # points anywhere, a trial
 INCUMBENTS = 5  # best trials that points are near to
 LOCAL_SHARE = 4  # one point near them for so many anywhere
-REFINEMENTS = 3  # rounds of points near the best candidates, where features cost nothing
+REFINEMENTS = (
+    3  # rounds of points near the best candidates, where features cost nothing
+)
 
 
 class SpacePolicy(Policy):
     """Points of a space, with features by a function or without."""
 
-    def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
+    def search_space(
+        self, study: optuna.Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
         """The declared space, or the parameters that all finished trials share."""
         space = self.options.space
         if space is None:
@@ -53,7 +57,10 @@ class SpacePolicy(Policy):
         return {name: d for name, d in space.items() if not d.single()}
 
     def propose(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         """The parameters of one point; where that cannot be, independent draws."""
         if not search_space:
@@ -72,7 +79,9 @@ class SpacePolicy(Policy):
         except InputError as error:
             self.misfit(error)
             draw = self.independent.sample_independent
-            return {name: draw(study, trial, name, d) for name, d in search_space.items()}
+            return {
+                name: draw(study, trial, name, d) for name, d in search_space.items()
+            }
         values = space.values(point)
         if len(features):
             notes = {FEATURES_ATTRIBUTE: features.tolist()}
@@ -81,7 +90,11 @@ class SpacePolicy(Policy):
         return values
 
     def propose_one(
-        self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        name: str,
+        distribution: BaseDistribution,
     ) -> Any:
         """Independent; a declared parameter comes here if its range is not the declared one."""
         declared = (self.options.space or {}).get(name)
@@ -101,7 +114,9 @@ class SpacePolicy(Policy):
         if not len(history.cost):
             return None
         rng = self.rng(Purpose.CANDIDATES, turn(study, trial))
-        features, shown, _ = self._features(self._candidates(space, history, rng), history)
+        features, shown, _ = self._features(
+            self._candidates(space, history, rng), history
+        )
         seen = _placed(self._scale(features), shown, space, history.parameters)
         model = self.model(history, seen)
         names = tuple(f"feature_{column}" for column in range(features.shape[1]))
@@ -111,13 +126,17 @@ class SpacePolicy(Policy):
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""
 
-    def after(self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool) -> None:
+    def after(
+        self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool
+    ) -> None:
         """Take the features back if another point was run."""
         proposal = self.forget(trial)
         if proposal is not None and not proposal.values.items() <= trial.params.items():
             set_attributes(study, trial, dict.fromkeys(proposal.notes))
 
-    def _require_declared(self, study: optuna.Study, search_space: Collection[str]) -> None:
+    def _require_declared(
+        self, study: optuna.Study, search_space: Collection[str]
+    ) -> None:
         """Refuse parameters of the declared space that are fixed, or were not suggested before.
 
         The latest finished trial that was proposed here tells.
@@ -125,7 +144,9 @@ class SpacePolicy(Policy):
         declared = self.options.space or {}
         for name, distribution in declared.items():
             if name not in search_space and self.function is not None:
-                allowed = "a parameter left free: the feature function needs all of them"
+                allowed = (
+                    "a parameter left free: the feature function needs all of them"
+                )
                 raise InputError(name, f"fixed, of {distribution}", allowed)
         names = [name for name in search_space if name in declared]
         for other in reversed(study.get_trials(deepcopy=False)):
@@ -147,7 +168,9 @@ class SpacePolicy(Policy):
         best = argmax_random_tie(merit, rng)
         return points[best], features[best]
 
-    def _best(self, space: Space, history: History, own_turn: int) -> tuple[Floats, Floats]:
+    def _best(
+        self, space: Space, history: History, own_turn: int
+    ) -> tuple[Floats, Floats]:
         """The best of points anywhere and near the incumbents, and its features.
 
         Without features, also of points near those, round by round.
@@ -174,19 +197,29 @@ class SpacePolicy(Policy):
         best_one = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return points[best_one], features[best_one]
 
-    def _candidates(self, space: Space, history: History, rng: np.random.Generator) -> Floats:
+    def _candidates(
+        self, space: Space, history: History, rng: np.random.Generator
+    ) -> Floats:
         """Points anywhere, and near the best trials, [m, d]."""
-        incumbents = history.parameters[np.argsort(history.cost, kind="stable")[:INCUMBENTS]]
+        incumbents = history.parameters[
+            np.argsort(history.cost, kind="stable")[:INCUMBENTS]
+        ]
         local = max(CANDIDATES // LOCAL_SHARE, self.options.off_grid)
-        return np.vstack([anywhere(space, CANDIDATES, rng), nearby(space, incumbents, local, rng)])
+        return np.vstack(
+            [anywhere(space, CANDIDATES, rng), nearby(space, incumbents, local, rng)]
+        )
 
-    def _features(self, points: Floats, history: History) -> tuple[Floats, Floats, Floats]:
+    def _features(
+        self, points: Floats, history: History
+    ) -> tuple[Floats, Floats, Floats]:
         """Features of candidates, finished trials (noted in them, or computed) and running ones."""
         m, n, r = len(points), len(history.trials), len(history.running)
         if self.function is None:
             return np.empty((m, 0)), np.empty((n, 0)), np.empty((r, 0))
         noted = [trial.user_attrs.get(FEATURES_ATTRIBUTE) for trial in history.trials]
-        missing = np.array([not isinstance(values, list) for values in noted], dtype=bool)
+        missing = np.array(
+            [not isinstance(values, list) for values in noted], dtype=bool
+        )
         batch = np.vstack([points, history.running, history.parameters[missing]])
         features = call_features(self.function, batch)
         width = features.shape[1]
@@ -196,7 +229,9 @@ class SpacePolicy(Policy):
             values: list[float] = noted[place]  # type: ignore[assignment]
             if len(values) != width:
                 number = history.trials[place].number
-                raise InputError(f"features of trial {number}", len(values), f"{width} numbers")
+                raise InputError(
+                    f"features of trial {number}", len(values), f"{width} numbers"
+                )
             known[place] = values
         return features[:m], known, features[m : m + r]
 

@@ -1,8 +1,9 @@
 """Tables of candidates: rows of parameters, and the features that say which rows are alike.
 
-A table describes a problem before its first trial: n parameter sets, and k numbers for each,
-computed beforehand (by a simulator, a model, an expert). Their meaning does not matter here. Users
-make a `FeatureTable`; `Rows` is its content, with derived arrays; `columns` reads and checks.
+A table describes a problem before its first trial: n parameter sets, and k numbers for
+each, computed beforehand (by a simulator, a model, an expert). Their meaning does not
+matter here. Users make a `FeatureTable`; `Rows` is its content, with derived arrays;
+`columns` reads and checks.
 """
 
 import hashlib
@@ -42,7 +43,9 @@ NEAR_ROWS = 8  # whose mean a point off the table has
 NEAR_POWER = 4  # of the distance, by which their weights fall
 BLOCK = 2**13  # rows at a time, to stay in the cache
 NEAR_POOL = 128  # rows near each centre, among which these are looked for
-HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio: Knuth's multiplicative hashing
+HASH_FACTOR = np.uint64(
+    0x9E3779B97F4A7C15
+)  # 2^64 / golden ratio: Knuth's multiplicative hashing
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +58,8 @@ class Rows:
         feature_names: k names.
         features: of each row, of any scale, [n, k]; NaN where unknown.
         worlds: what each row costs in simulated worlds; None: that is not known.
-        alike: vectors whose products are the covariance of the rows, [n, r]; None: there
-            are none.
+        alike: vectors whose products are the covariance of the rows, [n, r]; None:
+            there are none.
     """
 
     space: Space
@@ -102,7 +105,10 @@ class Rows:
     def unit(self) -> Floats:
         """Rows that may be proposed in the unit cube, [m, e]."""
         chosen = self._chosen(self.parameters)
-        blocks = (chosen[first : first + BLOCK] for first in range(0, max(len(chosen), 1), BLOCK))
+        blocks = (
+            chosen[first : first + BLOCK]
+            for first in range(0, max(len(chosen), 1), BLOCK)
+        )
         return np.vstack([self.space.unit(block) for block in blocks])
 
     @cached_property
@@ -128,14 +134,17 @@ class Rows:
             features = self.scores.own if by_order else self.standard.standard(chosen)
             if ensemble is not None:
                 features = np.hstack([features, ensemble.columns])
-            return Points(features, self.unit if coordinates else np.empty((len(features), 0)))
+            return Points(
+                features, self.unit if coordinates else np.empty((len(features), 0))
+            )
 
         return _once(ensemble or self, (by_order, coordinates), made)
 
     def ensemble(self, signs: Floats, goals: Goals | None = None) -> Relation:
         """Worlds, or likeness, as the model takes them, of rows that may be proposed.
 
-        `signs` are -1 where values are maximised, [k]. Made once, unless `goals` make one of k.
+        `signs` are -1 where values are maximised, [k]. Made once, unless `goals` make
+        one of k.
         """
         worlds, alike = self.worlds, self.alike
         if alike is not None:
@@ -149,17 +158,25 @@ class Rows:
     def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
         """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
 
-        Each point [e] has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 / distance^4 (in
-        many dimensions all but the nearest are about as far). They are looked for among the
-        `NEAR_POOL` rows that are nearest to each of the centres [c, e], which points are near to.
+        Each point [e] has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 /
+        distance^4 (in many dimensions all but the nearest are about as far). They are
+        looked for among the `NEAR_POOL` rows that are nearest to each of the centres
+        [c, e], which points are near to.
         """
-        pools = [_once(self, ("pool", c.tobytes()), partial(self._pool, c)) for c in centres]
+        pools = [
+            _once(self, ("pool", c.tobytes()), partial(self._pool, c)) for c in centres
+        ]
         pool = np.unique(np.concatenate(pools))
         unit = self.unit[pool]
         # |a|^2 + |b|^2 - 2 a . b, with one product of matrices.
-        squares = (points**2).sum(axis=1)[:, None] + (unit**2).sum(axis=1) - 2.0 * points @ unit.T
+        squares = (
+            (points**2).sum(axis=1)[:, None]
+            + (unit**2).sum(axis=1)
+            - 2.0 * points @ unit.T
+        )
         count = min(NEAR_ROWS, len(pool))
-        # Of rows as far as the last one all count. To find how far is a third of finding which.
+        # Of rows as far as the last one all count. To find how far is a third of
+        # finding which.
         near = squares <= np.partition(squares, count - 1, axis=1)[:, count - 1 : count]
         weight = 1.0 / (np.sqrt(np.maximum(squares[near], 0.0)) + 1e-3) ** NEAR_POWER
         starts = np.append(0, near.sum(axis=1).cumsum())
@@ -175,7 +192,9 @@ class Rows:
 
     def _pool(self, centre: Floats) -> NDArray[np.int64]:
         """Places of the rows that are nearest to a point of the unit cube [e]."""
-        squares = self._lengths - 2.0 * (self.unit @ centre)  # less |centre|^2, which all share
+        squares = self._lengths - 2.0 * (
+            self.unit @ centre
+        )  # less |centre|^2, which all share
         count = min(NEAR_POOL, len(squares))
         return np.argpartition(squares, count - 1)[:count]
 
@@ -204,7 +223,10 @@ class Rows:
         for column, name in enumerate(self.names):
             if name not in values:
                 continue
-            number, distribution = self.space.number(column, values[name]), distributions[column]
+            number, distribution = (
+                self.space.number(column, values[name]),
+                distributions[column],
+            )
             if number is None:
                 return np.zeros(len(self), dtype=bool)
             own = self.parameters[:, column]
@@ -298,13 +320,17 @@ def _hash(parameters: Floats) -> NDArray[np.uint64]:
 
 # Anything that has columns by name, as data frames do; no package of them is loaded.
 IS_FRAME = checks.that(
-    lambda value: not isinstance(value, type) and hasattr(value, "columns"), "a pandas data frame"
+    lambda value: not isinstance(value, type) and hasattr(value, "columns"),
+    "a pandas data frame",
 )
 SPACE_CHECKS = {
     "space": checks.optional(checks.by_name(checks.instance(BaseDistribution))),
     "bounds": checks.optional(checks.by_name(checks.interval())),
 }
-COLUMN_CHECKS = SPACE_CHECKS | {"path": checks.path, "features": checks.each(checks.text)}
+COLUMN_CHECKS = SPACE_CHECKS | {
+    "path": checks.path,
+    "features": checks.each(checks.text),
+}
 
 
 class FeatureTable:
@@ -317,15 +343,18 @@ class FeatureTable:
     - a feature without a finite value, or with one value only, has no weight;
     - of rows with equal parameters, the first counts.
 
-    A table read from a file keeps the path and a SHA-256: pickled, it carries these alone, and
-    reads the file again where it is used. A table made of arrays carries its arrays.
+    A table read from a file keeps the path and a SHA-256: pickled, it carries these
+    alone, and reads the file again where it is used. A table made of arrays carries its
+    arrays.
 
     Attributes:
         digest: SHA-256 of names, parameters and features.
         source: the file or folder that it was read from; None for arrays.
     """
 
-    @checks.checked(rows=checks.instance(Rows), file=checks.optional(checks.instance(FileColumns)))
+    @checks.checked(
+        rows=checks.instance(Rows), file=checks.optional(checks.instance(FileColumns))
+    )
     def __init__(self, rows: Rows, file: FileColumns | None = None):
         """Use `from_parquet`, `from_arrays` or `from_dataframe`."""
         self._rows: Rows | None = rows
@@ -336,7 +365,9 @@ class FeatureTable:
         _warn_of(rows)
 
     @classmethod
-    @checks.checked(parameters=checks.optional(checks.each(checks.text)), **COLUMN_CHECKS)
+    @checks.checked(
+        parameters=checks.optional(checks.each(checks.text)), **COLUMN_CHECKS
+    )
     def from_parquet(
         cls,
         path: str | Path,
@@ -349,19 +380,23 @@ class FeatureTable:
         """Columns of a Parquet file, of a folder of them, of a text such as CSV, or of a store.
 
         Args:
-            path: a file; a folder of Parquet files, read in the order of their names, in which the
-                names of folders by the name KEY=VALUE are columns too; or a store of this project
-                (folder, shard or merged file), whose parameters and bounds are known and need not
-                be given.
+            path: a file; a folder of Parquet files, read in the order of their names,
+                in which the names of folders by the name KEY=VALUE are columns too; or
+                a store of this project (folder, shard or merged file), whose parameters
+                and bounds are known and need not be given.
             features: columns to compare rows by, k of them.
-            parameters: columns that the study will suggest, d of them; None: `path` is a store.
-            space: distributions of some or all parameters; by default those of `from_arrays`.
+            parameters: columns that the study will suggest, d of them; None: `path` is
+                a store.
+            space: distributions of some or all parameters; by default those of
+                `from_arrays`.
             bounds: as in `from_arrays`; None: of a store, those that it was made with.
 
         Raises:
             InputError: no such file, store or column, or what `from_arrays` refuses.
         """
-        columns = FileColumns(Path(path).absolute(), features, parameters, space, bounds)
+        columns = FileColumns(
+            Path(path).absolute(), features, parameters, space, bounds
+        )
         return cls(Rows(*columns.read()), columns)
 
     @classmethod
@@ -386,25 +421,29 @@ class FeatureTable:
         """Columns of parameters by name, each [n], and features [n, k], outcomes, or both.
 
         Args:
-            parameters: columns without gaps (None among words or flags is a choice). A study may
-                suggest each in its own way, on a logarithmic scale or as choices, if that holds all
-                rows. Before a trial has suggested it, and without `space`, floats are floats,
-                integers are integers, and anything else is a choice.
-            features: higher or lower, better or worse, of any scale: their order counts; [n] for
-                one feature.
-            outcomes: what each row costs in each of w simulated worlds, [n, w], in the units of the
-                study's values; or by family, {name: [n, w]}, where each family counts the same.
-            better: "higher" or "lower" says which outcomes are good, where they are in other units
-                than the study's values: shares survived, scores.
+            parameters: columns without gaps (None among words or flags is a choice). A
+                study may suggest each in its own way, on a logarithmic scale or as
+                choices, if that holds all rows. Before a trial has suggested it, and
+                without `space`, floats are floats, integers are integers, and anything
+                else is a choice.
+            features: higher or lower, better or worse, of any scale: their order
+                counts; [n] for one feature.
+            outcomes: what each row costs in each of w simulated worlds, [n, w], in the
+                units of the study's values; or by family, {name: [n, w]}, where each
+                family counts the same.
+            better: "higher" or "lower" says which outcomes are good, where they are in
+                other units than the study's values: shares survived, scores.
             feature_names: k names; by default feature_0, feature_1, ...
-            bounds: (low, high) of numeric parameters; by default those of the columns. All rows lie
-                within. Whole numbers with bounds that are not whole are floats.
-            space: distributions of parameters, where columns do not say enough: a logarithmic
-                scale, a step, choices.
+            bounds: (low, high) of numeric parameters; by default those of the columns.
+                All rows lie within. Whole numbers with bounds that are not whole are
+                floats.
+            space: distributions of parameters, where columns do not say enough: a
+                logarithmic scale, a step, choices.
 
         Raises:
-            InputError: naming the column and row that cannot be used: lengths that differ, values
-                missing, a row outside the bounds or the distribution, a name that is not there.
+            InputError: naming the column and row that cannot be used: lengths that
+                differ, values missing, a row outside the bounds or the distribution, a
+                name that is not there.
         """
         content = checked_columns(
             parameters, features, feature_names, bounds, space, outcomes, better
@@ -412,17 +451,20 @@ class FeatureTable:
         return cls(Rows(*content))
 
     @classmethod
-    @checks.checked("table.", parameters=checks.optional(checks.by_name(checks.anything)))
+    @checks.checked(
+        "table.", parameters=checks.optional(checks.by_name(checks.anything))
+    )
     def from_kernel(
         cls, gram: ArrayLike, parameters: Mapping[str, ArrayLike] | None = None
     ) -> Self:
         """A pool of n rows of which a similarity is known, and nothing else.
 
         Args:
-            gram: K [n, n], symmetric and positive semidefinite: the covariance of what the rows
-                cost, up to a factor, such as Tanimoto similarities of molecules.
-            parameters: columns that the study suggests, as in `from_arrays`; by default the number
-                of the row, an integer `row` from 0.
+            gram: K [n, n], symmetric and positive semidefinite: the covariance of what
+                the rows cost, up to a factor, such as Tanimoto similarities of
+                molecules.
+            parameters: columns that the study suggests, as in `from_arrays`; by default
+                the number of the row, an integer `row` from 0.
 
         Raises:
             InputError: K is not such a matrix, or what `from_arrays` refuses.
@@ -445,7 +487,8 @@ class FeatureTable:
         """A pool of n rows that are the nodes of a graph: neighbours cost about the same.
 
         Args:
-            weights: of edges, [n, n], symmetric, 0 where there is none; an array, or sparse.
+            weights: of edges, [n, n], symmetric, 0 where there is none; an array, or
+                sparse.
             parameters: as in `from_kernel`.
             hops: how many edges away nodes are still alike.
 
@@ -455,13 +498,17 @@ class FeatureTable:
         return cls._of_factor(factor_of_graph(weights, hops), parameters)
 
     @classmethod
-    def _of_factor(cls, factor: Floats, parameters: Mapping[str, ArrayLike] | None) -> Self:
+    def _of_factor(
+        cls, factor: Floats, parameters: Mapping[str, ArrayLike] | None
+    ) -> Self:
         columns = {"row": np.arange(len(factor))} if parameters is None else parameters
         space, raw, *_ = checked_columns(columns, factor)
         return cls(Rows(space, raw, (), np.empty((len(factor), 0)), alike=factor))
 
     @classmethod
-    @checks.checked(frame=IS_FRAME, parameters=checks.each(checks.text), **COLUMN_CHECKS)
+    @checks.checked(
+        frame=IS_FRAME, parameters=checks.each(checks.text), **COLUMN_CHECKS
+    )
     def from_dataframe(
         cls,
         frame: "pandas.DataFrame",
@@ -482,7 +529,9 @@ class FeatureTable:
         """
         for name in [*parameters, *features]:
             if name not in frame.columns:
-                raise InputError("column", name, f"one of {listed(frame.columns, name)}")
+                raise InputError(
+                    "column", name, f"one of {listed(frame.columns, name)}"
+                )
         columns = {name: frame[name].to_numpy() for name in parameters}
         stacked = [feature_matrix(frame[name].to_numpy(), (name,)) for name in features]
         matrix = np.hstack(stacked) if stacked else np.empty((len(frame), 0))
@@ -492,10 +541,14 @@ class FeatureTable:
     def rows(self) -> Rows:
         """The content, read again from the file where this process has not got it."""
         if self._rows is None:
-            assert self._file is not None  # only tables of a file are pickled without content
+            assert (
+                self._file is not None
+            )  # only tables of a file are pickled without content
             rows = Rows(*self._file.read())
             if rows.digest() != self.digest:
-                raise InputError("store", str(self.source), "the store this table was made from")
+                raise InputError(
+                    "store", str(self.source), "the store this table was made from"
+                )
             self._rows = rows
         return self._rows
 
@@ -514,9 +567,13 @@ class FeatureTable:
 def _warn_of(rows: Rows) -> None:
     said = []
     if count := int((~rows._known).sum()):
-        said.append(f"{count} rows that lack more than half of their features are not proposed")
+        said.append(
+            f"{count} rows that lack more than half of their features are not proposed"
+        )
     if count := int((~rows._first).sum()):
-        said.append(f"{count} rows repeat the parameters of another and are not proposed")
+        said.append(
+            f"{count} rows repeat the parameters of another and are not proposed"
+        )
     flags = zip(rows.feature_names, rows._informative, strict=True)
     if empty := [name for name, informative in flags if not informative]:
         said.append(f"features without information are ignored: {', '.join(empty)}")
@@ -527,7 +584,10 @@ def _warn_of(rows: Rows) -> None:
 
 def _size_text(rows: Rows) -> str:
     """Size and features of a table, as the arguments of a call."""
-    names, numbers = rows.feature_names, {"row": len(rows), "parameter": len(rows.names)}
+    names, numbers = (
+        rows.feature_names,
+        {"row": len(rows), "parameter": len(rows.names)},
+    )
     if names or (rows.worlds is None and rows.alike is None):
         numbers["feature"] = len(names)
     if rows.worlds is not None:
@@ -535,5 +595,7 @@ def _size_text(rows: Rows) -> str:
     counts = [f"{n} {thing}{'s' * (n != 1)}" for thing, n in numbers.items()]
     if rows.alike is not None:
         counts.append(f"similarity of rank {rows.alike.shape[1]}")
-    shown = ", ".join(names[:NAMES_SHOWN]) + (", ..." if len(names) > NAMES_SHOWN else "")
+    shown = ", ".join(names[:NAMES_SHOWN]) + (
+        ", ..." if len(names) > NAMES_SHOWN else ""
+    )
     return f"{', '.join(counts)}{': ' * bool(names)}{shown}"

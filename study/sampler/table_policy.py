@@ -1,9 +1,9 @@
 """Proposals from a table: which row to try next, or which point near the best rows.
 
-Workers that share a study come to propose different rows with no lock between them. A worker writes
-the number of its row into its trial, and only then reads the trials again. Of two that choose one
-row, the one that writes later is sure to see the other's number and takes another row; if both
-write before either reads, both do. Nobody waits.
+Workers that share a study come to propose different rows with no lock between them. A
+worker writes the number of its row into its trial, and only then reads the trials
+again. Of two that choose one row, the one that writes later is sure to see the other's
+number and takes another row; if both write before either reads, both do. Nobody waits.
 """
 
 from collections.abc import Mapping, Sequence
@@ -64,8 +64,9 @@ Mask = NDArray[np.bool_]
 
 CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
-# Of a range: a point off the table that is nearer to a trial, in every parameter, repeats it. With
-# two knobs half of the trials were such repeats; in 16 dimensions none is.
+# Of a range: a point off the table that is nearer to a trial, in every parameter,
+# repeats it. With two knobs half of the trials were such repeats; in 16 dimensions none
+# is.
 REPEAT = 0.01
 
 
@@ -76,17 +77,19 @@ class TableExhaustedError(RuntimeError):
 class Inferred(dict[str, BaseDistribution]):
     """The search space of a table, as it is given to Optuna: distributions by name.
 
-    Optuna requires the study to suggest with the very distributions of a search space whose values
-    it was given at once, and a study that suggests another scale, kind, or order of choices fails
-    with them. Where the space is this one, values are therefore handed out one by one.
+    Optuna requires the study to suggest with the very distributions of a search space
+    whose values it was given at once, and a study that suggests another scale, kind, or
+    order of choices fails with them. Where the space is this one, values are therefore
+    handed out one by one.
     """
 
 
 class TablePolicy(Policy):
     """Proposals of rows of a table that no trial has taken and, if asked for, of points near.
 
-    A trial's row is chosen when the first of the table's parameters is suggested that nobody has
-    fixed. Its values are handed out one by one, each as the study suggests it (see `Inferred`).
+    A trial's row is chosen when the first of the table's parameters is suggested that
+    nobody has fixed. Its values are handed out one by one, each as the study suggests
+    it (see `Inferred`).
     """
 
     def __init__(
@@ -105,7 +108,9 @@ class TablePolicy(Policy):
         # Costs in worlds are a model before any trial. What only ranks tells no cost.
         self._in_costs = worlds is not None and worlds.better is None
         if worlds is not None:
-            self.first_trials = 1 if self._in_costs and options.success is None else RANKED
+            self.first_trials = (
+                1 if self._in_costs and options.success is None else RANKED
+            )
 
     @cached_property
     def own_rows(self) -> Rows:
@@ -122,17 +127,23 @@ class TablePolicy(Policy):
         state = super().__getstate__() | {"_suggested": None, "_looked_up": {}}
         return {name: value for name, value in state.items() if name != "own_rows"}
 
-    def search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
+    def search_space(
+        self, study: optuna.Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
         """The table's parameters."""
         return Inferred(self.own_rows.space.as_dict())
 
     def propose(
-        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         """Refuse what does not fit; values are given by `propose_one`.
 
-        Where the table must fit (strict), only what this trial suggests is refused, not what others
-        did: those of an earlier study, or of an objective that was mended since.
+        Where the table must fit (strict), only what this trial suggests is refused, not
+        what others did: those of an earlier study, or of an objective that was mended
+        since.
         """
         fixed, names = values_of(trial), self.own_rows.names
         if all(name in fixed for name in names):
@@ -153,10 +164,17 @@ class TablePolicy(Policy):
             self._refuse(study, trial, misfit)
         if isinstance(search_space, Inferred):
             return {}
-        return {name: self.propose_one(study, trial, name, d) for name, d in search_space.items()}
+        return {
+            name: self.propose_one(study, trial, name, d)
+            for name, d in search_space.items()
+        }
 
     def propose_one(
-        self, study: optuna.Study, trial: FrozenTrial, name: str, distribution: BaseDistribution
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        name: str,
+        distribution: BaseDistribution,
     ) -> Any:
         """The value of the trial's row, where all rows fit; other parameters are independent."""
         if name not in self.rows.names:
@@ -167,7 +185,9 @@ class TablePolicy(Policy):
             proposal = self._propose_row(study, trial)
             self.remember(trial, proposal)
         if proposal.values:
-            error = distribution_misfit(self.own_rows, self.rows.names.index(name), distribution)
+            error = distribution_misfit(
+                self.own_rows, self.rows.names.index(name), distribution
+            )
             try:
                 if error is None:
                     return as_suggested(distribution, proposal.values[name])
@@ -186,7 +206,9 @@ class TablePolicy(Policy):
             self._suggested = rows
         return suggested
 
-    def _refuse(self, study: optuna.Study, trial: FrozenTrial, error: InputError) -> None:
+    def _refuse(
+        self, study: optuna.Study, trial: FrozenTrial, error: InputError
+    ) -> None:
         """Propose nothing of the table for this trial; an error, or a warning (not strict)."""
         proposal = self.remembered(trial)
         if proposal is not None:
@@ -194,7 +216,9 @@ class TablePolicy(Policy):
         self.remember(trial, NOTHING)
         self.misfit(error)
 
-    def _require_table_first(self, study: optuna.Study, trial: FrozenTrial, name: str) -> None:
+    def _require_table_first(
+        self, study: optuna.Study, trial: FrozenTrial, name: str
+    ) -> None:
         """Refuse a name that may be a misspelt one of the table, before the trial is run."""
         if not self.options.strict or name in self.options.extra_parameters:
             return
@@ -208,7 +232,9 @@ class TablePolicy(Policy):
 
     def _propose_row(self, study: optuna.Study, trial: FrozenTrial) -> Proposal:
         """A candidate that no other trial has, noted in the trial."""
-        row = row_of(self.rows, trial)  # a trial that repeats a killed one has its row already
+        row = row_of(
+            self.rows, trial
+        )  # a trial that repeats a killed one has its row already
         if row is not None:
             return self._of_row(row)
         withdrawn: set[int] = set()
@@ -233,20 +259,27 @@ class TablePolicy(Policy):
     def _is_own(self, study: optuna.Study, trial: FrozenTrial, row: int) -> bool:
         """Whether no other trial has the row that was just written into this one.
 
-        A trial that was enqueued with the row, and still waits, has it too; one that has the number
-        and did something else has not.
+        A trial that was enqueued with the row, and still waits, has it too; one that
+        has the number and did something else has not.
         """
         return not any(
-            (other.user_attrs.get(ROW_ATTRIBUTE) == row or other.state is TrialState.WAITING)
+            (
+                other.user_attrs.get(ROW_ATTRIBUTE) == row
+                or other.state is TrialState.WAITING
+            )
             and row_of(self.rows, other) == row
             for other in study.get_trials(deepcopy=False)
             if other.number != trial.number
         )
 
-    def _take_back(self, study: optuna.Study, trial: FrozenTrial, notes: Mapping[str, Any]) -> None:
+    def _take_back(
+        self, study: optuna.Study, trial: FrozenTrial, notes: Mapping[str, Any]
+    ) -> None:
         """Mark a trial with these notes as no row: notes cannot be removed."""
         if notes:
-            set_attributes(study, trial, dict.fromkeys(notes) | {ROW_ATTRIBUTE: OFF_TABLE})
+            set_attributes(
+                study, trial, dict.fromkeys(notes) | {ROW_ATTRIBUTE: OFF_TABLE}
+            )
 
     def _choose(
         self, study: optuna.Study, trial: FrozenTrial, withdrawn: set[int]
@@ -293,7 +326,11 @@ class TablePolicy(Policy):
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows, compared = self.rows, self.compared(study)
-        if self._in_costs and rows.worlds is not None and rows.worlds.goals == len(compared):
+        if (
+            self._in_costs
+            and rows.worlds is not None
+            and rows.worlds.goals == len(compared)
+        ):
             pairs = zip(compared, rows.worlds.ends, strict=True)
             compared = [np.append(known, ends) for known, ends in pairs]
         found = read_history(
@@ -303,7 +340,9 @@ class TablePolicy(Policy):
         if rows.worlds is not None and self.options.kernel.worlds:
             if rows.worlds.goals != k:
                 allowed = f"those of {k} goals, as many as the study has: [n, w, {k}]"
-                raise InputError("table.outcomes", f"costs of {rows.worlds.goals}", allowed)
+                raise InputError(
+                    "table.outcomes", f"costs of {rows.worlds.goals}", allowed
+                )
             if k > 1:
                 known = rows.worlds.costs[rows.numbers].reshape(-1, k)
         return self.one_goal(found, turn(study, trial), known)
@@ -319,22 +358,32 @@ class TablePolicy(Policy):
         worlds = self.options.kernel.worlds
         return self.rows.ensemble(history.signs, history.goals) if worlds else None
 
-    def _first_row(self, offered: Mask, own_turn: int, ensemble: Relation | None) -> Proposal:
+    def _first_row(
+        self, offered: Mask, own_turn: int, ensemble: Relation | None
+    ) -> Proposal:
         """A row before there is a model, of equal ones any."""
         rows, points = self.rows, self._points(ensemble)
-        merit = -points.features[:, -1] if ensemble else self.merit(points.features, own_turn)
+        merit = (
+            -points.features[:, -1]
+            if ensemble
+            else self.merit(points.features, own_turn)
+        )
         merit = np.where(offered[rows.numbers], merit, -np.inf)
         best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
         return self._of_row(int(rows.numbers[best]))
 
-    def _best_candidate(self, history: History, offered: Mask, own_turn: int) -> Proposal:
+    def _best_candidate(
+        self, history: History, offered: Mask, own_turn: int
+    ) -> Proposal:
         """The candidate of the largest utility after some trials, of equal ones any."""
         rows = self.rows
         model = self._model(history, own_turn)
         points, free = self._points(model.ensemble), offered[rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
-            utility = model.utility(points, free, self.rng(Purpose.CANDIDATES, own_turn))
+            utility = model.utility(
+                points, free, self.rng(Purpose.CANDIDATES, own_turn)
+            )
         if self.options.off_grid:
             value, off = self._off_table(history, utility, model, own_turn)
             if not free.any() or value > utility.max():
@@ -348,16 +397,22 @@ class TablePolicy(Policy):
         running = self._seen(history.running, history.running_rows, (), ensemble)
         elsewhere = None
         if others := self.options.limits_of:
-            elsewhere = self._seen(*self._places([trial.params for trial in others]), (), ensemble)
+            elsewhere = self._seen(
+                *self._places([trial.params for trial in others]), (), ensemble
+            )
         return self.model(history, seen, ensemble, running, own_turn, elsewhere)
 
-    def _places(self, params: Sequence[Mapping[str, Any]]) -> tuple[Floats, NDArray[np.int64]]:
+    def _places(
+        self, params: Sequence[Mapping[str, Any]]
+    ) -> tuple[Floats, NDArray[np.int64]]:
         """Parameters as rows have them, [m, d], and the row that each is, or OFF_TABLE, [m]."""
         rows, places = self.rows, np.empty((len(params), len(self.rows.names)))
         for place, values in enumerate(params):
             known = rows.space.row(values)
             if known is None:
-                raise InputError(f"params[{place}]", dict(values), f"one of {rows.space.as_dict()}")
+                raise InputError(
+                    f"params[{place}]", dict(values), f"one of {rows.space.as_dict()}"
+                )
             places[place] = known
         found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
         return places, np.array(found, dtype=np.int64)
@@ -367,13 +422,15 @@ class TablePolicy(Policy):
     ) -> tuple[float, Proposal]:
         """The best of some points near the best rows and trials, and its utility.
 
-        Beside worlds no point that repeats a trial, unless nothing else is left: repeats are asked
-        for by enqueuing them.
+        Beside worlds no point that repeats a trial, unless nothing else is left:
+        repeats are asked for by enqueuing them.
 
         `utility` is that of the rows that may be proposed, [m].
         """
         rows, space, free = self.rows, self.rows.space, bool(np.isfinite(utility).any())
-        incumbents = history.parameters[np.lexsort((history.cost, ~model.feasible))[:INCUMBENTS]]
+        incumbents = history.parameters[
+            np.lexsort((history.cost, ~model.feasible))[:INCUMBENTS]
+        ]
         centres = incumbents
         if self.function is not None:
             best = np.argsort(-utility, kind="stable")[:CENTRES]
@@ -393,7 +450,9 @@ class TablePolicy(Policy):
             unit = space.unit(near)
             elsewhere = new & not_near(unit, space.unit(taken), REPEAT)
             new = elsewhere if free or elsewhere.any() else new
-            mixed = rows.mixed(self._points(model.ensemble).features, unit, space.unit(centres))
+            mixed = rows.mixed(
+                self._points(model.ensemble).features, unit, space.unit(centres)
+            )
             placed = Points(mixed, unit)
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
         utility = model.utility(placed, new, rng)
@@ -402,12 +461,19 @@ class TablePolicy(Policy):
         return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
 
     def _of_row(self, row: int) -> Proposal:
-        return Proposal(self.rows.as_parameters(row), notes_of(row, self.rows.features[row]))
+        return Proposal(
+            self.rows.as_parameters(row), notes_of(row, self.rows.features[row])
+        )
 
     def _points(self, ensemble: Relation | None = None) -> Points:
         """Rows that may be proposed, with coordinates only where the kernel uses them."""
-        by_order, coordinates = self.options.kernel.by_order, self.options.kernel.of_parameters
-        return self.rows.points(by_order=by_order, coordinates=coordinates, ensemble=ensemble)
+        by_order, coordinates = (
+            self.options.kernel.by_order,
+            self.options.kernel.of_parameters,
+        )
+        return self.rows.points(
+            by_order=by_order, coordinates=coordinates, ensemble=ensemble
+        )
 
     def _seen(
         self,
@@ -419,8 +485,14 @@ class TablePolicy(Policy):
         """Trials as points: with worlds, those off the table have what their nearest rows have."""
         if ensemble is None:
             return self._placed(parameters, self._features(parameters, numbers, trials))
-        rows, points, unit = self.rows, self._points(ensemble), self.rows.space.unit(parameters)
-        place = np.minimum(np.searchsorted(rows.numbers, numbers), len(rows.numbers) - 1)
+        rows, points, unit = (
+            self.rows,
+            self._points(ensemble),
+            self.rows.space.unit(parameters),
+        )
+        place = np.minimum(
+            np.searchsorted(rows.numbers, numbers), len(rows.numbers) - 1
+        )
         features = points.features[place]
         for off in np.flatnonzero(rows.numbers[place] != numbers).tolist():
             features[off] = rows.mixed_at(points, unit[off])
@@ -435,7 +507,10 @@ class TablePolicy(Policy):
         return Points(scale.standard(features), unit)
 
     def _features(
-        self, parameters: Floats, numbers: NDArray[np.int64], trials: Sequence[FrozenTrial]
+        self,
+        parameters: Floats,
+        numbers: NDArray[np.int64],
+        trials: Sequence[FrozenTrial],
     ) -> Floats:
         """Features of trials, [n, k]: of the table, or as noted, or by the function."""
         features = self.rows.features[numbers]
@@ -445,7 +520,9 @@ class TablePolicy(Policy):
             noted = noted_features(trials[place])
             if noted is not None and len(noted) == features.shape[1]:
                 features[place] = noted
-        missing = np.isnan(features)  # of points off the table also infinities: none are noted
+        missing = np.isnan(
+            features
+        )  # of points off the table also infinities: none are noted
         unknown = missing.all(axis=1) | (missing.any(axis=1) & (numbers == OFF_TABLE))
         if unknown.any() and self.function is not None:
             features[unknown] = call_features(
@@ -495,40 +572,58 @@ class TablePolicy(Policy):
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.
 
-        At its start, so that other workers see it; none of its parameters will be sampled here.
+        At its start, so that other workers see it; none of its parameters will be
+        sampled here.
         """
         if not values_of(trial):
             return
         rows, row = self.own_rows, self.own_rows.find(values_of(trial))
-        if row is not None and row_of(rows, trial) != trial.user_attrs.get(ROW_ATTRIBUTE):
+        if row is not None and row_of(rows, trial) != trial.user_attrs.get(
+            ROW_ATTRIBUTE
+        ):
             set_attributes(study, trial, notes_of(row, rows.features[row]))
 
-    def after(self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool) -> None:
+    def after(
+        self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool
+    ) -> None:
         """Correct the notes of the trial if something else was run.
 
         Raises:
-            InputError: the objective has returned without suggesting all of the table, or has left
-                no choice of some parameter (strict).
+            InputError: the objective has returned without suggesting all of the table,
+                or has left no choice of some parameter (strict).
         """
         proposal = self.forget(trial) or NOTHING
         rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
-        missing, ran = not_suggested(rows.names, trial) if is_complete else None, trial.params
+        missing, ran = (
+            not_suggested(rows.names, trial) if is_complete else None,
+            trial.params,
+        )
         row, known = rows.find(ran), row_of(rows, trial)
         other = None
         if row is None or row != proposal.notes.get(ROW_ATTRIBUTE):
-            others = (n for n, v in proposal.values.items() if n in ran and not _is(trial, n, v))
+            others = (
+                n
+                for n, v in proposal.values.items()
+                if n in ran and not _is(trial, n, v)
+            )
             other = next(others, None)
         if row is not None and known != noted:
             set_attributes(study, trial, notes_of(row, rows.features[row]))
-        wrong = missing is not None or other is not None or noted not in (OFF_TABLE, known)
+        wrong = (
+            missing is not None or other is not None or noted not in (OFF_TABLE, known)
+        )
         if row is None and noted is not None and wrong:
             notes = (ROW_ATTRIBUTE, SCORE_ATTRIBUTE, FEATURES_ATTRIBUTE)
-            self._take_back(study, trial, {key: 0 for key in notes if key in trial.user_attrs})
+            self._take_back(
+                study, trial, {key: 0 for key in notes if key in trial.user_attrs}
+            )
         if missing is not None and (noted is not None or self.options.strict):
             self.misfit(missing)
         elif is_complete and other is not None:
             # Optuna calls no sampler where a range has one value.
-            error = distribution_misfit(rows, rows.names.index(other), trial.distributions[other])
+            error = distribution_misfit(
+                rows, rows.names.index(other), trial.distributions[other]
+            )
             allowed = f"{proposal.values[other]!r}, as was proposed"
             self.misfit(error or InputError(other, ran[other], allowed))
 
@@ -537,6 +632,8 @@ def _is(trial: FrozenTrial, name: str, value: Any) -> bool:
     """Whether a trial ran a value of a parameter, in the form in which it was suggested."""
     ran = trial.params[name]
     try:
-        return bool(ran == value or ran == as_suggested(trial.distributions[name], value))
+        return bool(
+            ran == value or ran == as_suggested(trial.distributions[name], value)
+        )
     except ValueError:
         return False

@@ -17,7 +17,9 @@ QUARTERS = -LARGEST / 4, LARGEST / 4  # so that excess, and two of them, are fin
 MOST = 2.0**500
 INFINITE = 1e6  # times the usual size of a limit: what is larger stands for infinity
 USUAL_EXPONENT = 20  # of 2: limits from 1e-6 to 1e6 stay as they are, to the bit
-LEAST_GAPS = 0.02  # share of missing values from which having none is a feature of its own
+LEAST_GAPS = (
+    0.02  # share of missing values from which having none is a feature of its own
+)
 NOTHING: Floats = np.empty(0)
 PATIENCE = 3  # trials without a better cost
 
@@ -78,9 +80,9 @@ class Points:
 def log_excess(values: Floats, cost: Floats) -> Floats:
     """log(1 + (value - least) / typical) of values [m], by costs [n], typical the median excess.
 
-    Costs of any sign and unit, in the same order; far above the least, their logarithm: a cliff
-    does not hide what is at its foot. Costs beyond a quarter of the largest float count as that.
-    Below the least, what is as far below is minus what is above.
+    Costs of any sign and unit, in the same order; far above the least, their logarithm:
+    a cliff does not hide what is at its foot. Costs beyond a quarter of the largest
+    float count as that. Below the least, what is as far below is minus what is above.
     """
     cost = np.clip(cost, *QUARTERS)
     with np.errstate(over="ignore"):
@@ -114,7 +116,8 @@ def squarable(values: Floats) -> Floats:
 def stand_ins(values: Floats, known: Floats = NOTHING) -> tuple[float, float]:
     """The numbers for minus infinity and for infinity among values: beyond all that are finite.
 
-    They are as far beyond as the finite values reach: no infinity becomes as good as a number.
+    They are as far beyond as the finite values reach: no infinity becomes as good as a
+    number.
 
     Args:
         values: of any shape; NaN is no value.
@@ -141,8 +144,8 @@ def without_infinities(values: Floats, ends: tuple[float, float]) -> Floats:
 def clip_infinities(values: Floats) -> Floats:
     """Infinite values replaced by the largest and the smallest finite one (zero if none is).
 
-    Digests of tables of version 0.3.0 are of values like these. They decide nothing else: what is
-    infinitely bad must not be as good as the worst number.
+    Digests of tables of version 0.3.0 are of values like these. They decide nothing
+    else: what is infinitely bad must not be as good as the worst number.
     """
     finite = values[np.isfinite(values)]
     low, high = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
@@ -154,9 +157,11 @@ def by_side(limit: Floats) -> Floats:
 
     NaN, a trial that told nothing, stays. The side stays always; the size may not:
 
-    - infinity, and what stands for it (more than `INFINITE` of the usual size on either side),
-      becomes as large as the largest of its side or, if there is none, of the other;
-    - where none is below 0, as of max(0, excess), 0 becomes as far below as the others are above;
+    - infinity, and what stands for it (more than `INFINITE` of the usual size on either
+      side), becomes as large as the largest of its side or, if there is none, of the
+      other;
+    - where none is below 0, as of max(0, excess), 0 becomes as far below as the others
+      are above;
     - very small or large numbers are scaled, so that squares of them have a size.
     """
     found = squarable(limit)
@@ -209,7 +214,9 @@ class Standard:
     def standard(self, features: Floats) -> Floats:
         """Features [m, k] as columns of about unit variance, [m, k]; a gap becomes 0."""
         finite = _finite(features, self.ends)
-        return np.asarray((np.where(np.isnan(finite), self.mean, finite) - self.mean) / self.sd)
+        return np.asarray(
+            (np.where(np.isnan(finite), self.mean, finite) - self.mean) / self.sd
+        )
 
 
 def _finite(features: Floats, ends: Floats) -> Floats:
@@ -224,9 +231,9 @@ def _finite(features: Floats, ends: Floats) -> Floats:
 class NormalScores:
     """Phi^-1 of the share of rows below (Blom 1958), equal values sharing theirs, unit variance.
 
-    Only the order of values counts: heavy tails, infinities and units do not matter. A feature
-    that some rows lack has a column more: whether a row has it. Those follow the k columns of
-    scores, in the order of the features, each pattern of gaps once.
+    Only the order of values counts: heavy tails, infinities and units do not matter. A
+    feature that some rows lack has a column more: whether a row has it. Those follow
+    the k columns of scores, in the order of the features, each pattern of gaps once.
 
     Attributes:
         known: values of each of the k features in ascending order, without gaps.
@@ -263,7 +270,9 @@ class NormalScores:
             sds.append(sd)
             own.append(standard)
         found = tuple(gaps.values())
-        columns = np.column_stack([features[:, :0], *own, *_gap_columns(features, found)])
+        columns = np.column_stack(
+            [features[:, :0], *own, *_gap_columns(features, found)]
+        )
         return cls(tuple(known), np.array(sds), found, columns)
 
     def standard(self, features: Floats) -> Floats:
@@ -279,7 +288,9 @@ class NormalScores:
 Scale = Standard | NormalScores
 
 
-def _gap_columns(features: Floats, gaps: Iterable[tuple[int, float]]) -> Iterator[Floats]:
+def _gap_columns(
+    features: Floats, gaps: Iterable[tuple[int, float]]
+) -> Iterator[Floats]:
     """A column for each pattern of gaps: which rows [m, k] have them, in standard units, [m]."""
     for column, share in gaps:
         missing = np.isnan(features[:, column])
@@ -312,12 +323,13 @@ def _scores(known: Floats, values: Floats) -> Floats:
 def is_doubtful(cost: Floats, turn: int) -> bool:
     """Whether this trial is left to the parameters: features are followed while they succeed.
 
-    The likelihood cannot tell a feature that follows the cost everywhere from one that follows it
-    everywhere but at its best; success can. Once the best cost is older than `PATIENCE` trials,
-    every other trial is left to the parameters alone, until one of either kind is better than all
-    before (win-stay, lose-shift: Robbins 1952). From then on a feature that misleads costs half the
-    trials, as where the two take turns (Antonova et al. 2018). Costs [n] are those of the finished
-    trials that kept their limits, in their order.
+    The likelihood cannot tell a feature that follows the cost everywhere from one that
+    follows it everywhere but at its best; success can. Once the best cost is older than
+    `PATIENCE` trials, every other trial is left to the parameters alone, until one of
+    either kind is better than all before (win-stay, lose-shift: Robbins 1952). From
+    then on a feature that misleads costs half the trials, as where the two take turns
+    (Antonova et al. 2018). Costs [n] are those of the finished trials that kept their
+    limits, in their order.
     """
     if not len(cost):
         return False

@@ -1,19 +1,20 @@
 """Simulated worlds as a prior of the cost, which trials move towards those a robot is like.
 
-A table may have what each of its rows costs in each of w simulated worlds. How the worlds differ
-tells which rows go together: their mean and covariance over the worlds are a Gaussian process
-before any trial (Wang, Kim, Kaelbling 2018). Notation, costs being those of `Ensemble.standard`,
-and p_w the weights of the worlds:
+A table may have what each of its rows costs in each of w simulated worlds. How the
+worlds differ tells which rows go together: their mean and covariance over the worlds
+are a Gaussian process before any trial (Wang, Kim, Kaelbling 2018). Notation, costs
+being those of `Ensemble.standard`, and p_w the weights of the worlds:
 
     m(r)     sum_w p_w y_w(r), the mean over the worlds
     d_w(r)   sqrt(p_w) (y_w(r) - m(r)), what world w adds to it
     y(r)     (1 + s) m(r) + b . d(r) + shift + what features tell + a function of the parameters
              + noise
 
-with s ~ N(0, v) and b ~ N(0, a^2 I). Where no world is like the robot, the trials make 1 + s small.
-The shift is common to all rows: a robot may be worse than all worlds. A point off the table has the
-m and d of its nearest rows, by distance. Outcomes in other units than the study's values (shares
-survived, scores) tell which rows are better, not what they cost: there is no shift then.
+with s ~ N(0, v) and b ~ N(0, a^2 I). Where no world is like the robot, the trials make
+1 + s small. The shift is common to all rows: a robot may be worse than all worlds. A
+point off the table has the m and d of its nearest rows, by distance. Outcomes in other
+units than the study's values (shares survived, scores) tell which rows are better, not
+what they cost: there is no shift then.
 """
 
 from collections.abc import Callable, Mapping
@@ -53,8 +54,8 @@ class Worlds:
         names: of the w worlds: family and number.
         costs: [n, w], or [n, w, k] of k goals; NaN where unknown. Infinities are
             replaced already.
-        weights: of the worlds, of sum 1, [w]: families count alike, and so do the worlds
-            of a family.
+        weights: of the worlds, of sum 1, [w]: families count alike, and so do the
+            worlds of a family.
         better: "lower" or "higher", of outcomes in units of their own; None: these are
             the study's.
         as_before: the costs as version 0.3.0 had them, where some are infinite: digests
@@ -73,18 +74,22 @@ class Worlds:
 
         [n, w, k] are those of k goals, in the units of the study's k values.
 
-        Infinity is worse, or better, than all that is finite in any world. Refused are, by family:
-        no numbers, other rows than the others', no row without gaps.
+        Infinity is worse, or better, than all that is finite in any world. Refused are,
+        by family: no numbers, other rows than the others', no row without gaps.
         """
         families = outcomes if isinstance(outcomes, Mapping) else {"world": outcomes}
         if not families:
             raise InputError("table.outcomes", "none", "one family of worlds or more")
         names, parts, weights = list[str](), list[Floats](), list[Floats]()
         for family, given in families.items():
-            field = f"table.outcomes.{family}" if outcomes is families else "table.outcomes"
+            field = (
+                f"table.outcomes.{family}" if outcomes is families else "table.outcomes"
+            )
             part = matrix_of(field, given, "w")
             if parts and len(part) != len(parts[0]):
-                raise InputError(field, f"{len(part)} rows", f"{len(parts[0])}, as the others")
+                raise InputError(
+                    field, f"{len(part)} rows", f"{len(parts[0])}, as the others"
+                )
             if part.ndim > 2 and better is not None:
                 allowed = "[n, w], or [n, w, k] without better"
                 raise InputError(f"{field}.shape", part.shape, allowed)
@@ -108,7 +113,9 @@ class Worlds:
     @cached_property
     def known(self) -> NDArray[np.bool_]:
         """Rows with a cost in every world, [n]."""
-        return np.asarray(~np.isnan(self.costs.reshape(len(self.costs), -1)).any(axis=1))
+        return np.asarray(
+            ~np.isnan(self.costs.reshape(len(self.costs), -1)).any(axis=1)
+        )
 
     @cached_property
     def ends(self) -> Floats:
@@ -121,10 +128,14 @@ class Worlds:
         """k, 1 where outcomes have two axes."""
         return self.costs.shape[2] if self.costs.ndim > 2 else 1
 
-    def of_rows(self, rows: NDArray[np.int64], signs: Floats, goals: Goals | None) -> Floats:
+    def of_rows(
+        self, rows: NDArray[np.int64], signs: Floats, goals: Goals | None
+    ) -> Floats:
         """Costs [m, w] of some rows; `signs` are -1 where values are maximised, [k]."""
         if goals is not None:
-            return goals.cost(signs * self.costs[rows].reshape(len(rows), len(self.names), -1))
+            return goals.cost(
+                signs * self.costs[rows].reshape(len(rows), len(self.names), -1)
+            )
         sign = {"higher": -1.0, "lower": 1.0, None: float(signs[0])}[self.better]
         return sign * self.costs[rows].reshape(len(rows), -1)
 
@@ -150,7 +161,9 @@ def matrix_of(field: str, given: Any, count: str) -> Floats:
     With count "w" they may be of several goals, [n, w, k].
     """
     try:
-        if np.asarray(given).dtype.kind in "mMc":  # NumPy would count nanoseconds, and drop parts
+        if (
+            np.asarray(given).dtype.kind in "mMc"
+        ):  # NumPy would count nanoseconds, and drop parts
             raise TypeError
         matrix = np.array(checks.unmasked(given), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -170,11 +183,15 @@ class Ensemble:
     def __init__(self, worlds: Worlds, costs: Floats) -> None:
         """Of costs [m, w], as `Worlds.of_rows` has them."""
         self.names = worlds.names
-        # How many worlds of one weight tell as much, less one: of one world nothing is known of
-        # how far others are from it.
+        # How many worlds of one weight tell as much, less one: of one world nothing is
+        # known of how far others are from it.
         self.freedom = 1.0 / float((worlds.weights**2).sum()) - 1.0
-        self.kept: dict[Any, Any] = {}  # what was computed of it, for whoever asks again
-        self.in_costs = worlds.better is None  # whether outcomes and values have one unit
+        self.kept: dict[
+            Any, Any
+        ] = {}  # what was computed of it, for whoever asks again
+        self.in_costs = (
+            worlds.better is None
+        )  # whether outcomes and values have one unit
         # Units of their own may have any zero: no logarithm.
         self._least = float(costs.min()) if self.in_costs else 0.0
         own = self._spread(costs)
@@ -190,9 +207,9 @@ class Ensemble:
     def standard(self, costs: Floats) -> Floats:
         """Costs in the model's units, standard deviations over the table from its mean.
 
-        Of positive ones that is after y = log(1 + (c - c_0) / s c_0), with c_0 the least cost in
-        the table: a logarithm under which costs near the least do not look alike. Below c_0,
-        y = log(c / c_0).
+        Of positive ones that is after y = log(1 + (c - c_0) / s c_0), with c_0 the
+        least cost in the table: a logarithm under which costs near the least do not
+        look alike. Below c_0, y = log(c / c_0).
         """
         standard = (self._spread(costs) - self._middle) / self._unit
         return np.clip(standard, -FARTHEST, FARTHEST)

@@ -1,12 +1,19 @@
 """The controller of a body that another simulator moves: senses in, joint torques out.
 
-Muscles, delays, reflexes and swing-leg placement are the walker's own functions; only their senses
-come from outside. The host launches `actuate`.
+Muscles, delays, reflexes and swing-leg placement are the walker's own functions; only
+their senses come from outside. The host launches `actuate`.
 """
 
 from taichi_nmm.kernel import joints, kinematics, walker
 from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
-from taichi_nmm.kernel.entry_points import load, load_slots, load_table, save, save_slots, seat
+from taichi_nmm.kernel.entry_points import (
+    load,
+    load_slots,
+    load_table,
+    save,
+    save_slots,
+    seat,
+)
 from taichi_nmm.kernel.layout import (
     FIRST_FIBRE,
     LEGS,
@@ -20,9 +27,20 @@ from taichi_nmm.kernel.layout import (
 
 
 @ti.func
-def step(tick, commands, activation_blend, load_blend,
-         lanes: Rows, muscles: Rows, senses: Rows,
-         state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows):  # fmt: skip
+def step(
+    tick,
+    commands,
+    activation_blend,
+    load_blend,
+    lanes: Rows,
+    muscles: Rows,
+    senses: Rows,
+    state: Rows,
+    fibres: Rows,
+    delay: Rows,
+    const: Rows,
+    work: Rows,
+):
     """One physics step of the muscles, their orders being new where `commands` is 1."""
     for lane in range(lanes):
         take_in(lane, senses, state, work)
@@ -42,7 +60,8 @@ def step(tick, commands, activation_blend, load_blend,
 def take_in(lane, senses: Rows, state: Rows, work: Rows):
     """Put the senses into the rows that the walker's own functions read.
 
-    These use the distance of the centre of mass from an ankle: here its position is zero.
+    These use the distance of the centre of mass from an ankle: here its position is
+    zero.
     """
     for i in ti.static(range(SEGMENT_COUNT)):
         state[State.q + 2 + i, lane] = senses[Sense.angle + i, lane]
@@ -72,8 +91,9 @@ def actuate(
 ):
     """Joint torques of all packs for one physics step, N m.
 
-    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], muscles [7, TABLE_COLUMNS],
-    sensed [p, Sense.count, lane], torques [p, 6, lane]. A turn takes `lanes` lanes of a pack.
+    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], muscles [7,
+    TABLE_COLUMNS], sensed [p, Sense.count, lane], torques [p, 6, lane]. A turn takes
+    `lanes` lanes of a pack.
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
@@ -85,9 +105,19 @@ def actuate(
         const = load(constants, turn, 0, Const.count, lanes)
         senses = load(sensed, turn, 0, Sense.count, lanes)
         step(
-            tick, commands, activation_blend, load_blend,
-            lanes, table, senses, state, fibres, delay, const, work,
-        )  # fmt: skip
+            tick,
+            commands,
+            activation_blend,
+            load_blend,
+            lanes,
+            table,
+            senses,
+            state,
+            fibres,
+            delay,
+            const,
+            work,
+        )
         save(packs, turn, 0, State.count, lanes, state)
         save(packs, turn, FIRST_FIBRE, Muscle.count, lanes, fibres)
         save_slots(packs, turn, tick, lanes, delay)

@@ -1,11 +1,12 @@
 """The one place that initialises Taichi; every other module takes `ti` from here.
 
-How a CPU is kept busy: the state of LANES walkers lies side by side in small local arrays, and each
-phase of the step is an innermost loop over them. LLVM's loop vectoriser turns that loop into SIMD
-instructions, as long as its body has no branch, calls no library function and touches no memory but
-local arrays (a field access reloads a pointer in every turn, which halves the vector width). So the
-physics is plain scalar code; on a GPU the same code runs with one walker a thread, and a pack holds
-the walkers of a warp, whose threads read side by side.
+How a CPU is kept busy: the state of LANES walkers lies side by side in small local
+arrays, and each phase of the step is an innermost loop over them. LLVM's loop
+vectoriser turns that loop into SIMD instructions, as long as its body has no branch,
+calls no library function and touches no memory but local arrays (a field access reloads
+a pointer in every turn, which halves the vector width). So the physics is plain scalar
+code; on a GPU the same code runs with one walker a thread, and a pack holds the walkers
+of a warp, whose threads read side by side.
 """
 
 import os
@@ -23,9 +24,19 @@ from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.settings import Settings
 
 __all__ = [
-    "Array", "BoundKernel", "Rows", "is_double", "lanes", "lanes_a_turn", "launch", "local_rows",
-    "metadata", "real_dtype", "start", "ti",
-]  # fmt: skip
+    "Array",
+    "BoundKernel",
+    "Rows",
+    "is_double",
+    "lanes",
+    "lanes_a_turn",
+    "launch",
+    "local_rows",
+    "metadata",
+    "real_dtype",
+    "start",
+    "ti",
+]
 
 LANES_CPU = 8  # where the registers' width is unknown
 LANES_GPU = 32  # a warp
@@ -35,7 +46,9 @@ if TYPE_CHECKING:
     Array: TypeAlias = Any
 else:
     Rows = ti.template()  # a local array [row, lane], passed by reference
-    Array = ti.types.ndarray()  # a NumPy array, passed to a kernel without a copy on a CPU
+    Array = (
+        ti.types.ndarray()
+    )  # a NumPy array, passed to a kernel without a copy on a CPU
 
 _running: Settings | None = None
 _arch = "cpu"
@@ -46,18 +59,22 @@ _program: Any = None  # the compiler's, in which our kernels are compiled
 _is_ours = False  # whether we have begun it
 _options: dict[str, Any] = {}  # by which they are compiled
 _width = 0  # numbers of a register, by which they are vectorised; 0: LLVM chooses
-_session = 0  # how often kernels were forgotten; those bound in an earlier session are gone
+_session = (
+    0  # how often kernels were forgotten; those bound in an earlier session are gone
+)
 
 
 def start(settings: Settings) -> None:
     """Have Taichi ready for these settings; does nothing when it already is.
 
-    Kernels hold no fields, so compiling them again in another precision loses nothing. A program
-    of the compiler that a script has begun, or has fields in, stays: our kernels move in.
+    Kernels hold no fields, so compiling them again in another precision loses nothing.
+    A program of the compiler that a script has begun, or has fields in, stays: our
+    kernels move in.
 
     Raises:
-        InputError: the architecture asked for is not on this machine, or not the one of the
-            script's program; or this process was forked from one that had started Taichi.
+        InputError: the architecture asked for is not on this machine, or not the one of
+            the script's program; or this process was forked from one that had started
+            Taichi.
     """
     global _running, _process, _session
     if _process not in (0, os.getpid()):
@@ -108,7 +125,9 @@ def _find_program(settings: Settings, is_same: bool) -> None:
         if runs or (program.begin(arch) and _computes(arch)):
             _program, _arch = program.living(), arch
             return
-    raise InputError("simulation.arch", settings.arch, "an architecture of this machine (cpu is)")
+    raise InputError(
+        "simulation.arch", settings.arch, "an architecture of this machine (cpu is)"
+    )
 
 
 def _settle(settings: Settings) -> None:
@@ -134,11 +153,13 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
     """Run a kernel, compiling it first where it is new.
 
     Raises:
-        InputError: the kernel is new and this is not the main thread (compiling there aborts the
-            process), or a GPU's driver cannot take it.
+        InputError: the kernel is new and this is not the main thread (compiling there
+            aborts the process), or a GPU's driver cannot take it.
     """
     if kernel.__name__ in _compiled:
-        with program.in_force(_program, _options, _width):  # it looks for the kernel by options
+        with program.in_force(
+            _program, _options, _width
+        ):  # it looks for the kernel by options
             kernel(*arguments)
         return
     _require_main_thread()
@@ -157,9 +178,10 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
 class BoundKernel:
     """A kernel whose arrays stay the same from launch to launch: only whole numbers change.
 
-    Taichi looks at every argument of every launch, which takes longer than a control tick of some
-    walkers. Here that happens once; the arrays must stay contiguous, where they are. On a GPU it
-    happens in every launch, which would leave the GPU's own addresses behind.
+    Taichi looks at every argument of every launch, which takes longer than a control
+    tick of some walkers. Here that happens once; the arrays must stay contiguous, where
+    they are. On a GPU it happens in every launch, which would leave the GPU's own
+    addresses behind.
     """
 
     def __init__(self, kernel: Callable[..., None], *arguments: Any) -> None:
@@ -168,7 +190,10 @@ class BoundKernel:
         Raises:
             InputError: as `launch`.
         """
-        self._kernel, self._arguments = kernel, arguments  # the arrays must outlive the launches
+        self._kernel, self._arguments = (
+            kernel,
+            arguments,
+        )  # the arrays must outlive the launches
         self._bind()
 
     def launch(self, **numbers: int) -> None:
@@ -176,7 +201,9 @@ class BoundKernel:
         if program.living() is not self._program:  # a script has called ti.init since
             assert _running is not None
             start(_running)
-        if self._session != _session:  # Taichi was started again, and has forgotten the kernel
+        if (
+            self._session != _session
+        ):  # Taichi was started again, and has forgotten the kernel
             self._bind()
         if _arch != "cpu":
             names = [argument.name for argument in compiler.parameters(self._primal)]
@@ -200,7 +227,9 @@ class BoundKernel:
             self._compiled = compiler.compiled(function)
         self._context = function.make_launch_context()
         self._slots: dict[str, Any] = {}
-        for argument, value in zip(compiler.parameters(self._primal), self._arguments, strict=True):
+        for argument, value in zip(
+            compiler.parameters(self._primal), self._arguments, strict=True
+        ):
             if argument.annotation is Rows:
                 continue
             slot = self._slots[argument.name] = compiler.slot(len(self._slots))

@@ -1,7 +1,7 @@
 """Walkers whose bodies another engine moves: the phases before and after that engine's step.
 
-The same functions as in `walker.step`, less dynamics, contacts and joint stops. `drive` gives the
-torques of a physics step, `follow` takes in where the bodies are after it.
+The same functions as in `walker.step`, less dynamics, contacts and joint stops. `drive`
+gives the torques of a physics step, `follow` takes in where the bodies are after it.
 """
 
 from taichi_nmm.kernel import contact, dynamics, gait, joints, walker
@@ -33,10 +33,22 @@ from taichi_nmm.kernel.layout import (
 
 
 @ti.func
-def before(tick, commands, activation_blend,
-           lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
-           state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
-           const: Rows, work: Rows):  # fmt: skip
+def before(
+    tick,
+    commands,
+    activation_blend,
+    lanes: Rows,
+    terrain: Rows,
+    heights: Rows,
+    muscles: Rows,
+    state: Rows,
+    fibres: Rows,
+    delay: Rows,
+    events: Rows,
+    sums: Rows,
+    const: Rows,
+    work: Rows,
+):
     """Senses, control where `commands` is 1, muscles: the joint torques of a physics step.
 
     The generalised force of catches is left at `Work.momentum`.
@@ -58,9 +70,19 @@ def before(tick, commands, activation_blend,
 
 
 @ti.func
-def after(tick, ends, step_s, load_blend,
-          lanes: Rows, drive_rows: Rows, motion: Rows,
-          state: Rows, sums: Rows, const: Rows, work: Rows):  # fmt: skip
+def after(
+    tick,
+    ends,
+    step_s,
+    load_blend,
+    lanes: Rows,
+    drive_rows: Rows,
+    motion: Rows,
+    state: Rows,
+    sums: Rows,
+    const: Rows,
+    work: Rows,
+):
     """Positions, contacts and ground forces after the step; falls where `ends` is 1."""
     for lane in range(lanes):
         for i in ti.static(range(COORDINATES)):
@@ -95,8 +117,8 @@ def drive(
 ):
     """Torques on the bodies of all packs for a physics step: `drives` [p, Drive.count, lanes].
 
-    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p, lanes] (rows of
-    `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
+    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p,
+    lanes] (rows of `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
@@ -110,9 +132,21 @@ def drive(
         const = load(constants, p, 0, Const.count, lanes)
         terrain = load_terrains(terrains, p, lanes)
         before(
-            tick, commands, activation_blend, lanes, terrain, heights, table,
-            state, fibres, delay, events, sums, const, work,
-        )  # fmt: skip
+            tick,
+            commands,
+            activation_blend,
+            lanes,
+            terrain,
+            heights,
+            table,
+            state,
+            fibres,
+            delay,
+            events,
+            sums,
+            const,
+            work,
+        )
         save(packs, p, 0, State.count, lanes, state)
         save(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
         save_slots(packs, p, tick, lanes, delay)
@@ -123,7 +157,9 @@ def drive(
             for m in ti.static(range(MUSCLE_COUNT)):
                 power_w += work[Work.metabolic_power + m, lane]
             for joint in ti.static(range(3 * LEGS)):
-                drives[p, Drive.joint_torque + joint, lane] = work[Work.joint_torque + joint, lane]
+                drives[p, Drive.joint_torque + joint, lane] = work[
+                    Work.joint_torque + joint, lane
+                ]
             drives[p, Drive.metabolic_power, lane] = power_w
             drives[p, Drive.ground_hip, lane] = work[Work.ground_hip, lane]
             for i in ti.static(range(COORDINATES)):
@@ -144,8 +180,8 @@ def follow(
 ):
     """Take in where the bodies of all packs are after a physics step.
 
-    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], drives as `drive` left them,
-    motions [p, Motion.count, lanes].
+    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], drives as `drive`
+    left them, motions [p, Motion.count, lanes].
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
@@ -156,8 +192,17 @@ def follow(
         drive_rows = load(drives, p, 0, Drive.count, lanes)
         motion = load(motions, p, 0, Motion.count, lanes)
         after(
-            tick, ends, step_s, load_blend,
-            lanes, drive_rows, motion, state, sums, const, work,
-        )  # fmt: skip
+            tick,
+            ends,
+            step_s,
+            load_blend,
+            lanes,
+            drive_rows,
+            motion,
+            state,
+            sums,
+            const,
+            work,
+        )
         save(packs, p, 0, State.count, lanes, state)
         save(packs, p, FIRST_SUM, Sums.count, lanes, sums)

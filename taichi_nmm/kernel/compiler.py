@@ -1,7 +1,8 @@
 """The compiler of the kernels and its insides: Taichi or, on Python 3.14, its fork, Quadrants.
 
-This file alone imports them, as `ti`. Both run the same kernels to the same bits. What is used of
-their insides stands here, side by side where they differ; pyproject.toml pins their versions.
+This file alone imports them, as `ti`. Both run the same kernels to the same bits. What
+is used of their insides stands here, side by side where they differ; pyproject.toml
+pins their versions.
 """
 
 import contextlib
@@ -14,7 +15,9 @@ from typing import Any
 
 from taichi_nmm.kernel_cache import COMPILER, settled_environment
 
-os.environ.setdefault(f"ENABLE_{COMPILER.upper()}_HEADER_PRINT", "0")  # the output is the commands'
+os.environ.setdefault(
+    f"ENABLE_{COMPILER.upper()}_HEADER_PRINT", "0"
+)  # the output is the commands'
 with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
     ti: Any = import_module(COMPILER)
 
@@ -26,14 +29,16 @@ core, impl, kernel_impl = ti._lib.core, ti.lang.impl, ti.lang.kernel_impl
 class LocalRows:
     """A local array [row, lane] of a kernel, which the compiler holds as one column.
 
-    While Taichi compiles, it walks through the whole kernel for each constant that it folds.
-    `array[3, lane]` has three such constants in two dimensions and one in a column: a kernel
-    compiles in a quarter of the time, to the same bits.
+    While Taichi compiles, it walks through the whole kernel for each constant that it
+    folds. `array[3, lane]` has three such constants in two dimensions and one in a
+    column: a kernel compiles in a quarter of the time, to the same bits.
     """
 
     def __init__(self, rows: int, lanes: int) -> None:
         self._lanes = lanes
-        self._column = impl.expr_init(ti.lang.matrix.make_matrix([0.0] * (rows * lanes)))
+        self._column = impl.expr_init(
+            ti.lang.matrix.make_matrix([0.0] * (rows * lanes))
+        )
 
     def __getitem__(self, index: tuple[Any, Any]) -> Any:
         row, lane = index
@@ -46,7 +51,9 @@ def local_rows(rows: int, lanes: int) -> Any:
     return LocalRows(rows, lanes)
 
 
-setattr(local_rows, f"_is_{COMPILER}_function", False)  # known to the compiler: no warning
+setattr(
+    local_rows, f"_is_{COMPILER}_function", False
+)  # known to the compiler: no warning
 
 
 def _short_position(context: Any, node: Any) -> str:
@@ -67,10 +74,11 @@ _compilers_inside_class = kernel_impl._inside_class
 kernel_impl._inside_class = _inside_class
 transformer = ti.lang.ast.ast_transformer_utils
 
-# Here the two differ. A function is inlined at each of its calls, and a compiler would look for its
-# source each time. Both cut a parallel loop into blocks of at least 512 turns, and a turn of the
-# kernels is a pack: 4,096 walkers and fewer would run on one thread. With WHOLE_LOOPS, options of
-# `ti.init`, a turn is a task. KNOWS_WIDTH: whether LLVM knows the width of registers by itself.
+# Here the two differ. A function is inlined at each of its calls, and a compiler would
+# look for its source each time. Both cut a parallel loop into blocks of at least 512
+# turns, and a turn of the kernels is a pack: 4,096 walkers and fewer would run on one
+# thread. With WHOLE_LOOPS, options of `ti.init`, a turn is a task. KNOWS_WIDTH: whether
+# LLVM knows the width of registers by itself.
 if COMPILER == "taichi":
     KNOWS_WIDTH = False  # LLVM 15
     WHOLE_LOOPS = {"make_cpu_multithreading_loop": False}
@@ -81,7 +89,9 @@ else:
     KNOWS_WIDTH = True  # LLVM 22
     WHOLE_LOOPS = {"cpu_work_scheduling": core.CPUWorkScheduling.FIXED_SIZE}
     transformer.ASTTransformerFuncContext._build_pos_info = _short_position
-    modules: Any = map(import_module, ("quadrants.lang._func_base", "quadrants.lang.kernel"))
+    modules: Any = map(
+        import_module, ("quadrants.lang._func_base", "quadrants.lang.kernel")
+    )
     for module in modules:
         module.get_source_info_and_src = cache(module.get_source_info_and_src)
 
@@ -111,7 +121,9 @@ def specialised(primal: Any, arguments: tuple[Any, ...]) -> Any:
 
 def kernels_of(primal: Any) -> Any:
     """What a kernel has become so far, by the types of its arguments."""
-    return primal.compiled_kernels if COMPILER == "taichi" else primal.materialized_kernels
+    return (
+        primal.compiled_kernels if COMPILER == "taichi" else primal.materialized_kernels
+    )
 
 
 def slot(number: int) -> Any:
@@ -122,5 +134,7 @@ def slot(number: int) -> Any:
 def compiled(function: Any) -> Any:
     """What a program launches."""
     program = impl.get_runtime().prog
-    result = program.compile_kernel(program.config(), program.get_device_caps(), function)
+    result = program.compile_kernel(
+        program.config(), program.get_device_caps(), function
+    )
     return result if COMPILER == "taichi" else result.compiled_kernel_data

@@ -1,7 +1,8 @@
 """Feet on the ground: height under each point, depth, and the springs' forces at the old velocity.
 
-Normal force kn d (1 - u/vmax)+ as Geyer & Herr 2010; friction an anchored spring and damper, capped
-by one Coulomb coefficient. Both enter the step linearly implicitly (`dynamics`).
+Normal force kn d (1 - u/vmax)+ as Geyer & Herr 2010; friction an anchored spring and
+damper, capped by one Coulomb coefficient. Both enter the step linearly implicitly
+(`dynamics`).
 """
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
@@ -11,8 +12,12 @@ from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import CONTACTS, LEGS, Const, State, Work
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
-STATIC_DEFLECTION_M = 0.01  # Geyer & Herr 2010: kn = M g / this; kt the same, as in the walker T
-FRICTION_DAMPING_S = 0.02  # ct = this times kt; ours, for the anchored spring (docs/walker.md)
+STATIC_DEFLECTION_M = (
+    0.01  # Geyer & Herr 2010: kn = M g / this; kt the same, as in the walker T
+)
+FRICTION_DAMPING_S = (
+    0.02  # ct = this times kt; ours, for the anchored spring (docs/walker.md)
+)
 
 LAST_CELL = float(GRID_NODES - 2)
 ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
@@ -30,11 +35,15 @@ def find_cells(lane, state: Rows, work: Rows):
 def find_cell(lane, p: Rows, x, work: Rows):
     """The cell that holds x is that of point p; the ground is level outside of the grid."""
     cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
-    clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)  # NaN to 0: it becomes an index
+    clamped = smaller(
+        larger(0.0, cell), LAST_CELL + 1.0
+    )  # NaN to 0: it becomes an index
     left = smaller(ti.floor(clamped), LAST_CELL)
     work[Work.cell + p, lane] = left
     work[Work.along_cell + p, lane] = clamped - left
-    work[Work.slope_per_rise + p, lane] = ti.select(cell == clamped, 1.0 / GRID_SPACING_M, 0.0)
+    work[Work.slope_per_rise + p, lane] = ti.select(
+        cell == clamped, 1.0 / GRID_SPACING_M, 0.0
+    )
 
 
 @ti.func
@@ -54,7 +63,9 @@ def ground_under(lane, p: Rows, work: Rows):
     """Height and slope of the ground at point p: linear between nodes."""
     low = work[Work.height_left + p, lane]
     rise = work[Work.height_right + p, lane] - low
-    return low + rise * work[Work.along_cell + p, lane], rise * work[Work.slope_per_rise + p, lane]
+    return low + rise * work[Work.along_cell + p, lane], rise * work[
+        Work.slope_per_rise + p, lane
+    ]
 
 
 @ti.func
@@ -101,7 +112,9 @@ def spring_forces(lane, step_s, state: Rows, const: Rows, work: Rows):
     for c in ti.static(range(CONTACTS)):
         tangent_x = work[Work.normal_z + c, lane]
         tangent_z = 0.0 - work[Work.normal_x + c, lane]
-        slid = (work[Work.point_x + c, lane] - state[State.anchor_x + c, lane]) * tangent_x + (
+        slid = (
+            work[Work.point_x + c, lane] - state[State.anchor_x + c, lane]
+        ) * tangent_x + (
             work[Work.point_z + c, lane] - state[State.anchor_z + c, lane]
         ) * tangent_z
         work[Work.normal_force_0 + c, lane] = stiffness * work[Work.gap + c, lane]
@@ -126,9 +139,15 @@ def drag_anchors(lane, step_s, state: Rows, const: Rows, work: Rows):
         hold = work[Work.friction + c, lane] / stiffness
         new_x = work[Work.point_x + c, lane] + step_s * speed_x + tangent_x * hold
         new_z = work[Work.point_z + c, lane] + step_s * speed_z + tangent_z * hold
-        slips = (work[Work.slip + c, lane] != 0.0) | (work[Work.normal_on + c, lane] == 0.0)
-        state[State.anchor_x + c, lane] = ti.select(slips, new_x, state[State.anchor_x + c, lane])
-        state[State.anchor_z + c, lane] = ti.select(slips, new_z, state[State.anchor_z + c, lane])
+        slips = (work[Work.slip + c, lane] != 0.0) | (
+            work[Work.normal_on + c, lane] == 0.0
+        )
+        state[State.anchor_x + c, lane] = ti.select(
+            slips, new_x, state[State.anchor_x + c, lane]
+        )
+        state[State.anchor_z + c, lane] = ti.select(
+            slips, new_z, state[State.anchor_z + c, lane]
+        )
 
 
 @ti.func
@@ -139,7 +158,10 @@ def add_up_legs(lane, state: Rows, work: Rows):
         force_z = 0.0
         for end in ti.static(range(2)):
             c = ti.static(2 * leg + end)
-            normal, friction = work[Work.normal_force + c, lane], work[Work.friction + c, lane]
+            normal, friction = (
+                work[Work.normal_force + c, lane],
+                work[Work.friction + c, lane],
+            )
             nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
             force_x += normal * nx + friction * nz
             force_z += normal * nz - friction * nx
@@ -158,4 +180,6 @@ def ground_at_ankle(lane, leg: Rows, work: Rows):
 @ti.func
 def on_ground(lane, leg: Rows, state: Rows):
     """1 while heel or ball of the leg is in the ground, else 0."""
-    return larger(state[State.touching + 2 * leg, lane], state[State.touching + 2 * leg + 1, lane])
+    return larger(
+        state[State.touching + 2 * leg, lane], state[State.touching + 2 * leg + 1, lane]
+    )

@@ -1,12 +1,13 @@
 """Planes under the soles of walkers whose bodies another engine moves: the ground where each is.
 
-A sole is a sphere. What it touches is the nearest point of the height table, or two in a hollow,
-with the line from there to its centre as normal; the plane through that point is the ground until
-the next step. Solids side by side would not do: a sphere that has sunk in where two of them meet
-touches the end of the one that it has left, and is pushed along the ground.
+A sole is a sphere. What it touches is the nearest point of the height table, or two in
+a hollow, with the line from there to its centre as normal; the plane through that point
+is the ground until the next step. Solids side by side would not do: a sphere that has
+sunk in where two of them meet touches the end of the one that it has left, and is
+pushed along the ground.
 
-All in float64, whatever the controller's precision: a stiff contact sinks in by hundredths of a
-millimetre, hundreds of metres from where the ground begins.
+All in float64, whatever the controller's precision: a stiff contact sinks in by
+hundredths of a millimetre, hundreds of metres from where the ground begins.
 """
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
@@ -17,7 +18,9 @@ from taichi_nmm.terrain import GRID_SPACING_M
 
 SOLE_RADIUS_M = 0.01
 PLANES_PER_SOLE = 2
-PLANES = PLANES_PER_SOLE * CONTACTS  # in the order of the soles: heel and ball, left, then right
+PLANES = (
+    PLANES_PER_SOLE * CONTACTS
+)  # in the order of the soles: heel and ball, left, then right
 
 UNUSED_M = 1.0  # under a sole's centre a level plane supports nothing
 NOWHERE_M = 1e30  # farther than any ground
@@ -77,16 +80,19 @@ def sole_centre(w, sole: Rows, qpos: Array):
 def nearest_points(x, z, ground, nodes: Array, heights: Array):
     """The two points of the ground that carry a sole at x, z: distance, x, z, normal x, z of each.
 
-    They are local minima of the distance, on a piece between two nodes or at a node that stands
-    out; of the piece under x and those beside it, since no sole reaches farther. From within
-    the ground the least deep one is the way out, and others hold only what is above them.
+    They are local minima of the distance, on a piece between two nodes or at a node
+    that stands out; of the piece under x and those beside it, since no sole reaches
+    farther. From within the ground the least deep one is the way out, and others hold
+    only what is above them.
     """
     zero = ti.f64(0.0)
     cell = cell_under(x, nodes)
     share = (x - nodes[cell]) / (nodes[cell + 1] - nodes[cell])
     rise = heights[ground, cell + 1] - heights[ground, cell]
     below = z < heights[ground, cell] + share * rise
-    unused = ti.Vector([zero + ti.f64(NOWHERE_M), x, z - ti.f64(UNUSED_M), zero, zero + 1.0])
+    unused = ti.Vector(
+        [zero + ti.f64(NOWHERE_M), x, z - ti.f64(UNUSED_M), zero, zero + 1.0]
+    )
     first, second, way_out = unused, unused, unused
     before = zero  # where along the piece before the nearest point lies: at its end from 1 on
     for shift in ti.static(range(-1, 2)):
@@ -109,7 +115,13 @@ def nearest_points(x, z, ground, nodes: Array, heights: Array):
                     normal_x, normal_z = from_x / distance, from_z / distance
             before = along
             point = ti.Vector(
-                [distance, x - distance * normal_x, z - distance * normal_z, normal_x, normal_z]
+                [
+                    distance,
+                    x - distance * normal_x,
+                    z - distance * normal_z,
+                    normal_x,
+                    normal_z,
+                ]
             )
             if distance < 0.0:
                 if 0.0 - distance < ti.abs(way_out[0]):
@@ -130,7 +142,9 @@ def cell_under(x, nodes: Array):
     """The piece of the ground under x: the aprons are the first and the last; 0 for no number."""
     zero = ti.f64(0.0)
     along = (x - nodes[1]) / ti.f64(GRID_SPACING_M) + 1.0
-    return ti.cast(ti.floor(smaller(larger(zero, along), zero + (nodes.shape[0] - 2))), ti.i32)
+    return ti.cast(
+        ti.floor(smaller(larger(zero, along), zero + (nodes.shape[0] - 2))), ti.i32
+    )
 
 
 @ti.func

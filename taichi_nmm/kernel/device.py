@@ -1,15 +1,16 @@
 """Devices: an exoskeleton at hips, knees or ankles, and a passive foot in the place of an ankle.
 
-The exoskeleton's torque follows the stride, timed by each leg's own heel strikes. It rises to its
-peak and falls again on cubic splines, of which four numbers tell the shape: peak torque, and peak
-time, rise and fall as shares of a stride (Zhang et al. 2017, "Human-in-the-loop optimization of
-exoskeleton assistance during walking", figure 1). A stride is taken to last as long as the one
-before; there is no torque before a whole stride has been seen. A curve that would rise before the
-strike begins there. Where the power at the joints would exceed the device's, all its torques are
-lowered alike. The device has no mass of its own: [body.mass] may give the links some.
+The exoskeleton's torque follows the stride, timed by each leg's own heel strikes. It
+rises to its peak and falls again on cubic splines, of which four numbers tell the
+shape: peak torque, and peak time, rise and fall as shares of a stride (Zhang et al.
+2017, "Human-in-the-loop optimization of exoskeleton assistance during walking", figure
+1). A stride is taken to last as long as the one before; there is no torque before a
+whole stride has been seen. A curve that would rise before the strike begins there.
+Where the power at the joints would exceed the device's, all its torques are lowered
+alike. The device has no mass of its own: [body.mass] may give the links some.
 
-A prosthesis is a linear spring and damper (`world.Prosthesis`); the muscles that cross the ankle
-are missing, their strength being 0.
+A prosthesis is a linear spring and damper (`world.Prosthesis`); the muscles that cross
+the ankle are missing, their strength being 0.
 """
 
 from taichi_nmm.kernel.backend import Rows, ti
@@ -34,7 +35,9 @@ def assist(lane, state: Rows, const: Rows, work: Rows):
         heel, ball = ti.static(State.touching + 2 * leg, State.touching + 2 * leg + 1)
         down = larger(state[heel, lane], state[ball, lane]) > 0.5
         strike = down & (state[State.device_air + leg, lane] >= DEBOUNCE_TICKS)
-        before = state[State.device_clock + leg, lane]  # ticks since the last strike; 0: none yet
+        before = state[
+            State.device_clock + leg, lane
+        ]  # ticks since the last strike; 0: none yet
         stride = ti.select(strike, before, state[State.device_stride + leg, lane])
         clock = ti.select(strike, 1.0, ti.select(before > 0.0, before + 1.0, 0.0))
         share = clock / larger(stride, 1.0)
@@ -45,11 +48,18 @@ def assist(lane, state: Rows, const: Rows, work: Rows):
         torque = ti.select(stride > 0.0, curve, 0.0)
         rate = 0.0
         for joint in ti.static(range(3 * leg, 3 * leg + 3)):
-            rate += const[Const.exo_share + joint, lane] * work[Work.joint_rate + joint, lane]
+            rate += (
+                const[Const.exo_share + joint, lane]
+                * work[Work.joint_rate + joint, lane]
+            )
         most = const[Const.exo_power + leg, lane]
-        torque = ti.select(torque * rate > most, most / larger(rate, LEAST_RATE_RADPS), torque)
+        torque = ti.select(
+            torque * rate > most, most / larger(rate, LEAST_RATE_RADPS), torque
+        )
         for joint in ti.static(range(3 * leg, 3 * leg + 3)):
-            state[State.device_torque + joint, lane] = const[Const.exo_share + joint, lane] * torque
+            state[State.device_torque + joint, lane] = (
+                const[Const.exo_share + joint, lane] * torque
+            )
         state[State.device_stride + leg, lane] = stride
         state[State.device_clock + leg, lane] = clock
         air = state[State.device_air + leg, lane] + 1.0

@@ -1,8 +1,9 @@
 """Equations of motion of the seven links, and their linearly implicit step with contacts and stops.
 
-The mass matrix is an arrow: base (x, z), HAT, and two legs of three links that touch only the base.
-Contacts and joint stops keep that form, so one step is two 3x3 factorisations and a 2x2 solve.
-With d_i the direction of link i and e_i = dd_i/dth_i: M[xz, i] = A_i e_i, M[i, j] = B_ij e_i.e_j.
+The mass matrix is an arrow: base (x, z), HAT, and two legs of three links that touch
+only the base. Contacts and joint stops keep that form, so one step is two 3x3
+factorisations and a 2x2 solve. With d_i the direction of link i and e_i = dd_i/dth_i:
+M[xz, i] = A_i e_i, M[i, j] = B_ij e_i.e_j.
 """
 
 from taichi_nmm.body import (
@@ -13,7 +14,13 @@ from taichi_nmm.body import (
     THIGH_LENGTH_M,
 )
 from taichi_nmm.kernel.backend import Rows, ti
-from taichi_nmm.kernel.elementary import FIRST_FACTOR, INCREMENT, TICK_FACTOR, larger, uniform
+from taichi_nmm.kernel.elementary import (
+    FIRST_FACTOR,
+    INCREMENT,
+    TICK_FACTOR,
+    larger,
+    uniform,
+)
 from taichi_nmm.kernel.kinematics import slope_vector
 from taichi_nmm.kernel.layout import (
     CONTACTS,
@@ -28,13 +35,16 @@ from taichi_nmm.kernel.layout import (
 )
 from taichi_nmm.settings import CONTROL_TICK_S
 
-# A leg's equations: m11, m22, m33, m12, m13, m23, coupling to the base in x, in z, right-hand side.
-# They and the base's are local vectors, which the compiler keeps in registers: `Work` is memory.
+# A leg's equations: m11, m22, m33, m12, m13, m23, coupling to the base in x, in z,
+# right-hand side. They and the base's are local vectors, which the compiler keeps in
+# registers: `Work` is memory.
 Leg = blocks(inertia=6, coupling=6, rhs=3)
 
 CATCH_S = 0.02  # ours: short beside a swing of 0.4 s
 CATCH_EVERY_S = 1.0  # of a leg; ours, about a stride (published gains: 1.14 s)
-CATCH_TICKS, CATCH_EVERY_TICKS = (round(t / CONTROL_TICK_S) for t in (CATCH_S, CATCH_EVERY_S))
+CATCH_TICKS, CATCH_EVERY_TICKS = (
+    round(t / CONTROL_TICK_S) for t in (CATCH_S, CATCH_EVERY_S)
+)
 FIRST_CATCH_WORD = Signal.count + 1  # of the hash: after those of the noise
 
 
@@ -56,7 +66,9 @@ def leg_inertia(lane, leg: Rows, const: Rows, work: Rows):
 
 
 @ti.func
-def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows, work: Rows):
+def momentum_after_free_step(
+    lane, step_s, mass_scale, state: Rows, const: Rows, work: Rows
+):
     """momentum = mass_scale M qdot + step Q: gravity, centrifugal terms and joint torques.
 
     (1, h) gives the right-hand side of a step; (0, 1) the generalised forces alone.
@@ -90,9 +102,27 @@ def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows,
         t = ti.static(Work.joint_torque + 3 * leg)
         hip, knee, ankle = work[t, lane], work[t + 1, lane], work[t + 2, lane]
         torque_0 -= hip
-        torque_1 = cross_12 * w2 * w2 + cross_13 * w3 * w3 - GRAVITY_MPS2 * a1 * z1 + hip - knee
-        torque_2 = cross_23 * w3 * w3 - cross_12 * w1 * w1 - GRAVITY_MPS2 * a2 * z2 + knee - ankle
-        torque_3 = 0.0 - cross_13 * w1 * w1 - cross_23 * w2 * w2 - GRAVITY_MPS2 * a3 * z3 + ankle
+        torque_1 = (
+            cross_12 * w2 * w2
+            + cross_13 * w3 * w3
+            - GRAVITY_MPS2 * a1 * z1
+            + hip
+            - knee
+        )
+        torque_2 = (
+            cross_23 * w3 * w3
+            - cross_12 * w1 * w1
+            - GRAVITY_MPS2 * a2 * z2
+            + knee
+            - ankle
+        )
+        torque_3 = (
+            0.0
+            - cross_13 * w1 * w1
+            - cross_23 * w2 * w2
+            - GRAVITY_MPS2 * a3 * z3
+            + ankle
+        )
         m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
         m = ti.static(Work.momentum + 3 + 3 * leg)
         work[m, lane] = step_s * torque_1 + mass_scale * (
@@ -115,8 +145,9 @@ def momentum_after_free_step(lane, step_s, mass_scale, state: Rows, const: Rows,
 def catch_feet(lane, tick, step_s, const: Rows, work: Rows):
     """Add what holds the feet back at this tick to the momentum: step J^T f, as in `add_foot`.
 
-    Time is cut into slots. In each, each leg catches once, wholly within: when, and which share of
-    the largest impulse pulls its ball backwards, are hashes of walker, slot and leg.
+    Time is cut into slots. In each, each leg catches once, wholly within: when, and
+    which share of the largest impulse pulls its ball backwards, are hashes of walker,
+    slot and leg.
     """
     slot = tick // CATCH_EVERY_TICKS
     within = ti.cast(tick - CATCH_EVERY_TICKS * slot, float)
@@ -141,8 +172,8 @@ def catch_feet(lane, tick, step_s, const: Rows, work: Rows):
 def solve(lane, step_s, const: Rows, work: Rows):
     """New velocities: (M + h sum J^T C J) v = momentum + h sum J^T f0, over the active contacts.
 
-    HAT and legs are eliminated one after another (Schur complement), which leaves two equations in
-    the base's velocity; the rest follows from it.
+    HAT and legs are eliminated one after another (Schur complement), which leaves two
+    equations in the base's velocity; the rest follows from it.
     """
     base = without_hat(lane, const, work)
     left = eliminate_leg(lane, 0, step_s, base, const, work)
@@ -159,8 +190,12 @@ def solve(lane, step_s, const: Rows, work: Rows):
         Const.b_hat, lane
     ]
     for i in ti.static(range(3)):
-        work[Work.new_qdot + 3 + i, lane] = left[6 + i] - left[i] * vx - left[3 + i] * vz
-        work[Work.new_qdot + 6 + i, lane] = right[6 + i] - right[i] * vx - right[3 + i] * vz
+        work[Work.new_qdot + 3 + i, lane] = (
+            left[6 + i] - left[i] * vx - left[3 + i] * vz
+        )
+        work[Work.new_qdot + 6 + i, lane] = (
+            right[6 + i] - right[i] * vx - right[3 + i] * vz
+        )
 
 
 @ti.func
@@ -170,13 +205,15 @@ def without_hat(lane, const: Rows, work: Rows):
     e0x, e0z = slope_vector(lane, 0, work)
     k = a0 / const[Const.b_hat, lane]
     p0 = work[Work.momentum + 2, lane]
-    return ti.Vector([
-        mass - k * a0 * e0x * e0x,
-        0.0 - k * a0 * e0x * e0z,
-        mass - k * a0 * e0z * e0z,
-        work[Work.momentum + 0, lane] - k * e0x * p0,
-        work[Work.momentum + 1, lane] - k * e0z * p0,
-    ])  # fmt: skip
+    return ti.Vector(
+        [
+            mass - k * a0 * e0x * e0x,
+            0.0 - k * a0 * e0x * e0z,
+            mass - k * a0 * e0z * e0z,
+            work[Work.momentum + 0, lane] - k * e0x * p0,
+            work[Work.momentum + 1, lane] - k * e0z * p0,
+        ]
+    )
 
 
 @ti.func
@@ -188,25 +225,45 @@ def in_the_air(lane, leg: Rows, const: Rows, work: Rows):
     x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
     a, p = ti.static(Const.a_leg + 3 * leg, Work.momentum + 3 + 3 * leg)
     a1, a2, a3 = const[a, lane], const[a + 1, lane], const[a + 2, lane]
-    return ti.Vector([
-        m11, m22, m33, m12, m13, m23,
-        a1 * x1, a2 * x2, a3 * x3, a1 * z1, a2 * z2, a3 * z3,
-        work[p, lane], work[p + 1, lane], work[p + 2, lane],
-    ])  # fmt: skip
+    return ti.Vector(
+        [
+            m11,
+            m22,
+            m33,
+            m12,
+            m13,
+            m23,
+            a1 * x1,
+            a2 * x2,
+            a3 * x3,
+            a1 * z1,
+            a2 * z2,
+            a3 * z3,
+            work[p, lane],
+            work[p + 1, lane],
+            work[p + 2, lane],
+        ]
+    )
 
 
 @ti.func
 def point_spring(lane, c: Rows, step_s, work: Rows):
     """Damping matrix xx, xz, zz and force x, z of one point in the world, both times the step.
 
-    Along normal n and tangent t = (n_z, -n_x); a slipping point's friction is a given force.
+    Along normal n and tangent t = (n_z, -n_x); a slipping point's friction is a given
+    force.
     """
     nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
-    on, sticks = step_s * work[Work.normal_on + c, lane], work[Work.slip + c, lane] == 0.0
+    on, sticks = (
+        step_s * work[Work.normal_on + c, lane],
+        work[Work.slip + c, lane] == 0.0,
+    )
     damping_n = on * work[Work.normal_damping + c, lane]
     damping_t = ti.select(sticks, on * work[Work.friction_damping, lane], 0.0)
     force_n = on * work[Work.normal_force_0 + c, lane]
-    force_t = on * ti.select(sticks, work[Work.friction_0 + c, lane], work[Work.friction + c, lane])
+    force_t = on * ti.select(
+        sticks, work[Work.friction_0 + c, lane], work[Work.friction + c, lane]
+    )
     return (
         damping_n * nx * nx + damping_t * nz * nz,
         (damping_n - damping_t) * nx * nz,
@@ -268,7 +325,9 @@ def add_foot(lane, leg: Rows, step_s, equations: Rows, base: Rows, work: Rows):
 def point_velocity(lane, c: Rows, work: Rows):
     """Velocity x, z of contact point c after the step: hip + L1 e1 w1 + L2 e2 w2 + r e3 w3."""
     leg = ti.static(c // 2)
-    lever = ti.static((THIGH_LENGTH_M, SHANK_LENGTH_M, (HEEL_OFFSET_M, BALL_OFFSET_M)[c % 2]))
+    lever = ti.static(
+        (THIGH_LENGTH_M, SHANK_LENGTH_M, (HEEL_OFFSET_M, BALL_OFFSET_M)[c % 2])
+    )
     vx, vz = work[Work.new_qdot + 0, lane], work[Work.new_qdot + 1, lane]
     for i in ti.static(range(3)):
         x, z = slope_vector(lane, 1 + 3 * leg + i, work)
@@ -348,8 +407,9 @@ def substitute(b1, b2, b3, l21, l31, l32, i1, i2, i3):
 def revise_contacts(lane, const: Rows, work: Rows):
     """One complementarity pass: drop contacts that pull, let slip what exceeds the cone.
 
-    Without the drop the linearised damper would glue the foot to the ground. A slipping point's
-    friction follows its normal force from pass to pass, until that no longer changes.
+    Without the drop the linearised damper would glue the foot to the ground. A slipping
+    point's friction follows its normal force from pass to pass, until that no longer
+    changes.
     """
     changed = 0.0
     for c in ti.static(range(CONTACTS)):
@@ -360,9 +420,12 @@ def revise_contacts(lane, const: Rows, work: Rows):
         on = work[Work.normal_on + c, lane]
         slip = work[Work.slip + c, lane]
         normal = on * (
-            work[Work.normal_force_0 + c, lane] - work[Work.normal_damping + c, lane] * u_n
+            work[Work.normal_force_0 + c, lane]
+            - work[Work.normal_damping + c, lane] * u_n
         )
-        stuck = on * (work[Work.friction_0 + c, lane] - work[Work.friction_damping, lane] * u_t)
+        stuck = on * (
+            work[Work.friction_0 + c, lane] - work[Work.friction_damping, lane] * u_t
+        )
         pulls = normal < 0.0
         normal = larger(normal, 0.0)
         cone = const[Const.friction, lane] * normal

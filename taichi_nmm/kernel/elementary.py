@@ -1,7 +1,7 @@
 """Sine, cosine, arctangent, exponential, hash from arithmetic alone, so that lanes vectorise.
 
-Library functions are calls, and a call stops LLVM's loop vectoriser. Accurate to some 1e-15 in
-float64 and to rounding in float32 over the ranges named; tested against NumPy.
+Library functions are calls, and a call stops LLVM's loop vectoriser. Accurate to some
+1e-15 in float64 and to rounding in float32 over the ranges named; tested against NumPy.
 """
 
 from math import factorial, log
@@ -24,15 +24,23 @@ EXPONENTIAL = tuple(log(2.0) ** k / factorial(k) for k in reversed(range(12)))  
 
 # Cephes, atan.c: atan u = u + u z P(z)/Q(z) with z = u^2, for |u| <= 0.66.
 ARCTANGENT_P = (
-    -8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
-    -1.228866684490136173410e2, -6.485021904942025371773e1,
-)  # fmt: skip
+    -8.750608600031904122785e-1,
+    -1.615753718733365076637e1,
+    -7.500855792314704667340e1,
+    -1.228866684490136173410e2,
+    -6.485021904942025371773e1,
+)
 ARCTANGENT_Q = (
-    1.0, 2.485846490142306297962e1, 1.650270098316988542046e2,
-    4.328810604912902668951e2, 4.853903996359136964868e2, 1.945506571482613964425e2,
-)  # fmt: skip
+    1.0,
+    2.485846490142306297962e1,
+    1.650270098316988542046e2,
+    4.328810604912902668951e2,
+    4.853903996359136964868e2,
+    1.945506571482613964425e2,
+)
 
-# Weyl's increment 2^32 / golden ratio, and the rounds of `lowbias32` (C. Wellons, 2018).
+# Weyl's increment 2^32 / golden ratio, and the rounds of `lowbias32` (C. Wellons,
+# 2018).
 INCREMENT, FIRST_FACTOR, SECOND_FACTOR = 0x9E3779B9, 0x7FEB352D, 0x846CA68B
 TICK_FACTOR = 0x85EBCA6B  # odd: no two ticks share their noise
 

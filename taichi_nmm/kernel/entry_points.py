@@ -1,8 +1,9 @@
 """The kernels that the host launches: packs side by side, in turns of the parallel loop.
 
-A pack's rows live in NumPy arrays [pack, row, lane] between launches and in local arrays within
-one, since only local arrays let the compiler vectorise (`backend`). On a CPU a turn takes all lanes
-of a pack, on a GPU one: neighbouring threads then read neighbouring numbers.
+A pack's rows live in NumPy arrays [pack, row, lane] between launches and in local
+arrays within one, since only local arrays let the compiler vectorise (`backend`). On a
+CPU a turn takes all lanes of a pack, on a GPU one: neighbouring threads then read
+neighbouring numbers.
 """
 
 from taichi_nmm.kernel import dynamics, kinematics, walker
@@ -118,10 +119,13 @@ def advance(
 ):
     """Advance all packs by `ticks` control ticks; `rough` is 0 where all terrains have height 0.
 
-    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], terrains [p, lane] (rows of
-    `heights` [terrain, node]), muscles [7, TABLE_COLUMNS]. A turn takes `lanes` lanes of a pack.
+    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], terrains [p, lane]
+    (rows of `heights` [terrain, node]), muscles [7, TABLE_COLUMNS]. A turn takes
+    `lanes` lanes of a pack.
     """
-    ti.loop_config(block_dim=ti.static(TURNS_PER_BLOCK if lanes == 1 else TURNS_PER_TASK))
+    ti.loop_config(
+        block_dim=ti.static(TURNS_PER_BLOCK if lanes == 1 else TURNS_PER_TASK)
+    )
     for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
         work = local_rows(Work.count, lanes)
         table = load_table(muscles)
@@ -134,10 +138,24 @@ def advance(
         terrain = load_terrains(terrains, turn, lanes)
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
-                tick, substeps, step_s, activation_blend, load_blend, rough,
-                lanes, terrain, heights, table,
-                state, fibres, delay, events, sums, const, work,
-            )  # fmt: skip
+                tick,
+                substeps,
+                step_s,
+                activation_blend,
+                load_blend,
+                rough,
+                lanes,
+                terrain,
+                heights,
+                table,
+                state,
+                fibres,
+                delay,
+                events,
+                sums,
+                const,
+                work,
+            )
         save(packs, turn, 0, State.count, lanes, state)
         save(packs, turn, FIRST_FIBRE, Muscle.count, lanes, fibres)
         save(packs, turn, FIRST_DELAY, Delay.count, lanes, delay)
@@ -155,7 +173,8 @@ def accelerate(
 ):
     """Accelerations of walkers in the air: `dynamics.solve` with the generalised forces alone.
 
-    states [p, 18, lanes] (q, then qdot), torques [p, 6, lanes], accelerations [p, 9, lanes].
+    states [p, 18, lanes] (q, then qdot), torques [p, 6, lanes], accelerations [p, 9,
+    lanes].
     """
     ti.loop_config(block_dim=TURNS_PER_TASK)
     for p in range(states.shape[0]):

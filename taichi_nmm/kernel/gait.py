@@ -1,9 +1,10 @@
 """Steps and their score: the determinants of gait M1..M5 of Antonova et al. 2016, in the kernel.
 
-A step is swing -> strike -> stance -> take-off of one leg, scored at its committed take-off.
-Contact is debounced: a foot takes off when contact has been lost for 0.1 s, and strikes when it
-comes down after at least as long. A swing that began before the simulation is not observed whole:
-neither the left leg's first stance nor the right leg's first swing makes a step.
+A step is swing -> strike -> stance -> take-off of one leg, scored at its committed
+take-off. Contact is debounced: a foot takes off when contact has been lost for 0.1 s,
+and strikes when it comes down after at least as long. A swing that began before the
+simulation is not observed whole: neither the left leg's first stance nor the right
+leg's first swing makes a step.
 """
 
 import math
@@ -64,9 +65,14 @@ def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work
 
     Of what both legs share it changes the tick of the last strike alone.
     """
-    strike, takeoff = work[Work.strike + leg, lane] > 0.5, work[Work.takeoff + leg, lane] > 0.5
+    strike, takeoff = (
+        work[Work.strike + leg, lane] > 0.5,
+        work[Work.takeoff + leg, lane] > 0.5,
+    )
     score_step(lane, leg, takeoff & (gait[Gait.struck + leg, lane] > 0.5), gait, sums)
-    latch(gait, Gait.tick_takeoff + leg, lane, takeoff, gait[Gait.tick_last + leg, lane])
+    latch(
+        gait, Gait.tick_takeoff + leg, lane, takeoff, gait[Gait.tick_last + leg, lane]
+    )
     for joint in ti.static(range(3)):
         latch(gait, Gait.torque_peak + 3 * leg + joint, lane, takeoff, 0.0)
 
@@ -74,8 +80,16 @@ def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work
     took_off = ti.select(gait[Gait.tick_takeoff + leg, lane] > 0.0, 1.0, 0.0)
     com = work[Work.com_z, lane] - ground_at_ankle(lane, leg, work)
     latch(gait, Gait.struck + leg, lane, strike, took_off)
-    latch(gait, Gait.knee_peak_swing + leg, lane, strike, gait[Gait.knee_peak + leg, lane])
-    latch(gait, Gait.ankle_strike + leg, lane, strike, work[Work.joint + 3 * leg + 2, lane])
+    latch(
+        gait, Gait.knee_peak_swing + leg, lane, strike, gait[Gait.knee_peak + leg, lane]
+    )
+    latch(
+        gait,
+        Gait.ankle_strike + leg,
+        lane,
+        strike,
+        work[Work.joint + 3 * leg + 2, lane],
+    )
     latch(gait, Gait.com_strike + leg, lane, strike, com)
     latch(gait, Gait.com_mid + leg, lane, strike, 0.0)
     latch(gait, Gait.past_middle + leg, lane, strike, 0.0)
@@ -83,10 +97,13 @@ def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work
     latch(gait, Gait.tick_strike + leg, lane, strike, tick)
     for row in ti.static(
         (
-            Gait.trunk_sum, Gait.knee_peak_stance,
-            Gait.vertical_peak, Gait.braking_peak, Gait.propulsion_peak,
+            Gait.trunk_sum,
+            Gait.knee_peak_stance,
+            Gait.vertical_peak,
+            Gait.braking_peak,
+            Gait.propulsion_peak,
         )
-    ):  # fmt: skip
+    ):
         latch(gait, row + leg, lane, strike, 0.0)
     latch(gait, Gait.in_stance + leg, lane, takeoff, 0.0)
     latch(gait, Gait.in_stance + leg, lane, strike, 1.0)
@@ -141,7 +158,10 @@ def follow_contact(
 def follow_torques(lane, gait: Rows, work: Rows):
     """Peaks of the joint torques, before stops add theirs. Who has fallen is scored no more."""
     for joint in ti.static(range(3 * LEGS)):
-        torque, row = work[Work.joint_torque + joint, lane], ti.static(Gait.torque_peak + joint)
+        torque, row = (
+            work[Work.joint_torque + joint, lane],
+            ti.static(Gait.torque_peak + joint),
+        )
         gait[row, lane] = larger(gait[row, lane], larger(torque, 0.0 - torque))
 
 
@@ -187,7 +207,10 @@ def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
     """M1..M5 of a finished step, added to the walker's sums."""
     swing_peak = gait[Gait.knee_peak_swing + leg, lane]
     m1 = (swing_peak > KNEE_FLEXION_LOW_RAD) & (swing_peak < KNEE_FLEXION_HIGH_RAD)
-    strike, takeoff = gait[Gait.ankle_strike + leg, lane], gait[Gait.ankle_last + leg, lane]
+    strike, takeoff = (
+        gait[Gait.ankle_strike + leg, lane],
+        gait[Gait.ankle_last + leg, lane],
+    )
     m2 = (strike < 0.0) & (takeoff > 0.0)
     middle = gait[Gait.com_mid + leg, lane]
     m3 = (
@@ -196,7 +219,9 @@ def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
         & (gait[Gait.com_last + leg, lane] < middle)
     )
     m4 = gait[Gait.trunk_sum + leg, lane] > 0.0
-    ticks = larger(gait[Gait.tick_last + leg, lane] - gait[Gait.tick_strike + leg, lane], 1.0)
+    ticks = larger(
+        gait[Gait.tick_last + leg, lane] - gait[Gait.tick_strike + leg, lane], 1.0
+    )
     progress = gait[Gait.hip_x_last + leg, lane] - gait[Gait.hip_x_strike + leg, lane]
     difference = progress * TICKS_PER_SECOND / ticks - HUMAN_SPEED_MPS
     deviation = larger(difference, 0.0 - difference)
@@ -208,12 +233,20 @@ def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
     add(sums, Sums.m5, lane, scored, deviation)
     add(sums, Sums.m5_corrected, lane, scored, larger(1.0 - deviation, 0.0))
     add(sums, Sums.knee_peak_swing, lane, scored, swing_peak)
-    add(sums, Sums.knee_peak_stance, lane, scored, gait[Gait.knee_peak_stance + leg, lane])
+    add(
+        sums,
+        Sums.knee_peak_stance,
+        lane,
+        scored,
+        gait[Gait.knee_peak_stance + leg, lane],
+    )
     add(sums, Sums.ankle_strike, lane, scored, strike)
     add(sums, Sums.ankle_takeoff, lane, scored, takeoff)
     add(sums, Sums.vertical_peak, lane, scored, gait[Gait.vertical_peak + leg, lane])
     add(sums, Sums.braking_peak, lane, scored, gait[Gait.braking_peak + leg, lane])
-    add(sums, Sums.propulsion_peak, lane, scored, gait[Gait.propulsion_peak + leg, lane])
+    add(
+        sums, Sums.propulsion_peak, lane, scored, gait[Gait.propulsion_peak + leg, lane]
+    )
     for joint in ti.static(range(3)):
         peak = gait[Gait.torque_peak + 3 * leg + joint, lane]
         add(sums, Sums.hip_torque_peak + joint, lane, scored, peak)
@@ -254,8 +287,12 @@ def add_up_motors(lane, state: Rows, sums: Rows, work: Rows):
         for joint in ti.static(range(3)):
             torque = state[State.device_torque + 3 * leg + joint, lane]
             if ti.static(joint < 2):
-                torque += state[ti.static((State.hip_torque, State.knee_torque)[joint]) + leg, lane]
-            power_w += larger(torque * work[Work.joint_rate + 3 * leg + joint, lane], 0.0)
+                torque += state[
+                    ti.static((State.hip_torque, State.knee_torque)[joint]) + leg, lane
+                ]
+            power_w += larger(
+                torque * work[Work.joint_rate + 3 * leg + joint, lane], 0.0
+            )
     add(sums, Sums.motor_energy, lane, up, power_w * (1.0 / TICKS_PER_SECOND))
 
 
@@ -268,4 +305,10 @@ def add_up_forces(lane, step_s, state: Rows, sums: Rows, work: Rows):
         power_w += work[Work.metabolic_power + m, lane]
     add(sums, Sums.metabolic_energy, lane, up, step_s * power_w)
     for i in ti.static(range(2 * LEGS)):
-        add(sums, Sums.impulse + i, lane, up, step_s * state[State.ground_force + i, lane])
+        add(
+            sums,
+            Sums.impulse + i,
+            lane,
+            up,
+            step_s * state[State.ground_force + i, lane],
+        )

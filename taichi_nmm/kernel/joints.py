@@ -2,8 +2,8 @@
 
 A joint that a muscle does not span is left out of its sums when the kernel is compiled.
 
-Stops are soft limits, tau = -k D (1 + w/w_max)+, D the angle beyond the limit (Geyer & Herr 2010,
-as in the walker T). Knee and ankle enter the step implicitly.
+Stops are soft limits, tau = -k D (1 + w/w_max)+, D the angle beyond the limit (Geyer &
+Herr 2010, as in the walker T). Knee and ankle enter the step implicitly.
 """
 
 import math
@@ -24,16 +24,20 @@ def strain_terms(leg: int, m: int) -> list[tuple[float, int]]:
     knee, ankle = 2 * leg, 2 * leg + 1
     rows = (
         Work.joint + 3 * leg,
-        Work.sine_joint + knee, Work.cosine_joint + knee,
-        Work.sine_joint + ankle, Work.cosine_joint + ankle,
-    )  # fmt: skip
+        Work.sine_joint + knee,
+        Work.cosine_joint + knee,
+        Work.sine_joint + ankle,
+        Work.cosine_joint + ankle,
+    )
     return [(float(f), row) for f, row in zip(STRAINS[m, 1:], rows, strict=True) if f]
 
 
 def torque_terms(joint: int) -> list[tuple[int, float, float]]:
     """Muscles of knee or ankle, each with its torque's factors of cosine and sine, N m at Fmax."""
     factors = TORQUES_NM[:, 2 * joint - 1 : 2 * joint + 1]
-    return [(m, float(row[0]), float(row[1])) for m, row in enumerate(factors) if row.any()]
+    return [
+        (m, float(row[0]), float(row[1])) for m, row in enumerate(factors) if row.any()
+    ]
 
 
 @ti.func
@@ -91,13 +95,19 @@ def knee_and_ankle_stops(lane, step_s, work: Rows):
         pointed = larger(ankle - ANKLE_PLANTARFLEXION_LIMIT_RAD, 0.0)
         ankle_excess = flexed - pointed  # positive pushes towards plantarflexion
         work[Work.stop_torque_0 + 2 * leg, lane] = STOP_STIFFNESS_NMPRAD * bent_back
-        work[Work.stop_torque_0 + 2 * leg + 1, lane] = STOP_STIFFNESS_NMPRAD * ankle_excess
+        work[Work.stop_torque_0 + 2 * leg + 1, lane] = (
+            STOP_STIFFNESS_NMPRAD * ankle_excess
+        )
         knee_damping = bent_back / STOP_RELAXATION_RADPS + step_s
         ankle_damping = (flexed + pointed) / STOP_RELAXATION_RADPS + step_s
         work[Work.stop_damping + 2 * leg, lane] = STOP_STIFFNESS_NMPRAD * knee_damping
-        work[Work.stop_damping + 2 * leg + 1, lane] = STOP_STIFFNESS_NMPRAD * ankle_damping
+        work[Work.stop_damping + 2 * leg + 1, lane] = (
+            STOP_STIFFNESS_NMPRAD * ankle_damping
+        )
         work[Work.stop_on + 2 * leg, lane] = ti.select(bent_back > 0.0, 1.0, 0.0)
-        work[Work.stop_on + 2 * leg + 1, lane] = ti.select(ankle_excess != 0.0, 1.0, 0.0)
+        work[Work.stop_on + 2 * leg + 1, lane] = ti.select(
+            ankle_excess != 0.0, 1.0, 0.0
+        )
 
 
 @ti.func
@@ -108,4 +118,6 @@ def hip_stops(lane, work: Rows):
         excess = larger(work[Work.joint + hip, lane] - HIP_EXTENSION_LIMIT_RAD, 0.0)
         factor = 1.0 + work[Work.joint_rate + hip, lane] / HIP_RELAXATION_RADPS
         factor = smaller(larger(factor, 0.0), HIP_LARGEST_FACTOR)
-        work[Work.joint_torque + hip, lane] += 0.0 - STOP_STIFFNESS_NMPRAD * excess * factor
+        work[Work.joint_torque + hip, lane] += (
+            0.0 - STOP_STIFFNESS_NMPRAD * excess * factor
+        )

@@ -1,7 +1,8 @@
 """Where everything is: directions of the links, contact points, joint angles, leg angle and length.
 
-World x forward, z up; all angles clockwise positive. Thigh and shank point along
-D(th) = (-sin th, -cos th) from their proximal joint, the foot along F(th) = (cos th, -sin th).
+World x forward, z up; all angles clockwise positive. Thigh and shank point along D(th)
+= (-sin th, -cos th) from their proximal joint, the foot along F(th) = (cos th, -sin
+th).
 """
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
@@ -35,7 +36,8 @@ def slope_vector(lane, i: Rows, work: Rows):
 def contact_points(lane, state: Rows, work: Rows):
     """Positions of ankles, heels and balls in the world, and each leg's length and angle.
 
-    They are those of the line hip - ankle; 90 deg is vertical, less is in front of the hip.
+    They are those of the line hip - ankle; 90 deg is vertical, less is in front of the
+    hip.
     """
     for leg in ti.static(range(LEGS)):
         thigh, shank, foot = ti.static(1 + 3 * leg, 2 + 3 * leg, 3 + 3 * leg)
@@ -74,11 +76,15 @@ def joints(lane, state: Rows, work: Rows):
                 state[State.q + 2 + child, lane] - state[State.q + 2 + parent, lane]
             )
             work[Work.joint_rate + 3 * leg + joint, lane] = (
-                state[State.qdot + 2 + child, lane] - state[State.qdot + 2 + parent, lane]
+                state[State.qdot + 2 + child, lane]
+                - state[State.qdot + 2 + parent, lane]
             )
             if ti.static(joint > 0):
                 sc, cc = work[Work.sine + child, lane], work[Work.cosine + child, lane]
-                sp, cp = work[Work.sine + parent, lane], work[Work.cosine + parent, lane]
+                sp, cp = (
+                    work[Work.sine + parent, lane],
+                    work[Work.cosine + parent, lane],
+                )
                 row = ti.static(2 * leg + joint - 1)
                 work[Work.sine_joint + row, lane] = sc * cp - cc * sp
                 work[Work.cosine_joint + row, lane] = cc * cp + sc * sp

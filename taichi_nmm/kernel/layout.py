@@ -1,8 +1,9 @@
 """Where each named quantity lies in the kernels' local arrays [row, lane].
 
-Legs are in the order left, right; contacts heel left, ball left, heel right, ball right; joint
-stops knee left, ankle left, knee right, ankle right; muscles `MUSCLES` left, then right; segments
-as in `body.SEGMENT_NAMES`. A block's row is the name plus the index within the block.
+Legs are in the order left, right; contacts heel left, ball left, heel right, ball
+right; joint stops knee left, ankle left, knee right, ankle right; muscles `MUSCLES`
+left, then right; segments as in `body.SEGMENT_NAMES`. A block's row is the name plus
+the index within the block.
 """
 
 from types import SimpleNamespace
@@ -32,10 +33,19 @@ def blocks(first: int = 0, /, **sizes: int) -> SimpleNamespace:
 
 # Signals that reach the controller late; a leg's two values lie side by side.
 Signal = blocks(
-    force_sol=LEGS, force_gas=LEGS, length_ta=LEGS,  # 20 ms
-    force_vas=LEGS, knee=LEGS, knee_rate=LEGS, stance=LEGS,  # 10 ms
-    force_ham=LEGS, force_glu=LEGS, load=LEGS, trunk=1, trunk_rate=1,  # 5 ms
-)  # fmt: skip
+    force_sol=LEGS,
+    force_gas=LEGS,
+    length_ta=LEGS,  # 20 ms
+    force_vas=LEGS,
+    knee=LEGS,
+    knee_rate=LEGS,
+    stance=LEGS,  # 10 ms
+    force_ham=LEGS,
+    force_glu=LEGS,
+    load=LEGS,
+    trunk=1,
+    trunk_rate=1,  # 5 ms
+)
 
 # The state of a walker, from step to step.
 State = blocks(
@@ -74,9 +84,9 @@ Muscle = blocks(
     force=MUSCLE_COUNT,  # over the nominal Fmax
 )
 
-# Never written by a step: each gain by its name (`Const.K_SOL`, of the left leg, then the right),
-# coefficients of the body, and the world.
-# A_i and B_ij multiply the directions of the links in the mass matrix: see `dynamics`.
+# Never written by a step: each gain by its name (`Const.K_SOL`, of the left leg, then
+# the right), coefficients of the body, and the world. A_i and B_ij multiply the
+# directions of the links in the mass matrix: see `dynamics`.
 Const = blocks(
     **dict.fromkeys(GAIN_NAMES, LEGS),
     **dict.fromkeys((each.name for each in (*FIXED, *DEVICE)), 1),
@@ -107,8 +117,9 @@ Const = blocks(
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)
 )
 
-# Scratch of one step. First comes what several of its parts use. After it lies what one part alone
-# uses, in rows that the next part overwrites: the more rows, the longer a kernel compiles.
+# Scratch of one step. First comes what several of its parts use. After it lies what one
+# part alone uses, in rows that the next part overwrites: the more rows, the longer a
+# kernel compiles.
 _shared = blocks(
     sine=SEGMENT_COUNT,
     cosine=SEGMENT_COUNT,
@@ -135,7 +146,8 @@ _shared = blocks(
 )
 _look_up = blocks(
     _shared.count,
-    cell=CONTACTS + 1,  # of the terrain's grid under each contact point, and under the hip
+    cell=CONTACTS
+    + 1,  # of the terrain's grid under each contact point, and under the hip
     along_cell=CONTACTS + 1,  # how far along it, 0 to 1
     slope_per_rise=CONTACTS + 1,  # 1/m; 0 outside of the grid
 )
@@ -177,12 +189,16 @@ _dynamics = blocks(
     changed=1,
 )
 _parts = (_shared, _look_up, _control, _contraction, _dynamics)
-Work = SimpleNamespace(**{name: row for part in _parts for name, row in vars(part).items()})
+Work = SimpleNamespace(
+    **{name: row for part in _parts for name, row in vars(part).items()}
+)
 Work.count = max(part.count for part in _parts)
 
 LONG, MID = Signal.force_vas, Signal.force_ham - Signal.force_vas  # how many signals
 SHORT = Signal.count - LONG - MID
-Delay = blocks(long=20 * LONG, mid=10 * MID, short=5 * SHORT)  # a slot a tick of each signal
+Delay = blocks(
+    long=20 * LONG, mid=10 * MID, short=5 * SHORT
+)  # a slot a tick of each signal
 # Each kind of ring: its first signal, number of signals, ticks of delay, first row.
 RINGS = (
     (0, LONG, 20, Delay.long),
@@ -238,7 +254,8 @@ Gait = blocks(
     vertical_peak=LEGS,
     braking_peak=LEGS,
     propulsion_peak=LEGS,
-    torque_peak=3 * LEGS,  # on hip, knee and ankle since the last take-off, of either sign, N m
+    torque_peak=3
+    * LEGS,  # on hip, knee and ankle since the last take-off, of either sign, N m
     tick_takeoff=LEGS,  # of the last committed take-off, for the event list
     last_strike_tick=1,  # of either leg
 )
@@ -246,7 +263,12 @@ Gait = blocks(
 Sums = blocks(
     ticks=1,
     steps=1,
-    m1=1, m2=1, m3=1, m4=1, m5=1, m5_corrected=1,
+    m1=1,
+    m2=1,
+    m3=1,
+    m4=1,
+    m5=1,
+    m5_corrected=1,
     knee_peak_swing=1,
     knee_peak_stance=1,
     ankle_strike=1,
@@ -254,21 +276,34 @@ Sums = blocks(
     vertical_peak=1,
     braking_peak=1,
     propulsion_peak=1,
-    hip_torque_peak=1, knee_torque_peak=1, ankle_torque_peak=1,
+    hip_torque_peak=1,
+    knee_torque_peak=1,
+    ankle_torque_peak=1,
     strikes=1,
-    step_length=1, step_length_squared=1,
-    step_durations=1, step_duration=1, step_duration_squared=1,
-    left_strikes=1, left_step_length=1, left_step_durations=1, left_step_duration=1,
-    trunk=1, trunk_squared=1,
-    hip_height=1, hip_height_squared=1,
-    hip_speed=1, hip_speed_squared=1,
-    double_support=1, flight=1,
+    step_length=1,
+    step_length_squared=1,
+    step_durations=1,
+    step_duration=1,
+    step_duration_squared=1,
+    left_strikes=1,
+    left_step_length=1,
+    left_step_durations=1,
+    left_step_duration=1,
+    trunk=1,
+    trunk_squared=1,
+    hip_height=1,
+    hip_height_squared=1,
+    hip_speed=1,
+    hip_speed_squared=1,
+    double_support=1,
+    flight=1,
     activation=MUSCLES_PER_LEG,
-    activation_squared=1, activation_cubed=1,
+    activation_squared=1,
+    activation_cubed=1,
     metabolic_energy=1,  # J
     motor_energy=1,  # positive work of ideal torques and exoskeleton, J
     impulse=2 * LEGS,  # ground force times time, N s: left x, left z, right x, right z
-)  # fmt: skip
+)
 
 # Rows of a walker between launches, block after block.
 FIRST_FIBRE = State.count

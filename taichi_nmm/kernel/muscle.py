@@ -1,9 +1,11 @@
 """The Hill-type muscle-tendon unit: activation, contraction, metabolism.
 
-Sources: Geyer & Herr 2010 (constants, as in the walker T); metabolic rate Alexander 1997.
+Sources: Geyer & Herr 2010 (constants, as in the walker T); metabolic rate Alexander
+1997.
 
-A contraction is one long chain of steps that wait for each other. So it is cut into phases: a
-phase is short enough for the processor to begin the next muscles while it waits (docs/speed.md).
+A contraction is one long chain of steps that wait for each other. So it is cut into
+phases: a phase is short enough for the processor to begin the next muscles while it
+waits (docs/speed.md).
 """
 
 import numpy as np
@@ -25,15 +27,24 @@ ECCENTRIC = 1.5  # N: force at the largest lengthening speed
 SHAPE = 5.0  # K of the force-velocity curve
 ACTIVATION_TIME_S = 0.010
 ACTIVATION_FLOOR = 0.01
-BEYOND_ECCENTRIC = 100.0  # slope of the force-velocity curve beyond v = 1, keeps it monotone
+BEYOND_ECCENTRIC = (
+    100.0  # slope of the force-velocity curve beyond v = 1, keeps it monotone
+)
 ECCENTRIC_SHAPE = 7.56 * SHAPE
 FASTEST_LENGTHENING = 3.0  # over vmax
 SHORTEST_FIBRE = 0.05
-BUFFER = 2.0 / WIDTH  # slope of the buffer's root: it reaches Fmax w/2 below the length 1 - w
+BUFFER = (
+    2.0 / WIDTH
+)  # slope of the buffer's root: it reaches Fmax w/2 below the length 1 - w
 # Alexander 1997, metabolic power over a Fmax vmax at a shortening speed u over vmax:
 # 0.23 - 0.16 exp(-8 u) while shortening, 0.01 - 0.11 u + 0.06 exp(23 u) while lengthening.
 SHORTENING_POWER, SHORTENING_DECAY, SHORTENING_RATE = 0.23, 0.16, -8.0
-LENGTHENING_POWER, LENGTHENING_SLOPE, LENGTHENING_GROWTH, LENGTHENING_RATE = 0.01, 0.11, 0.06, 23.0
+LENGTHENING_POWER, LENGTHENING_SLOPE, LENGTHENING_GROWTH, LENGTHENING_RATE = (
+    0.01,
+    0.11,
+    0.06,
+    23.0,
+)
 ITERATIONS = 3  # of the fibre's speed; docs/speed.md has the table
 
 
@@ -49,7 +60,8 @@ def force_length(length):
 def force_velocity(shortens, beyond):
     """The force factor (a + b v)/(1 + c v) over a range of speeds v, lengthening positive.
 
-    (1 + v)/(1 - K v) for v < 0, N + (N - 1)(v - 1)/(1 + 7.56 K v) up to v = 1, a line beyond.
+    (1 + v)/(1 - K v) for v < 0, N + (N - 1)(v - 1)/(1 + 7.56 K v) up to v = 1, a line
+    beyond.
     """
     middle = ECCENTRIC * ECCENTRIC_SHAPE + ECCENTRIC - 1.0
     a = ti.select(beyond, ECCENTRIC - BEYOND_ECCENTRIC, 1.0)
@@ -62,7 +74,8 @@ def force_velocity(shortens, beyond):
 def tension(v, strain, strain_rate, squeeze, squeeze_rate):
     """Tendon plus buffer over Fmax after a step at fibre speed v: value, half fall, half curvature.
 
-    Squares of two lines in v: tendon strain over its reference, none when slack, and buffer.
+    Squares of two lines in v: tendon strain over its reference, none when slack, and
+    buffer.
     """
     tendon = larger(strain - strain_rate * v, 0.0)
     buffer = larger(squeeze - squeeze_rate * v, 0.0)
@@ -78,8 +91,8 @@ def tension(v, strain, strain_rate, squeeze, squeeze_rate):
 def speed_range(start, strain, strain_rate, squeeze, squeeze_rate, capacity):
     """Where tendon, buffer and fibre balance: a first speed, its range, the fibre's force there.
 
-    The signs at v = 0 and v = 1 tell the range of the force-velocity curve. Returns v, low, high,
-    and the fibre's force as (pull + pull_slope v)/(1 + c v).
+    The signs at v = 0 and v = 1 tell the range of the force-velocity curve. Returns v,
+    low, high, and the fibre's force as (pull + pull_slope v)/(1 + c v).
     """
     at_0, _fall_0, _bend_0 = tension(0.0, strain, strain_rate, squeeze, squeeze_rate)
     at_1, _fall_1, _bend_1 = tension(1.0, strain, strain_rate, squeeze, squeeze_rate)
@@ -93,12 +106,14 @@ def speed_range(start, strain, strain_rate, squeeze, squeeze_rate, capacity):
 
 
 @ti.func
-def nearer(v, low, high, pull, pull_slope, c, strain, strain_rate, squeeze, squeeze_rate):
+def nearer(
+    v, low, high, pull, pull_slope, c, strain, strain_rate, squeeze, squeeze_rate
+):
     """A speed nearer to the balance at the end of the step.
 
-    Within its range the excess, tension (1 + c v) - (pull + pull_slope v), is a cubic in v: this
-    solves its parabola at v (Euler's method, third order). Never divides by the activation, and
-    stays stable where an explicit step would not.
+    Within its range the excess, tension (1 + c v) - (pull + pull_slope v), is a cubic
+    in v: this solves its parabola at v (Euler's method, third order). Never divides by
+    the activation, and stays stable where an explicit step would not.
     """
     force, half_fall, bend = tension(v, strain, strain_rate, squeeze, squeeze_rate)
     bottom = 1.0 + c * v
@@ -115,7 +130,8 @@ def metabolic_rate(v):
     shortening = 0.0 - v
     shortens = shortening > 0.0
     e = two_to(
-        ti.select(shortens, LOG2_E * SHORTENING_RATE, LOG2_E * LENGTHENING_RATE) * shortening
+        ti.select(shortens, LOG2_E * SHORTENING_RATE, LOG2_E * LENGTHENING_RATE)
+        * shortening
     )
     return ti.select(
         shortens,
@@ -140,12 +156,15 @@ def tendon_stretch(lane, row, nominal, own: Rows, const: Rows):
 
 
 @ti.func
-def activate(lane, m, data: Rows, blend, own: Rows, muscle: Rows, const: Rows, work: Rows):
+def activate(
+    lane, m, data: Rows, blend, own: Rows, muscle: Rows, const: Rows, work: Rows
+):
     """Activation of muscle m of both legs, and where its fibre will balance.
 
-    `data` are the muscle's `constants`, `blend` 1 - exp(-step / activation time). Where `own`, a
-    constant of the compiler, walkers have their own: the strain s of a tendon whose slack length is
-    1/t of the nominal is t s + (t - 1)/reference, the attachments of muscles being where they were.
+    `data` are the muscle's `constants`, `blend` 1 - exp(-step / activation time). Where
+    `own`, a constant of the compiler, walkers have their own: the strain s of a tendon
+    whose slack length is 1/t of the nominal is t s + (t - 1)/reference, the attachments
+    of muscles being where they were.
     """
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
@@ -153,7 +172,9 @@ def activate(lane, m, data: Rows, blend, own: Rows, muscle: Rows, const: Rows, w
         order = muscle[Muscle.stimulation + row, lane]
         strain = work[Work.strain + row, lane]
         if ti.static(own):
-            activation += const[Const.activation_blend + row, lane] * (order - activation)
+            activation += const[Const.activation_blend + row, lane] * (
+                order - activation
+            )
             tightness = const[Const.tightness + row, lane]
             strain = tightness * strain + (tightness - 1.0) * (1.0 / REFERENCE_STRAIN)
         else:
@@ -166,8 +187,12 @@ def activate(lane, m, data: Rows, blend, own: Rows, muscle: Rows, const: Rows, w
         squeeze = ((1.0 - WIDTH) - length) * BUFFER
         v, low, high, pull, pull_slope, hyperbola = speed_range(
             muscle[Muscle.velocity + row, lane],
-            strain, data[T_STRETCH] * stretch, squeeze, data[T_STRETCH] * BUFFER, capacity,
-        )  # fmt: skip
+            strain,
+            data[T_STRETCH] * stretch,
+            squeeze,
+            data[T_STRETCH] * BUFFER,
+            capacity,
+        )
         muscle[Muscle.activation + row, lane] = activation
         muscle[Muscle.velocity + row, lane] = v
         work[Work.strain + row, lane] = strain
@@ -186,24 +211,31 @@ def balance(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Row
         row = m + MUSCLES_PER_LEG * leg
         muscle[Muscle.velocity + row, lane] = nearer(
             muscle[Muscle.velocity + row, lane],
-            work[Work.slowest + row, lane], work[Work.fastest + row, lane],
-            work[Work.pull + row, lane], work[Work.pull_slope + row, lane],
+            work[Work.slowest + row, lane],
+            work[Work.fastest + row, lane],
+            work[Work.pull + row, lane],
+            work[Work.pull_slope + row, lane],
             work[Work.hyperbola + row, lane],
             work[Work.strain + row, lane],
             data[T_STRETCH] * tendon_stretch(lane, row, data[T_STRAIN], own, const),
-            work[Work.squeeze + row, lane], data[T_STRETCH] * BUFFER,
-        )  # fmt: skip
+            work[Work.squeeze + row, lane],
+            data[T_STRETCH] * BUFFER,
+        )
 
 
 @ti.func
 def contract(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Rows):
     """Length and force of muscle m of both legs after the step, and its metabolic power.
 
-    A muscle's strength scales its tendon too, so that it contracts as the nominal one does.
+    A muscle's strength scales its tendon too, so that it contracts as the nominal one
+    does.
     """
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
-        v, strength = muscle[Muscle.velocity + row, lane], const[Const.strength + row, lane]
+        v, strength = (
+            muscle[Muscle.velocity + row, lane],
+            const[Const.strength + row, lane],
+        )
         stretch = tendon_stretch(lane, row, data[T_STRAIN], own, const)
         strain = work[Work.strain + row, lane] - data[T_STRETCH] * stretch * v
         tendon = larger(strain, 0.0)
@@ -212,7 +244,9 @@ def contract(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Ro
         muscle[Muscle.length + row, lane] = larger(length, SHORTEST_FIBRE)
         power = strength
         if ti.static(own):
-            power *= stretch / (data[T_STRAIN] * const[Const.tightness + row, lane])  # its fibre's
+            power *= stretch / (
+                data[T_STRAIN] * const[Const.tightness + row, lane]
+            )  # its fibre's
         work[Work.metabolic_power + row, lane] = power * (
             muscle[Muscle.activation + row, lane] * data[T_POWER] * metabolic_rate(v)
         )

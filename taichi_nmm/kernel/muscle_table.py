@@ -1,7 +1,7 @@
 """The seven muscles of a leg, and the tables of their constants that the kernel takes.
 
-Source: Geyer & Herr 2010, as in the walker T. Products and quotients of constants are computed
-here, not at every step.
+Source: Geyer & Herr 2010, as in the walker T. Products and quotients of constants are
+computed here, not at every step.
 """
 
 from dataclasses import dataclass
@@ -62,17 +62,25 @@ MUSCLE_DATA: dict[str, MuscleData] = {
     "SOL": MuscleData(4000, 0.04, 6, 0.26, ankle=Attachment(0.05, 20, -10, 0.5, +1)),
     "TA": MuscleData(800, 0.06, 12, 0.24, ankle=Attachment(0.04, -10, 20, 0.7, -1)),
     "GAS": MuscleData(
-        1500, 0.05, 12, 0.40,
-        knee=Attachment(0.05, 40, 15, 0.7, +1), ankle=Attachment(0.05, 20, -10, 0.7, +1),
+        1500,
+        0.05,
+        12,
+        0.40,
+        knee=Attachment(0.05, 40, 15, 0.7, +1),
+        ankle=Attachment(0.05, 20, -10, 0.7, +1),
     ),
     "VAS": MuscleData(6000, 0.08, 12, 0.23, knee=Attachment(0.06, 15, 55, 0.7, -1)),
     "HAM": MuscleData(
-        3000, 0.10, 12, 0.31,
-        hip=Attachment(0.08, None, -25, 0.7, +1), knee=Attachment(0.05, 0, 0, 0.7, +1),
+        3000,
+        0.10,
+        12,
+        0.31,
+        hip=Attachment(0.08, None, -25, 0.7, +1),
+        knee=Attachment(0.05, 0, 0, 0.7, +1),
     ),
     "GLU": MuscleData(1500, 0.11, 12, 0.13, hip=Attachment(0.10, None, -30, 0.5, +1)),
     "HFL": MuscleData(2000, 0.11, 12, 0.10, hip=Attachment(0.10, None, 0, 0.5, -1)),
-}  # fmt: skip
+}
 assert tuple(MUSCLE_DATA) == MUSCLES
 
 # Of the seven muscles, [7] each.
@@ -99,22 +107,29 @@ def muscle_table(step_s: float) -> NDArray[np.float64]:
     return table
 
 
-def unit_lengths(hip_rad: float, knee_rad: float, ankle_rad: float) -> NDArray[np.float64]:
+def unit_lengths(
+    hip_rad: float, knee_rad: float, ankle_rad: float
+) -> NDArray[np.float64]:
     """Length of fibre and tendon together of a leg's muscles, m, [7]."""
-    knee, ankle = (np.sin(knee_rad), np.cos(knee_rad)), (np.sin(ankle_rad), np.cos(ankle_rad))
+    knee, ankle = (
+        (np.sin(knee_rad), np.cos(knee_rad)),
+        (np.sin(ankle_rad), np.cos(ankle_rad)),
+    )
     return np.asarray(LENGTHS_M @ np.array([1.0, hip_rad, *knee, *ankle]))
 
 
 def _span_tables() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lengths of fibre and tendon together, m, [7, 6], and torques at Fmax, N m, [7, 5].
 
-    As factors of 1, the hip's angle, sine and cosine of the knee, of the ankle; of the torques, of
-    1 (at the hip), cosine and sine of the knee, of the ankle. With a cosine arm r cos(phi - max),
-    dl = rho r (sin(ref - max) - sin(phi - max)); with a constant one, that of the hip,
-    dl = rho r (ref - phi).
+    As factors of 1, the hip's angle, sine and cosine of the knee, of the ankle; of the
+    torques, of 1 (at the hip), cosine and sine of the knee, of the ankle. With a cosine
+    arm r cos(phi - max), dl = rho r (sin(ref - max) - sin(phi - max)); with a constant
+    one, that of the hip, dl = rho r (ref - phi).
     """
     lengths, torques = np.zeros((MUSCLES_PER_LEG, 6)), np.zeros((MUSCLES_PER_LEG, 5))
-    for length, torque, data in zip(lengths, torques, MUSCLE_DATA.values(), strict=True):
+    for length, torque, data in zip(
+        lengths, torques, MUSCLE_DATA.values(), strict=True
+    ):
         length[0] = data.optimal_length_m + data.slack_length_m
         if data.hip is not None:
             scale = data.hip.sign * data.hip.pennation * data.hip.arm_m
@@ -127,9 +142,13 @@ def _span_tables() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
                 largest = np.deg2rad(attachment.angle_of_largest_arm_deg)
                 turn = np.array([np.cos(largest), np.sin(largest)])
                 scale = attachment.sign * attachment.pennation * attachment.arm_m
-                length[0] += scale * np.sin(np.deg2rad(attachment.reference_angle_deg) - largest)
+                length[0] += scale * np.sin(
+                    np.deg2rad(attachment.reference_angle_deg) - largest
+                )
                 length[first + 1 : first + 3] = scale * turn * (-1, 1)
-                torque[first : first + 2] = attachment.sign * attachment.arm_m * data.fmax_n * turn
+                torque[first : first + 2] = (
+                    attachment.sign * attachment.arm_m * data.fmax_n * turn
+                )
     return lengths, torques
 
 

@@ -1,13 +1,19 @@
 """Nerves: the controller feels signals that are 20, 10 or 5 ms old, with lag and noise.
 
-Delays are ring buffers at the control tick. A slot is read before it is overwritten, so a ring of n
-slots delays by n ticks. Lag and noise are ours. Noise is a hash of tick, walker and signal, so that
-it does not depend on the batch, and costs no memory.
+Delays are ring buffers at the control tick. A slot is read before it is overwritten, so
+a ring of n slots delays by n ticks. Lag and noise are ours. Noise is a hash of tick,
+walker and signal, so that it does not depend on the batch, and costs no memory.
 """
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.contact import on_ground
-from taichi_nmm.kernel.elementary import FIRST_FACTOR, INCREMENT, TICK_FACTOR, larger, uniform
+from taichi_nmm.kernel.elementary import (
+    FIRST_FACTOR,
+    INCREMENT,
+    TICK_FACTOR,
+    larger,
+    uniform,
+)
 from taichi_nmm.kernel.layout import (
     GAS,
     GLU,
@@ -41,7 +47,9 @@ def sense(lane, state: Rows, muscle: Rows, work: Rows):
         work[s + Signal.length_ta + leg, lane] = larger(length_ta, 0.0)
         work[s + Signal.force_vas + leg, lane] = muscle[Muscle.force + m + VAS, lane]
         work[s + Signal.knee + leg, lane] = work[Work.joint + 3 * leg + 1, lane]
-        work[s + Signal.knee_rate + leg, lane] = work[Work.joint_rate + 3 * leg + 1, lane]
+        work[s + Signal.knee_rate + leg, lane] = work[
+            Work.joint_rate + 3 * leg + 1, lane
+        ]
         work[s + Signal.stance + leg, lane] = on_ground(lane, leg, state)
         work[s + Signal.force_ham + leg, lane] = muscle[Muscle.force + m + HAM, lane]
         work[s + Signal.force_glu + leg, lane] = muscle[Muscle.force + m + GLU, lane]

@@ -1,10 +1,10 @@
 """The program of the compiler in this process: one that we began, or one of somebody else's.
 
-A process has one program at a time, and `ti.init` ends the one before, with all its fields. A
-script may use Taichi itself: it may have begun a program before our first simulation, or begin
-another one after it. So we begin a program only where none lives. In any other our kernels are
-compiled with our options, and the script's come back at once: our results keep their bits, and the
-script its fields.
+A process has one program at a time, and `ti.init` ends the one before, with all its
+fields. A script may use Taichi itself: it may have begun a program before our first
+simulation, or begin another one after it. So we begin a program only where none lives.
+In any other our kernels are compiled with our options, and the script's come back at
+once: our results keep their bits, and the script its fields.
 """
 
 import contextlib
@@ -19,13 +19,15 @@ from taichi_nmm.kernel import compiler, registers
 from taichi_nmm.kernel.compiler import core, impl, ti
 from taichi_nmm.kernel_cache import settled_environment
 
-# Measured, not assumed: with Taichi's control-flow-graph pass a loop nest holding a comparison lost
-# its stores without an error. Strict floating point keeps NaN checks honest and results portable.
+# Measured, not assumed: with Taichi's control-flow-graph pass a loop nest holding a
+# comparison lost its stores without an error. Strict floating point keeps NaN checks
+# honest and results portable.
 CFG_OPTIMIZATION = False
 FAST_MATH = False
 
-# Taichi's own simplifications take most of a compilation, since their time grows with the square of
-# a kernel's size. LLVM, which follows, finds the same in seconds (docs/speed.md).
+# Taichi's own simplifications take most of a compilation, since their time grows with
+# the square of a kernel's size. LLVM, which follows, finds the same in seconds
+# (docs/speed.md).
 TAICHI_OPTIMIZATION = False
 
 OPTIONS: dict[str, Any] = {
@@ -35,15 +37,26 @@ OPTIONS: dict[str, Any] = {
     **compiler.WHOLE_LOOPS,
 }
 
-# What a program is, and what it keeps or prints: no bit of a kernel depends on these. The words are
-# beginnings of names, since the two compilers differ in a few.
+# What a program is, and what it keeps or prints: no bit of a kernel depends on these.
+# The words are beginnings of names, since the two compilers differ in a few.
 OF_THE_PROGRAM = (
-    "arch", "cpu_max_num_threads", "debug_dump", "device_memory", "kernel_profiler", "num_compile",
-    "offline_cache", "print_", "random_seed", "timeline", "verbose", "vk_",
-)  # fmt: skip
+    "arch",
+    "cpu_max_num_threads",
+    "debug_dump",
+    "device_memory",
+    "kernel_profiler",
+    "num_compile",
+    "offline_cache",
+    "print_",
+    "random_seed",
+    "timeline",
+    "verbose",
+    "vk_",
+)
 PROCESSORS = ("x64", "arm64")  # names of an architecture that is a processor's
 
-# Of the runtime in Python, beside the program's configuration: the values that `ti.init` sets.
+# Of the runtime in Python, beside the program's configuration: the values that
+# `ti.init` sets.
 RUNTIME_OPTIONS = {
     "short_circuit_operators": True,
     "print_full_traceback": False,
@@ -77,8 +90,12 @@ def is_shared(program: Any) -> bool:
 
     Our kernels take arrays of NumPy, and the program's only tree of fields is empty.
     """
-    roots = [program.get_snode_root(tree) for tree in range(program.get_snode_tree_size())]
-    has_fields = bool(impl.get_runtime().global_vars) or any(root.get_num_ch() for root in roots)
+    roots = [
+        program.get_snode_root(tree) for tree in range(program.get_snode_tree_size())
+    ]
+    has_fields = bool(impl.get_runtime().global_vars) or any(
+        root.get_num_ch() for root in roots
+    )
     others = [kernel for kernel in impl.get_runtime().kernels if not _is_ours(kernel)]
     return has_fields or any(compiler.kernels_of(kernel) for kernel in others)
 

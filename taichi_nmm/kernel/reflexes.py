@@ -1,7 +1,7 @@
 """Stance reflexes and their mixing with swing: muscle stimulations and weights of the torques.
 
-Sources: stance reflexes Geyer & Herr 2010; mixing by leg load after Song & Geyer 2015, as in the
-walker T. All signals are the delayed ones.
+Sources: stance reflexes Geyer & Herr 2010; mixing by leg load after Song & Geyer 2015,
+as in the walker T. All signals are the delayed ones.
 """
 
 import math
@@ -49,14 +49,20 @@ def stance_weights(lane, state: Rows, work: Rows):
     both = left * right
     for leg in ti.static(range(LEGS)):
         flag = work[s + Signal.stance + leg, lane]
-        rises = both * ti.select(flag > state[State.stance_before + leg, lane], 1.0, 0.0)
-        state[State.leads + leg, lane] = both * larger(state[State.leads + leg, lane], rises)
+        rises = both * ti.select(
+            flag > state[State.stance_before + leg, lane], 1.0, 0.0
+        )
+        state[State.leads + leg, lane] = both * larger(
+            state[State.leads + leg, lane], rises
+        )
         state[State.stance_before + leg, lane] = flag
     for leg in ti.static(range(LEGS)):
         flag = work[s + Signal.stance + leg, lane]
         load = clip01(work[s + Signal.load + leg, lane])
         other_leads = state[State.leads + 1 - leg, lane]
-        state[State.stance_weight + leg, lane] = flag * ti.select(other_leads > 0.5, load, 1.0)
+        state[State.stance_weight + leg, lane] = flag * ti.select(
+            other_leads > 0.5, load, 1.0
+        )
 
 
 @ti.func
@@ -72,13 +78,18 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
         force_gas = work[s + Signal.force_gas + leg, lane]
         length_ta = work[s + Signal.length_ta + leg, lane]
         knee = work[s + Signal.knee + leg, lane]
-        extends = (knee < OVEREXTENSION_RAD) & (work[s + Signal.knee_rate + leg, lane] < 0.0)
-        inhibition = const[Const.k_oe, lane] * ti.select(extends, OVEREXTENSION_RAD - knee, 0.0)
+        extends = (knee < OVEREXTENSION_RAD) & (
+            work[s + Signal.knee_rate + leg, lane] < 0.0
+        )
+        inhibition = const[Const.k_oe, lane] * ti.select(
+            extends, OVEREXTENSION_RAD - knee, 0.0
+        )
         balance = (
             const[Const.Kp_stance + leg, lane] * lean
             + const[Const.Kd_stance + leg, lane] * lean_rate
         )
-        # Forward lean excites the extensors, backward lean the flexor, as the leg carries load.
+        # Forward lean excites the extensors, backward lean the flexor, as the leg
+        # carries load.
         extensor = clip01(load * (PRESTIMULATION_TRUNK + larger(balance, 0.0)))
         flexor = clip01(load * (PRESTIMULATION_TRUNK - smaller(balance, 0.0)))
         swing_ta = PRESTIMULATION + const[Const.K_TA + leg, lane] * length_ta
@@ -113,4 +124,6 @@ def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
 @ti.func
 def mix(weight, stance, swing):
     """Stimulation between stance and swing, within [0.01, 1]."""
-    return smaller(larger(weight * stance + (1.0 - weight) * swing, PRESTIMULATION), 1.0)
+    return smaller(
+        larger(weight * stance + (1.0 - weight) * swing, PRESTIMULATION), 1.0
+    )

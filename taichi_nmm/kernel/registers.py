@@ -1,11 +1,12 @@
 """Wide registers: LLVM is told how many walkers a register of this processor holds.
 
-Taichi 1.7.4 vectorises with LLVM 15, which it gives the processor's name and none of its features.
-For a name that LLVM 15 does not know, the vectoriser takes registers of 4 numbers, and else of 8 at
-most; the generator of machine code, which follows, knows the true width. So the vectoriser is told,
-by a setting of LLVM's own: an int in Taichi's library, which the library's symbols name. Results
-keep their bits. Wherever something is not as expected (another version, system or processor),
-everything stays as Taichi has it.
+Taichi 1.7.4 vectorises with LLVM 15, which it gives the processor's name and none of
+its features. For a name that LLVM 15 does not know, the vectoriser takes registers of 4
+numbers, and else of 8 at most; the generator of machine code, which follows, knows the
+true width. So the vectoriser is told, by a setting of LLVM's own: an int in Taichi's
+library, which the library's symbols name. Results keep their bits. Wherever something
+is not as expected (another version, system or processor), everything stays as Taichi
+has it.
 """
 
 import ctypes
@@ -22,11 +23,20 @@ from taichi_nmm.errors import InputError
 
 VARIABLE = "TAICHI_NMM_WIDE_REGISTERS"  # 0 switches this off, as `Settings.wide_registers` does
 TAICHI_VERSION = (1, 7, 4)
-WIDTHS = {"avx512vl": 16, "avx2": 8}  # float32 numbers in a register, by a processor's feature
+WIDTHS = {
+    "avx512vl": 16,
+    "avx2": 8,
+}  # float32 numbers in a register, by a processor's feature
 
-SETTING = "_ZN4llvm16VectorizerParams19VectorizationFactorE"  # 0: the vectoriser chooses
-NEIGHBOUR = "PyInit_taichi_python"  # a function of the library, whose address Python can tell
-ELF_HEADER = "<40xQ10xHH"  # where sections are described, bytes of a description, how many
+SETTING = (
+    "_ZN4llvm16VectorizerParams19VectorizationFactorE"  # 0: the vectoriser chooses
+)
+NEIGHBOUR = (
+    "PyInit_taichi_python"  # a function of the library, whose address Python can tell
+)
+ELF_HEADER = (
+    "<40xQ10xHH"  # where sections are described, bytes of a description, how many
+)
 SECTION, SYMBOL_TABLE = "<4xI16xQQI", 2  # kind, start, length, section of names; a kind
 SYMBOL = struct.Struct("<I4xQQ")  # where its name is, address, length
 REMARK = b"remark: <unknown>:0:0: loop not vectorized"
@@ -70,7 +80,9 @@ def tell_vectoriser(numbers: int, library: str, version: tuple[int, ...]) -> boo
 def _address_of_setting(library: str) -> int | None:
     try:
         (setting, length), (neighbour, _) = _symbols(library, SETTING, NEIGHBOUR)
-        loaded = ctypes.cast(getattr(ctypes.PyDLL(library), NEIGHBOUR), ctypes.c_void_p).value
+        loaded = ctypes.cast(
+            getattr(ctypes.PyDLL(library), NEIGHBOUR), ctypes.c_void_p
+        ).value
     except (OSError, ValueError, IndexError, StopIteration, struct.error):
         return None
     if loaded is None or length != ctypes.sizeof(ctypes.c_uint32):
@@ -82,14 +94,17 @@ def _symbols(library: str, *wanted: str) -> list[tuple[int, int]]:
     """Address and length of symbols of a library in ELF.
 
     Raises:
-        OSError, ValueError, IndexError, StopIteration, struct.error: it has no such symbols.
+        OSError, ValueError, IndexError, StopIteration, struct.error: it has no such
+            symbols.
     """
     with (
         Path(library).open("rb") as file,
         mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as elf,
     ):
         first, size, count = struct.unpack_from(ELF_HEADER, elf)
-        sections = [struct.unpack_from(SECTION, elf, first + size * i) for i in range(count)]
+        sections = [
+            struct.unpack_from(SECTION, elf, first + size * i) for i in range(count)
+        ]
         _, start, length, names = next(s for s in sections if s[0] == SYMBOL_TABLE)
         _, names_start, names_length, _ = sections[names]
         found = []

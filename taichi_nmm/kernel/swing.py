@@ -1,7 +1,7 @@
 """Swing-leg placement: hip and knee torques that fold the leg, swing it, stop it and put it down.
 
-Source: Desai & Geyer 2012, 2013, as in the walker T. Legs' phases FLEX, HOLD, STOP, EXTEND.
-Angles and rates of the leg are present ones; only the stance flags are delayed.
+Source: Desai & Geyer 2012, 2013, as in the walker T. Legs' phases FLEX, HOLD, STOP,
+EXTEND. Angles and rates of the leg are present ones; only the stance flags are delayed.
 """
 
 import math
@@ -23,9 +23,15 @@ def leg_rates(lane, tick, state: Rows, const: Rows, work: Rows):
     """Rate of the leg angle through a first-order filter, w (alpha - y) with y' = w (alpha - y)."""
     settled = ti.select(tick > RATE_FREE_TICKS, 1.0, 0.0)
     for leg in ti.static(range(LEGS)):
-        lag = work[Work.leg_angle + leg, lane] - state[State.leg_angle_filter + leg, lane]
-        work[Work.leg_angle_rate + leg, lane] = settled * const[Const.w_filter, lane] * lag
-        state[State.leg_angle_filter + leg, lane] += const[Const.leg_angle_blend, lane] * lag
+        lag = (
+            work[Work.leg_angle + leg, lane] - state[State.leg_angle_filter + leg, lane]
+        )
+        work[Work.leg_angle_rate + leg, lane] = (
+            settled * const[Const.w_filter, lane] * lag
+        )
+        state[State.leg_angle_filter + leg, lane] += (
+            const[Const.leg_angle_blend, lane] * lag
+        )
 
 
 @ti.func
@@ -34,7 +40,9 @@ def next_phase(phase, stance, other_stance, length, clearance, angle, threshold,
     clears = (phase == FLEX) & (length < clearance) & (other_stance > 0.5)
     near = (phase == HOLD) & (angle < threshold)
     turned = (phase == STOP) & (rate >= 0.0)
-    moved = ti.select(clears, HOLD, ti.select(near, STOP, ti.select(turned, EXTEND, phase)))
+    moved = ti.select(
+        clears, HOLD, ti.select(near, STOP, ti.select(turned, EXTEND, phase))
+    )
     return ti.select(stance > 0.5, FLEX, moved)
 
 
@@ -53,11 +61,14 @@ def place_legs(lane, state: Rows, const: Rows, work: Rows):
     right_hip, right_knee = swing_torques(lane, 1, state, const, work)
     left_weight = state[State.stance_weight + 0, lane]
     right_weight = state[State.stance_weight + 1, lane]
-    # The stance hip carries the reaction of a leg in the air, so that the trunk does not.
+    # The stance hip carries the reaction of a leg in the air, so that the trunk does
+    # not.
     s = ti.static(Work.sensed + Signal.stance)
     left_carries = ti.select(work[s + 1, lane] > 0.5, 0.0, 0.0 - right_hip)
     right_carries = ti.select(work[s + 0, lane] > 0.5, 0.0, 0.0 - left_hip)
-    state[State.hip_torque + 0, lane] = left_weight * left_carries + (1.0 - left_weight) * left_hip
+    state[State.hip_torque + 0, lane] = (
+        left_weight * left_carries + (1.0 - left_weight) * left_hip
+    )
     state[State.hip_torque + 1, lane] = (
         right_weight * right_carries + (1.0 - right_weight) * right_hip
     )
@@ -69,7 +80,10 @@ def place_legs(lane, state: Rows, const: Rows, work: Rows):
 def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
     """Ideal hip and knee torque of one leg in swing; moves its phase on."""
     s = ti.static(Work.sensed + Signal.stance)
-    angle, rate = work[Work.leg_angle + leg, lane], work[Work.leg_angle_rate + leg, lane]
+    angle, rate = (
+        work[Work.leg_angle + leg, lane],
+        work[Work.leg_angle_rate + leg, lane],
+    )
     length = work[Work.leg_length + leg, lane]
     ahead = work[Work.com_x, lane] - work[Work.ankle_x + 1 - leg, lane]
     target = (
@@ -79,20 +93,34 @@ def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
     )
     threshold = target + THRESHOLD_RAD
     phase = next_phase(
-        state[State.swing_phase + leg, lane], work[s + leg, lane], work[s + 1 - leg, lane],
-        length, const[Const.l_clr + leg, lane], angle, threshold, rate,
-    )  # fmt: skip
+        state[State.swing_phase + leg, lane],
+        work[s + leg, lane],
+        work[s + 1 - leg, lane],
+        length,
+        const[Const.l_clr + leg, lane],
+        angle,
+        threshold,
+        rate,
+    )
     state[State.swing_phase + leg, lane] = phase
     near = (angle < threshold) & (rate < LARGEST_LEG_RATE_RADPS)
     braking = (
-        const[Const.k_stop, lane] * (threshold - angle) * (1.0 - rate / LARGEST_LEG_RATE_RADPS)
+        const[Const.k_stop, lane]
+        * (threshold - angle)
+        * (1.0 - rate / LARGEST_LEG_RATE_RADPS)
     )
     stop = ti.select(near, braking, 0.0)
-    stop -= ti.select(phase == EXTEND, const[Const.k_ext, lane] * (LANDING_LENGTH_M - length), 0.0)
+    stop -= ti.select(
+        phase == EXTEND, const[Const.k_ext, lane] * (LANDING_LENGTH_M - length), 0.0
+    )
     stop = ti.select(phase >= STOP, stop, 0.0)
     knee_rate = work[Work.joint_rate + 3 * leg + 1, lane]
     hold = hold_torque(
-        knee_rate, rate, angle - target, const[Const.k_hold_1, lane], const[Const.k_hold_2, lane]
+        knee_rate,
+        rate,
+        angle - target,
+        const[Const.k_hold_1, lane],
+        const[Const.k_hold_2, lane],
     )
     flex = 0.0 - const[Const.k_flex, lane] * smaller(rate, 0.0)
     hip = (

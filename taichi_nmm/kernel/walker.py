@@ -1,8 +1,9 @@
 """The time step of a pack of walkers, on one screen.
 
-`step` is one control tick: sense, control, then as many physics steps as fit. Every phase is a loop
-over the lanes whose body has no branch, so that the compiler turns it into SIMD instructions. Times
-and delays are the same for all lanes, since a batch starts together.
+`step` is one control tick: sense, control, then as many physics steps as fit. Every
+phase is a loop over the lanes whose body has no branch, so that the compiler turns it
+into SIMD instructions. Times and delays are the same for all lanes, since a batch
+starts together.
 """
 
 from taichi_nmm.kernel import (
@@ -30,8 +31,9 @@ from taichi_nmm.kernel.layout import (
 )
 from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD
 
-# The first solve and at most four more. The cap is part of the model: with fewer, or with many
-# more, the verdict 'alive at 5 s' changes for some per cent of the search space.
+# The first solve and at most four more. The cap is part of the model: with fewer, or
+# with many more, the verdict 'alive at 5 s' changes for some per cent of the search
+# space.
 CONTACT_PASSES = 1 + 4
 
 LARGEST_SANE = 1e6  # a sum of |q| and |qdot| beyond this, or NaN, is a diverged walker
@@ -39,10 +41,25 @@ FELL, DIVERGED = 1.0, 2.0  # result.END_REASONS; 0 completes
 
 
 @ti.func
-def step(tick, substeps, step_s, activation_blend, load_blend, rough,
-         lanes: Rows, terrain: Rows, heights: Rows, muscles: Rows,
-         state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
-         const: Rows, work: Rows):  # fmt: skip
+def step(
+    tick,
+    substeps,
+    step_s,
+    activation_blend,
+    load_blend,
+    rough,
+    lanes: Rows,
+    terrain: Rows,
+    heights: Rows,
+    muscles: Rows,
+    state: Rows,
+    fibres: Rows,
+    delay: Rows,
+    events: Rows,
+    sums: Rows,
+    const: Rows,
+    work: Rows,
+):
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
     # Of any lane: each of these phases changes nothing of the lanes that do without it.
     catch = highest(Const.catch_ns, lanes, const) > 0.0
@@ -55,9 +72,13 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
         if own:
-            contract_muscles(activation_blend, True, lanes, muscles, fibres, const, work)
+            contract_muscles(
+                activation_blend, True, lanes, muscles, fibres, const, work
+            )
         else:
-            contract_muscles(activation_blend, False, lanes, muscles, fibres, const, work)
+            contract_muscles(
+                activation_blend, False, lanes, muscles, fibres, const, work
+            )
         for lane in range(lanes):
             joints.turn_joints(lane, fibres, work)
             add_ideal_torques(lane, state, const, work)
@@ -73,7 +94,9 @@ def step(tick, substeps, step_s, activation_blend, load_blend, rough,
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)
                 dynamics.revise_contacts(lane, const, work)
-            if highest(Work.changed, lanes, work) == 0.0:  # a further pass would change nothing
+            if (
+                highest(Work.changed, lanes, work) == 0.0
+            ):  # a further pass would change nothing
                 break
         for lane in range(lanes):
             contact.drag_anchors(lane, step_s, state, const, work)
@@ -100,15 +123,26 @@ def locate(rough, lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: 
 
 
 @ti.func
-def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: Rows, sums: Rows,
-            const: Rows, work: Rows):  # fmt: skip
+def control(
+    tick,
+    lanes: Rows,
+    state: Rows,
+    fibres: Rows,
+    delay: Rows,
+    events: Rows,
+    sums: Rows,
+    const: Rows,
+    work: Rows,
+):
     """Once a tick: note events of the gait, and give the muscles their orders."""
     time = ti.cast(tick, float)
     for lane in range(lanes):
         kinematics.centre_of_mass(lane, state, const, work)
         for leg in ti.static(range(LEGS)):
             gait.notice(lane, leg, state, events, work)
-    if highest(Work.event, lanes, work) > 0.0:  # at most ticks, nobody's foot comes or goes
+    if (
+        highest(Work.event, lanes, work) > 0.0
+    ):  # at most ticks, nobody's foot comes or goes
         for lane in range(lanes):
             for leg in ti.static(range(LEGS)):
                 gait.note_events(lane, leg, time, state, events, sums, work)
@@ -121,13 +155,16 @@ def control(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, events: R
 
 
 @ti.func
-def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows):
+def command(
+    tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows
+):
     """Delayed senses, reflexes, swing-leg placement: stimulations and ideal torques of a tick."""
     time = ti.cast(tick, float)
     for lane in range(lanes):
         nerves.sense(lane, state, fibres, work)
-    # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot tell that
-    # the rows of different rings lie apart, and takes one lane after the other.
+    # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot
+    # tell that the rows of different rings lie apart, and takes one lane after the
+    # other.
     for ring in ti.static(range(len(RINGS))):
         slot = ti.raw_mod(tick, ti.static(RINGS[ring][2]))
         for lane in range(lanes):
@@ -140,7 +177,9 @@ def command(tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Ro
         reflexes.stimulate(lane, state, const, fibres, work)
         swing.leg_rates(lane, time, state, const, work)
         swing.place_legs(lane, state, const, work)
-    if highest(Const.exo_torque, lanes, const) > 0.0:  # `assist` gives the others no torque
+    if (
+        highest(Const.exo_torque, lanes, const) > 0.0
+    ):  # `assist` gives the others no torque
         for lane in range(lanes):
             device.assist(lane, state, const, work)
 
@@ -165,11 +204,13 @@ def nerves_vary(lanes: Rows, const: Rows):
 
 
 @ti.func
-def contract_muscles(blend, own: Rows, lanes: Rows, muscles: Rows, fibres: Rows, const: Rows,
-                     work: Rows):  # fmt: skip
+def contract_muscles(
+    blend, own: Rows, lanes: Rows, muscles: Rows, fibres: Rows, const: Rows, work: Rows
+):
     """All muscles, phase by phase. Run-time loops: their code is read from the nearest cache.
 
-    `own` makes two codes, of muscles with the constants of the table and of muscles with their own.
+    `own` makes two codes, of muscles with the constants of the table and of muscles
+    with their own.
     """
     for m in range(MUSCLES_PER_LEG):
         data = muscle.constants(muscles, m)
@@ -213,8 +254,8 @@ def add_ideal_torques(lane, state: Rows, const: Rows, work: Rows):
 
 @ti.func
 def filter_loads(lane, blend, state: Rows, const: Rows):
-    """Low pass of the legs' ground forces. At the physics rate: a heel strike's spike is shorter
-    than a tick, and aliasing it ruins the convergence with the step.
+    """Low pass of the legs' ground forces. At the physics rate: a heel strike's spike
+    is shorter than a tick, and aliasing it ruins the convergence with the step.
     """
     hat_weight = const[Const.hat_weight, lane]
     for leg in ti.static(range(LEGS)):
@@ -247,10 +288,16 @@ def end_walk(lane, tick, state: Rows, work: Rows):
     ends = active & (diverged | (upright == False))  # noqa: E712
     reason = ti.select(diverged, DIVERGED, FELL)
     moves = active & (diverged == False)  # noqa: E712
-    state[State.end_reason, lane] = ti.select(ends, reason, state[State.end_reason, lane])
+    state[State.end_reason, lane] = ti.select(
+        ends, reason, state[State.end_reason, lane]
+    )
     state[State.end_tick, lane] = ti.select(
         active, ti.cast(tick + 1, float), state[State.end_tick, lane]
     )
-    state[State.end_x, lane] = ti.select(moves, state[State.q + 0, lane], state[State.end_x, lane])
-    state[State.end_z, lane] = ti.select(moves, state[State.q + 1, lane], state[State.end_z, lane])
+    state[State.end_x, lane] = ti.select(
+        moves, state[State.q + 0, lane], state[State.end_x, lane]
+    )
+    state[State.end_z, lane] = ti.select(
+        moves, state[State.q + 1, lane], state[State.end_z, lane]
+    )
     state[State.active, lane] = ti.select(ends, 0.0, state[State.active, lane])

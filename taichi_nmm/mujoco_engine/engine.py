@@ -1,8 +1,8 @@
 """A batch of walkers whose bodies MuJoCo moves, one model each, and one controller batch for all.
 
-A physics step is: our kernel senses, controls and contracts the muscles of all (`carried.drive`)
-and lays the ground under their soles (`ContactPlanes`); MuJoCo steps each body; our kernel takes
-in where they are (`carried.follow`).
+A physics step is: our kernel senses, controls and contracts the muscles of all
+(`carried.drive`) and lays the ground under their soles (`ContactPlanes`); MuJoCo steps
+each body; our kernel takes in where they are (`carried.follow`).
 """
 
 from collections.abc import Callable, Iterator
@@ -42,7 +42,9 @@ CACHED = 256  # models: those of an experiment's runs come again with every tria
 class ContactPlanes:
     """The planes of some walkers, [n, PLANES], and the grounds that they lie on."""
 
-    def __init__(self, terrains: tuple[Terrain, ...], index: NDArray[np.integer[Any]]) -> None:
+    def __init__(
+        self, terrains: tuple[Terrain, ...], index: NDArray[np.integer[Any]]
+    ) -> None:
         heights = np.array([ground.height_m for ground in terrains])
         self._heights = np.pad(heights, ((0, 0), (1, 1)), mode="edge")
         ends = GRID_X_M[0] - APRON_M, GRID_X_M[-1] + APRON_M
@@ -52,9 +54,15 @@ class ContactPlanes:
         self._positions = np.zeros((len(index), PLANES, 3))
         self._quaternions = np.zeros((len(index), PLANES, 4))
         self._kernel = backend.BoundKernel(
-            lay_planes, 0, self._index, self._nodes, self._heights, self._qpos,
-            self._positions, self._quaternions,
-        )  # fmt: skip
+            lay_planes,
+            0,
+            self._index,
+            self._nodes,
+            self._heights,
+            self._qpos,
+            self._positions,
+            self._quaternions,
+        )
 
     def keep(self, still: NDArray[np.bool_]) -> None:
         """Go on with these walkers alone."""
@@ -85,14 +93,20 @@ class Herd:
         self._planes = ContactPlanes(batch.terrains, batch.terrain_index)
         bodies = np.hstack(list(vars(batch.bodies).values())).tolist()
         each = zip(map(tuple, bodies), batch.worlds.friction.tolist(), strict=True)
-        self._seat(everybody, [_model(body, friction, settings) for body, friction in each])
-        starts = np.array([start_state(ground) for ground in batch.terrains])[batch.terrain_index]
+        self._seat(
+            everybody, [_model(body, friction, settings) for body, friction in each]
+        )
+        starts = np.array([start_state(ground) for ground in batch.terrains])[
+            batch.terrain_index
+        ]
         self._qpos[:], self._qvel[:] = np.split(starts, 2, axis=1)
 
     def keep(self, still: NDArray[np.bool_]) -> None:
         """Go on with these walkers alone."""
         state = self._simulations.state[still]
-        models = [model for model, stays in zip(self._models, still, strict=True) if stays]
+        models = [
+            model for model, stays in zip(self._models, still, strict=True) if stays
+        ]
         self._planes.keep(still)
         self._seat(self.numbers[still], models)
         self._simulations.state[:] = state
@@ -123,11 +137,16 @@ class Herd:
         self._torque, self._sensors = bind("ctrl"), bind("sensordata")
         self._applied = bind("qfrc_applied")
         self._qpos, self._qvel = bind("qpos"), bind("qvel")
-        self._plane_position, self._plane_quaternion = bind("mocap_pos"), bind("mocap_quat")
+        self._plane_position, self._plane_quaternion = (
+            bind("mocap_pos"),
+            bind("mocap_quat"),
+        )
 
 
 @lru_cache(maxsize=CACHED)
-def _model(body: tuple[float, ...], friction: float, settings: Settings) -> mujoco.MjModel:
+def _model(
+    body: tuple[float, ...], friction: float, settings: Settings
+) -> mujoco.MjModel:
     """The model of a body: masses, inertias, centres of mass."""
     mass, inertia, com = np.array(body).reshape(3, 1, -1)
     return walk_model(Bodies(mass, inertia, com), settings, friction)
@@ -142,7 +161,9 @@ def start_state(terrain: Terrain) -> Array:
     return np.concatenate([RELATIVE @ q, RELATIVE @ qdot])
 
 
-def launcher(batch: Batch, settings: Settings, packs: Packs) -> Callable[[Packs, int, int], None]:
+def launcher(
+    batch: Batch, settings: Settings, packs: Packs
+) -> Callable[[Packs, int, int], None]:
     """The function that advances the packs; these are put where MuJoCo's walkers start.
 
     Raises:
@@ -185,23 +206,47 @@ class _Engine:
                     return
                 for substep in range(substeps):
                     self._drive.launch(tick=tick, commands=int(substep == 0))
-                    seen = self._herd.step(self._torques[self._seats], self._catches[self._seats])
+                    seen = self._herd.step(
+                        self._torques[self._seats], self._catches[self._seats]
+                    )
                     self._motions[self._seats] = motion_rows(seen)
                     self._follow.launch(tick=tick, ends=int(substep == substeps - 1))
 
     def _bind(self, packs: Packs) -> None:
         """Bind the kernels to the packs' arrays, which change when walkers leave."""
         self._bound, real = packs.rows, backend.real_dtype()
-        count, lanes, step_s = len(packs.rows), packs.lanes, self._settings.physics_step_s
+        count, lanes, step_s = (
+            len(packs.rows),
+            packs.lanes,
+            self._settings.physics_step_s,
+        )
         activation_blend, load_blend = blends(step_s)
         drives = np.zeros((count, Drive.count, lanes), dtype=real)
         motions = np.zeros((count, Motion.count, lanes), dtype=real)
         self._drive = backend.BoundKernel(
-            drive, lanes, packs.rows, packs.constants, packs.terrains, self._heights,
-            muscle_table(step_s).astype(real), drives, 0, 1, activation_blend,
-        )  # fmt: skip
+            drive,
+            lanes,
+            packs.rows,
+            packs.constants,
+            packs.terrains,
+            self._heights,
+            muscle_table(step_s).astype(real),
+            drives,
+            0,
+            1,
+            activation_blend,
+        )
         self._follow = backend.BoundKernel(
-            follow, lanes, packs.rows, packs.constants, drives, motions, 0, 1, step_s, load_blend
+            follow,
+            lanes,
+            packs.rows,
+            packs.constants,
+            drives,
+            motions,
+            0,
+            1,
+            step_s,
+            load_blend,
         )
         # [pack, lane, row] of the same memory
         self._torques = drives[:, : 3 * LEGS].transpose(0, 2, 1)

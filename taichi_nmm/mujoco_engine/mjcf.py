@@ -1,27 +1,30 @@
 """The walker as a MuJoCo model: links, feet, joint limits, motors, sensors and ground.
 
-Feet are two spheres each, their soles on the line from heel to ball. Contacts are elliptic cones
-with the walker's friction; a motor turns each joint; a sensor of each foot gives contact and
-force. The ground of a walk is planes that are laid anew at every step; of a file, boxes.
+Feet are two spheres each, their soles on the line from heel to ball. Contacts are
+elliptic cones with the walker's friction; a motor turns each joint; a sensor of each
+foot gives contact and force. The ground of a walk is planes that are laid anew at every
+step; of a file, boxes.
 
-**Links.** The same seven, with the map between the two sets of coordinates.
-MuJoCo's hinges are relative (child minus parent) about +y, which turns z towards x: clockwise with
-x to the right and z up, as ours. The slides and the HAT's hinge are ours as they stand, so
+**Links.** The same seven, with the map between the two sets of coordinates. MuJoCo's
+hinges are relative (child minus parent) about +y, which turns z towards x: clockwise
+with x to the right and z up, as ours. The slides and the HAT's hinge are ours as they
+stand, so
     qpos = RELATIVE q,  qvel = RELATIVE qdot,  q'' = RELATIVE^-1 qacc,
-and a joint torque, which does work on child minus parent, is the hinge's generalised force.
+and a joint torque, which does work on child minus parent, is the hinge's generalised
+force.
 
-**Joint stops** as limits of MuJoCo's.
-A stop is tau = -k D (1 + w/w_max)+, D the angle beyond the limit (`kernel.joints`): a damper
-that grows with the excess, and a weak spring. A limit of MuJoCo's with impedance d, whose joint
-has the inverse inertia A, gives at a slow creep under a torque T (MuJoCo's documentation,
-Computation, "Constraint model")
+**Joint stops** as limits of MuJoCo's. A stop is tau = -k D (1 + w/w_max)+, D the angle
+beyond the limit (`kernel.joints`): a damper that grows with the excess, and a weak
+spring. A limit of MuJoCo's with impedance d, whose joint has the inverse inertia A,
+gives at a slow creep under a torque T (MuJoCo's documentation, Computation, "Constraint
+model")
 
     (1 - d) T = d (b w + K d D) / A .
 
-Equal damping needs d/(1 - d) = D/rho with rho = w_max b/(k A). MuJoCo's impedance with its
-midpoint at the limit is d_max (1 - (1 - D/width)^p): d_max is right at the width, and p comes
-nearest below it. The time constant t is the shortest that MuJoCo lets a step have: b = 2/(d_max t)
-is then the largest, and stable.
+Equal damping needs d/(1 - d) = D/rho with rho = w_max b/(k A). MuJoCo's impedance with
+its midpoint at the limit is d_max (1 - (1 - D/width)^p): d_max is right at the width,
+and p comes nearest below it. The time constant t is the shortest that MuJoCo lets a
+step have: b = 2/(d_max t) is then the largest, and stable.
 """
 
 import math
@@ -61,20 +64,34 @@ def linkage(bodies: Bodies, row: int, settings: Settings, friction: float) -> El
     com = bodies.com_m[row].tolist()
     template = Path(__file__).with_name("walker.xml").read_text(encoding="utf-8")
     text = template.format(
-        mass=mass, inertia=inertia, com=com, down=[-each for each in com],
-        thigh_m=THIGH_LENGTH_M, shank_m=SHANK_LENGTH_M, heel_m=HEEL_OFFSET_M, ball_m=BALL_OFFSET_M,
-        sole_m=SOLE_RADIUS_M, gravity_mps2=GRAVITY_MPS2, step_s=settings.physics_step_s,
-        impratio=IMPRATIO, friction=float(friction), solref=_solref(settings),
-    )  # fmt: skip
+        mass=mass,
+        inertia=inertia,
+        com=com,
+        down=[-each for each in com],
+        thigh_m=THIGH_LENGTH_M,
+        shank_m=SHANK_LENGTH_M,
+        heel_m=HEEL_OFFSET_M,
+        ball_m=BALL_OFFSET_M,
+        sole_m=SOLE_RADIUS_M,
+        gravity_mps2=GRAVITY_MPS2,
+        step_s=settings.physics_step_s,
+        impratio=IMPRATIO,
+        friction=float(friction),
+        solref=_solref(settings),
+    )
     return ElementTree.fromstring(text)
 
 
 def compile_model(root: Element) -> mujoco.MjModel:
     """The model of an MJCF tree."""
-    return mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    return mujoco.MjModel.from_xml_string(
+        ElementTree.tostring(root, encoding="unicode")
+    )
 
 
-LEAST_RANGE_RAD = math.radians(10.0)  # the law is followed so far at least; walking stays within
+LEAST_RANGE_RAD = math.radians(
+    10.0
+)  # the law is followed so far at least; walking stays within
 POWERS = np.linspace(2.0, 20.0, 73)
 EXCESSES = np.linspace(0.05, 0.95, 19)  # over the width, where the power is chosen
 STEPS_PER_TIME_CONSTANT = 2.0  # MuJoCo's least (`refsafe`)
@@ -98,8 +115,12 @@ class Stop:
 
 
 STOPS: dict[str, Stop] = {
-    "thigh": Stop(-NO_LIMIT_RAD, stops.HIP_EXTENSION_LIMIT_RAD, stops.HIP_RELAXATION_RADPS),
-    "shank": Stop(stops.KNEE_STRAIGHTEST_RAD, NO_LIMIT_RAD, stops.STOP_RELAXATION_RADPS),
+    "thigh": Stop(
+        -NO_LIMIT_RAD, stops.HIP_EXTENSION_LIMIT_RAD, stops.HIP_RELAXATION_RADPS
+    ),
+    "shank": Stop(
+        stops.KNEE_STRAIGHTEST_RAD, NO_LIMIT_RAD, stops.STOP_RELAXATION_RADPS
+    ),
     "foot": Stop(
         stops.ANKLE_DORSIFLEXION_LIMIT_RAD,
         stops.ANKLE_PLANTARFLEXION_LIMIT_RAD,
@@ -121,9 +142,12 @@ def limit(stop: Stop, inverse_inertia: float, step_s: float) -> tuple[Array, Arr
     slow = 2.0 * stop.relaxation_radps / (time_constant_s * stiffness * inverse_inertia)
     width = max(4.0 * slow, LEAST_RANGE_RAD)
     largest = 1.0 - slow / width  # = width/(width + rho), with rho = slow/largest
-    # The power whose d/(1 - d) is nearest to D/rho, by the mean square of the logarithm.
+    # The power whose d/(1 - d) is nearest to D/rho, by the mean square of the
+    # logarithm.
     impedance = largest * (1.0 - (1.0 - EXCESSES) ** POWERS[:, None])
-    error = np.log(impedance / (1.0 - impedance)) - np.log(EXCESSES * (largest * width / slow))
+    error = np.log(impedance / (1.0 - impedance)) - np.log(
+        EXCESSES * (largest * width / slow)
+    )
     power = float(POWERS[np.argmin(np.mean(error**2, axis=1))])
     damping = 2.0 / (largest * time_constant_s)  # b
     # K: d^2 K/(1 - d) = k A at the width, and less below; the damper does the stopping.
@@ -152,14 +176,23 @@ def walk_model(bodies: Bodies, settings: Settings, friction: float) -> mujoco.Mj
     for plane in range(PLANES):
         body = SubElement(world, "body", mocap="true")
         SubElement(
-            body, "geom",
-            name=f"plane_{plane}", type="plane", size="1 1 1", contype="0", conaffinity="0",
-        )  # fmt: skip
+            body,
+            "geom",
+            name=f"plane_{plane}",
+            type="plane",
+            size="1 1 1",
+            contype="0",
+            conaffinity="0",
+        )
         SubElement(
-            contact, "pair",
-            geom1=f"plane_{plane}", geom2=f"sole_{plane // PLANES_PER_SOLE}", condim="3",
-            friction=_numbers((friction, friction, 0.0, 0.0, 0.0)), solref=_solref(settings),
-        )  # fmt: skip
+            contact,
+            "pair",
+            geom1=f"plane_{plane}",
+            geom2=f"sole_{plane // PLANES_PER_SOLE}",
+            condim="3",
+            friction=_numbers((friction, friction, 0.0, 0.0, 0.0)),
+            solref=_solref(settings),
+        )
     return compile_model(root)
 
 
@@ -168,23 +201,27 @@ def mjcf_text(
 ) -> str:
     """The model as a file, with the ground and the start as key frame, for MuJoCo's viewer.
 
-    A file can only have solids: the ground is a height field of the whole table. Links and muscles
-    are sites and tendons, without mass, contact or force; a muscle that is missing in the first of
-    the worlds is not drawn. A passive foot is a spring and a damper of its hinge. `start` is qpos
-    then qvel, [18].
+    A file can only have solids: the ground is a height field of the whole table. Links
+    and muscles are sites and tendons, without mass, contact or force; a muscle that is
+    missing in the first of the worlds is not drawn. A passive foot is a spring and a
+    damper of its hinge. `start` is qpos then qvel, [18].
     """
     height_m = ground.height_m
     root = _walker(bodies, settings, float(worlds.friction[0]))
     _add_passive_feet(root, worlds)
-    range_m = max(float(np.ptp(height_m)), LEAST_RANGE_M)  # MuJoCo scales heights from 0 to this
+    range_m = max(
+        float(np.ptp(height_m)), LEAST_RANGE_M
+    )  # MuJoCo scales heights from 0 to this
     template = Path(__file__).with_name("visible.xml").read_text(encoding="utf-8")
     text = template.format(
-        columns=len(height_m), heights=_numbers(np.tile(height_m, 2)),
+        columns=len(height_m),
+        heights=_numbers(np.tile(height_m, 2)),
         size=_numbers((0.5 * np.ptp(GRID_X_M), HALF_WIDTH_M, range_m, BASE_M)),
         place=_numbers((GRID_X_M.mean(), 0.0, height_m.min())),
         centre=_numbers((start[0], 0.0, start[1])),
-        qpos=_numbers(start[:9]), qvel=_numbers(start[9:]),
-    )  # fmt: skip
+        qpos=_numbers(start[:9]),
+        qvel=_numbers(start[9:]),
+    )
     for part in ElementTree.fromstring(text):
         for body in part.findall("body"):
             _find(root, "body", body.attrib["name"]).extend(body)
@@ -198,7 +235,9 @@ def mjcf_text(
 def _add_passive_feet(root: Element, worlds: Worlds) -> None:
     """The angles of ankles are those of the hinges of feet (`JOINTS`)."""
     for side, foot in zip(SIDES, worlds.prosthesis[0].tolist(), strict=True):
-        for name, number in zip(("stiffness", "damping", "springref"), foot, strict=True):
+        for name, number in zip(
+            ("stiffness", "damping", "springref"), foot, strict=True
+        ):
             if number:
                 _find(root, "joint", f"foot_{side}").set(name, repr(number))
 

@@ -4,11 +4,11 @@ Of each mistake there is one line.
 
     python -m tests.fuzz.campaign --cases 50000 --seed 1
 
-Case n of a seed is the same everywhere. Failed cases lie below --out, with the words that repeat
-them. The simulator is replaced by an exception: a command that raises it has passed all checks of
-its input, and counts as accepted. Cases run in other processes: an abort, or a case that takes too
-long, ends one process and is a failure of that case. Exit codes: 0, 1 something failed, 2 bad
-input, 130 interrupted.
+Case n of a seed is the same everywhere. Failed cases lie below --out, with the words
+that repeat them. The simulator is replaced by an exception: a command that raises it
+has passed all checks of its input, and counts as accepted. Cases run in other
+processes: an abort, or a case that takes too long, ends one process and is a failure of
+that case. Exit codes: 0, 1 something failed, 2 bad input, 130 interrupted.
 """
 
 import faulthandler
@@ -48,7 +48,9 @@ from tests.processes import read_schema_once
 
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
 LINE = re.compile(r"error: \S.*: .*\S", re.DOTALL)
-OF_ARGPARSE = re.compile(r"error: (unrecognized arguments|the following arguments are required): ")
+OF_ARGPARSE = re.compile(
+    r"error: (unrecognized arguments|the following arguments are required): "
+)
 # The progress of compare, whose work has checks of input at its end too.
 PROGRESS = re.compile(r"^(\r[^\r\n]*trial/s[^\r\n]*)+\n")
 LIMIT_S = 60.0  # of a case; the longest takes two seconds of a processor
@@ -82,10 +84,16 @@ def judge(case: Case) -> Verdict:
 def run(words: Words, folder: Path) -> tuple[int | None, str]:
     """Exit code of a command; or what it raised, and where."""
     try:
-        with chdir(folder), mock.patch.object(sys, "argv", []), warnings.catch_warnings():
+        with (
+            chdir(folder),
+            mock.patch.object(sys, "argv", []),
+            warnings.catch_warnings(),
+        ):
             main(words)
     except SystemExit as end:
-        return (end.code, "") if isinstance(end.code, int) else (int(bool(end.code)), "")
+        return (
+            (end.code, "") if isinstance(end.code, int) else (int(bool(end.code)), "")
+        )
     except Reached:
         pass
     except BaseException as error:  # one that the guard let pass
@@ -107,10 +115,15 @@ def wrong(code: int | None, said: str, before: Content, folder: Path) -> str:
     if len(lines) > MOST_MISTAKES or not all(map(str.isprintable, lines)):
         return f"{len(lines)} lines, or one that is not printable"
     for line in lines:
-        if not (LINE.fullmatch(line) or OF_ARGPARSE.match(line)) or len(line) > LONGEST_LINE:
+        if (
+            not (LINE.fullmatch(line) or OF_ARGPARSE.match(line))
+            or len(line) > LONGEST_LINE
+        ):
             return f"a line that names nothing, or of {len(line)} characters"
     after = content(folder)
-    changed = sorted(path for path in before.keys() | after if before.get(path) != after.get(path))
+    changed = sorted(
+        path for path in before.keys() | after if before.get(path) != after.get(path)
+    )
     return f"changed: {', '.join(changed)}" if changed else ""
 
 
@@ -121,7 +134,10 @@ def content(folder: Path) -> Content:
         sound = path.is_file() and not path.is_symlink()
         return hashlib.sha256(path.read_bytes()).hexdigest() if sound else "no file"
 
-    return {str(path.relative_to(folder)): digest(path) for path in sorted(folder.rglob("*"))}
+    return {
+        str(path.relative_to(folder)): digest(path)
+        for path in sorted(folder.rglob("*"))
+    }
 
 
 @contextmanager
@@ -180,7 +196,9 @@ def take_output() -> str:
     return said
 
 
-MOST_BYTES = 4 << 30  # of memory: a command that takes more is wrong, and fails by itself
+MOST_BYTES = (
+    4 << 30
+)  # of memory: a command that takes more is wrong, and fails by itself
 MOST_CASES = 10_000_000
 
 DOORS = ExitStack()  # of a process of cases, for good: it does nothing else
@@ -213,7 +231,9 @@ class Plan:
         return self.scratch / f"trace-{number}"
 
 
-def run_cases(plan: Plan, numbers: Iterable[int], workers: int, note: Note = id) -> list[Outcome]:
+def run_cases(
+    plan: Plan, numbers: Iterable[int], workers: int, note: Note = id
+) -> list[Outcome]:
     """The outcomes of cases; `note` is called with each as it comes."""
     outcomes = []
     with Processes(workers) as pool:
@@ -276,8 +296,10 @@ def keep(plan: Plan, outcome: Outcome, folder: Path) -> None:
 
 def table(outcomes: Sequence[Outcome]) -> str:
     """Markdown: a line a format, and one of all."""
-    lines = ["| format | cases | refused | accepted | failures | slowest |",
-             "|---|--:|--:|--:|--:|--:|"]  # fmt: skip
+    lines = [
+        "| format | cases | refused | accepted | failures | slowest |",
+        "|---|--:|--:|--:|--:|--:|",
+    ]
     for name in [*sorted({each.case.name for each in outcomes}), "all"]:
         own = [each for each in outcomes if name in (each.case.name, "all")]
         codes = [each.verdict.code for each in own if not each.verdict.wrong]
@@ -293,15 +315,22 @@ def fuzz() -> None:
     """Run cases, keep those that failed, and print a table."""
     parser = Options(__file__)
     parser.whole("--cases", 1, MOST_CASES, default=2000, help="(%(default)s)")
-    parser.whole("--seed", 0, LARGEST_SEED, default=1, help="of the cases (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="(%(default)s)")
+    parser.whole(
+        "--seed", 0, LARGEST_SEED, default=1, help="of the cases (%(default)s)"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/fuzz"), help="(%(default)s)"
+    )
     parser.declare({"like": "workers"})
     options = parser.parse_args()
     require_folder(options.out)
     if is_folder(options.out) and any(options.out.iterdir()):
         raise InputError("out", str(options.out), "a new folder, or an empty one")
     began_s, failed = time.monotonic(), []
-    with tempfile.TemporaryDirectory() as scratch, tqdm(total=options.cases, unit="case") as bar:
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        tqdm(total=options.cases, unit="case") as bar,
+    ):
         plan = Plan(options.seed, Path(scratch) / "world", Path(scratch))
         make_world(plan.world)
 
@@ -309,10 +338,14 @@ def fuzz() -> None:
             if outcome.verdict.wrong:
                 failed.append(outcome)
                 bar.set_postfix_str(f"{len(failed)} failed")
-                keep(plan, outcome, options.out / f"{options.seed}-{outcome.case.number}")
+                keep(
+                    plan, outcome, options.out / f"{options.seed}-{outcome.case.number}"
+                )
             bar.update()
 
-        outcomes = run_cases(plan, range(options.cases), options.workers or cores(), note)
+        outcomes = run_cases(
+            plan, range(options.cases), options.workers or cores(), note
+        )
     print(table(outcomes))
     print(f"\n{time.monotonic() - began_s:.0f} s")
     if failed:

@@ -50,14 +50,18 @@ def in_document(read: Callable[[str], Any], write: Callable[[Any], bytes]) -> Da
         if chance(rng, 0.25):
             in_text(rng, path)
         else:
-            path.write_bytes(write(damage.damaged_document(rng, read(path.read_text()))))
+            path.write_bytes(
+                write(damage.damaged_document(rng, read(path.read_text())))
+            )
 
     return change
 
 
 def either(*kinds: str) -> Damage:
     """One of some kinds of damage."""
-    return lambda rng, path: KINDS[pick(rng, kinds) if len(kinds) > 1 else kinds[0]](rng, path)
+    return lambda rng, path: KINDS[pick(rng, kinds) if len(kinds) > 1 else kinds[0]](
+        rng, path
+    )
 
 
 def in_folder_file(rng: Generator, path: Path) -> None:
@@ -67,16 +71,23 @@ def in_folder_file(rng: Generator, path: Path) -> None:
 
 
 KINDS: dict[str, Damage] = {
-    "bytes": in_bytes, "text": in_text, "json": in_document(json.loads, damage.as_json),
-    "toml": in_document(tomllib.loads, damage.as_toml), "columns": damage.damaged_columns,
-    "footer": damage.damaged_footer, "database": damage.damaged_database,
-    "file of a folder": in_folder_file, "cells": in_cells,
-}  # fmt: skip
+    "bytes": in_bytes,
+    "text": in_text,
+    "json": in_document(json.loads, damage.as_json),
+    "toml": in_document(tomllib.loads, damage.as_toml),
+    "columns": damage.damaged_columns,
+    "footer": damage.damaged_footer,
+    "database": damage.damaged_database,
+    "file of a folder": in_folder_file,
+    "cells": in_cells,
+}
 
 
 def misplaced(rng: Generator, path: Path) -> None:
     """Something else in the file's place: nothing, a folder, another file, a link, a pipe."""
-    others = sorted(each for each in path.parent.iterdir() if each.is_file() and each != path)
+    others = sorted(
+        each for each in path.parent.iterdir() if each.is_file() and each != path
+    )
     path.unlink()
     kind = int(rng.integers(6))
     if kind == 1:
@@ -107,7 +118,9 @@ class Format:
         if not self.files:
             return damaged_words(rng, words)
         path = folder / (name := pick(rng, self.files))
-        if path.parent.name == "arms" and chance(rng, 0.5):  # as of an unfinished comparison
+        if path.parent.name == "arms" and chance(
+            rng, 0.5
+        ):  # as of an unfinished comparison
             (path.parents[1] / "trials.parquet").unlink()
         (misplaced if chance(rng, 0.04) else self.damage)(rng, path)
         return tuple(word.replace("{file}", name) for word in words)
@@ -135,7 +148,9 @@ def damaged_words(rng: Generator, sound: Words) -> Words:
 @cache
 def options_of(command: str) -> tuple[str, ...]:
     """Options of a command, and one that it has not."""
-    options = [word for action in parser_of(command)._actions for word in action.option_strings]
+    options = [
+        word for action in parser_of(command)._actions for word in action.option_strings
+    ]
     return (*(word for word in options if word.startswith("--")), "--nothing")
 
 
@@ -145,13 +160,20 @@ def words_of(reader: str) -> Words:
 
 
 FORMATS = tuple(
-    Format(name, row["share"], tuple(row["files"]),
-           tuple(map(words_of, row.get("readers", COMMANDS))), either(*row["damage"]))
+    Format(
+        name,
+        row["share"],
+        tuple(row["files"]),
+        tuple(map(words_of, row.get("readers", COMMANDS))),
+        either(*row["damage"]),
+    )
     for name, row in asset("fuzz/formats.toml").items()
-)  # fmt: skip
+)
 SHARES = np.array([each.share for each in FORMATS], dtype=float)
 NAMES = tuple(each.name for each in FORMATS)
-HERE = "here"  # of a case, where its command is run: a ".." leads no farther than the case
+HERE = (
+    "here"  # of a case, where its command is run: a ".." leads no farther than the case
+)
 
 
 @dataclass(frozen=True)

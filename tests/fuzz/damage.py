@@ -28,11 +28,16 @@ def short(written: dict[str, Any]) -> Any:
     return written["of"] * written["times"] if "times" in written else written
 
 
-KNOWN = json.loads((ASSETS / "damage.json").read_text(encoding="utf-8"), object_hook=short)
+KNOWN = json.loads(
+    (ASSETS / "damage.json").read_text(encoding="utf-8"), object_hook=short
+)
 VALUES: tuple[Any, ...] = tuple(KNOWN["values"])  # for JSON, TOML, Parquet and SQLite
-WORDS: tuple[str, ...] = tuple(KNOWN["words"])  # for text files, for a word or between two
-# Values for options, some of them names of files and folders of the world, or, with half a
-# character, of no UTF-8. None is an absolute path that can be written: the tests may run as root.
+WORDS: tuple[str, ...] = tuple(
+    KNOWN["words"]
+)  # for text files, for a word or between two
+# Values for options, some of them names of files and folders of the world, or, with
+# half a character, of no UTF-8. None is an absolute path that can be written: the tests
+# may run as root.
 OPTIONS: tuple[str, ...] = tuple(KNOWN["options"])
 
 
@@ -110,7 +115,9 @@ def damaged_cells(rng: Generator, text: str) -> bytes:
         if place < len(row) and chance(rng, share):
             row[place] = pick(rng, kind)
     comma, end = pick(rng, ((",", "\n"),) * 4 + ((";", "\r\n"), ("\t", "\n")))
-    return end.join([*map(comma.join, rows), ""]).encode(pick(rng, ("utf-8", "utf-8-sig")))
+    return end.join([*map(comma.join, rows), ""]).encode(
+        pick(rng, ("utf-8", "utf-8-sig"))
+    )
 
 
 def damaged_document(rng: Generator, document: Any) -> Any:
@@ -127,7 +134,9 @@ def damaged_document(rng: Generator, document: Any) -> Any:
         elif kind == 1 and isinstance(node, dict):
             node[f"{pick(rng, ('', 'x', 'é'))}{key}"] = node.pop(key)
         elif kind == 2 and isinstance(node, dict):
-            node[pick(rng, ("a", "", "name", "seed", "format", "x" * 300))] = any_value(rng)
+            node[pick(rng, ("a", "", "name", "seed", "format", "x" * 300))] = any_value(
+                rng
+            )
         elif kind == 3:
             other, its = pick(rng, places)
             if its in keys(other):
@@ -150,12 +159,16 @@ def nudged(rng: Generator, value: Any) -> Any:
     if chance(rng, 0.6) or isinstance(value, bool | None | list | dict):
         return any_value(rng)
     if isinstance(value, str):
-        return pick(rng, (value + " ", value.upper(), value[1:], value + "\u0000", value * 50))
+        return pick(
+            rng, (value + " ", value.upper(), value[1:], value + "\u0000", value * 50)
+        )
     try:
         fractions = float(value), value / 3
     except OverflowError:  # a whole number above all floats
         fractions = math.inf, -math.inf
-    return pick(rng, (-value, value + 1, value * 1000, fractions[0], str(value), fractions[1]))
+    return pick(
+        rng, (-value, value + 1, value * 1000, fractions[0], str(value), fractions[1])
+    )
 
 
 def keys(node: Any) -> list[Any]:
@@ -167,7 +180,9 @@ def keys(node: Any) -> list[Any]:
 def places_in(document: Any) -> list[tuple[Any, Any]]:
     """Every value in a document, as an object or list and a key of it."""
     own = [(document, key) for key in keys(document)]
-    return [place for node, key in own for place in ((node, key), *places_in(node[key]))]
+    return [
+        place for node, key in own for place in ((node, key), *places_in(node[key]))
+    ]
 
 
 def as_json(document: Any) -> bytes:
@@ -195,18 +210,35 @@ def toml_value(value: Any) -> str:
 
 
 TYPES = (
-    pa.int8(), pa.int32(), pa.int64(), pa.uint64(), pa.float16(), pa.float32(), pa.float64(),
-    pa.string(), pa.large_string(), pa.binary(), pa.bool_(), pa.null(), pa.timestamp("s"),
-    pa.list_(pa.float64()), pa.dictionary(pa.int32(), pa.string()), pa.decimal128(20, 2),
-    pa.decimal128(20, 0), pa.timestamp("ns", "UTC"), pa.time64("us"), pa.date32(),
+    pa.int8(),
+    pa.int32(),
+    pa.int64(),
+    pa.uint64(),
+    pa.float16(),
+    pa.float32(),
+    pa.float64(),
+    pa.string(),
+    pa.large_string(),
+    pa.binary(),
+    pa.bool_(),
+    pa.null(),
+    pa.timestamp("s"),
+    pa.list_(pa.float64()),
+    pa.dictionary(pa.int32(), pa.string()),
+    pa.decimal128(20, 2),
+    pa.decimal128(20, 0),
+    pa.timestamp("ns", "UTC"),
+    pa.time64("us"),
+    pa.date32(),
     pa.duration("ms"),
-)  # fmt: skip
+)
 
 
 def damaged_columns(rng: Generator, path: Path) -> None:
     """Write the file again: a column dropped, renamed, doubled, of another type, with other values.
 
-    Its footer stays; a digest in it is made to fit, so that readers check the values too.
+    Its footer stays; a digest in it is made to fit, so that readers check the values
+    too.
     """
     table = pq.read_table(path, partitioning=None)
     footer = table.schema.metadata
@@ -234,7 +266,9 @@ def other_table(rng: Generator, table: pa.Table) -> pa.Table:
     if kind == 1:
         return table.remove_column(place)
     if kind == 2:
-        names[place] = pick(rng, ("", "a", names[0], names[-1], "\n", f" {names[place]}"))
+        names[place] = pick(
+            rng, ("", "a", names[0], names[-1], "\n", f" {names[place]}")
+        )
         return table.rename_columns(names)
     if kind == 3:
         return table.append_column(field, table.column(place))
@@ -271,7 +305,9 @@ def damaged_footer(rng: Generator, path: Path) -> None:
     if chance(rng, 0.5):
         sign(document)
     text = json.dumps(document).encode()
-    metadata = pick(rng, ({FOOTER_KEY: text},) * 20 + (None, {FOOTER_KEY: b"\xff"}, {b"a": text}))
+    metadata = pick(
+        rng, ({FOOTER_KEY: text},) * 20 + (None, {FOOTER_KEY: b"\xff"}, {b"a": text})
+    )
     write(table.replace_schema_metadata(metadata), path)
     manifest = path.with_name("manifest.json")
     if manifest.is_file() and chance(rng, 0.5):
@@ -309,21 +345,29 @@ def change_database(rng: Generator, connection: sqlite3.Connection) -> None:
     name = pick(rng, [row[0] for row in tables])
     columns = [row[1] for row in connection.execute(f'PRAGMA table_info("{name}")')]
     column = pick(rng, columns)
-    rows = connection.execute(f'SELECT rowid, "{column}" FROM "{name}" ORDER BY rowid').fetchall()
+    rows = connection.execute(
+        f'SELECT rowid, "{column}" FROM "{name}" ORDER BY rowid'
+    ).fetchall()
     kind = int(rng.integers(14))
     if kind == 0:
         connection.execute(f'DROP TABLE "{name}"')
     elif kind == 1:
-        connection.execute(f'ALTER TABLE "{name}" RENAME COLUMN "{column}" TO "{column}_"')
+        connection.execute(
+            f'ALTER TABLE "{name}" RENAME COLUMN "{column}" TO "{column}_"'
+        )
     elif not rows:
         return
     elif kind == 2:
-        connection.execute(f'DELETE FROM "{name}" WHERE rowid = ?', (pick(rng, rows)[0],))
+        connection.execute(
+            f'DELETE FROM "{name}" WHERE rowid = ?', (pick(rng, rows)[0],)
+        )
     elif kind == 3:
         connection.execute(f'DELETE FROM "{name}"')
     elif kind == 4:
         others = ", ".join(f'"{each}"' for each in columns[1:])
-        connection.execute(f'INSERT INTO "{name}" ({others}) SELECT {others} FROM "{name}"')
+        connection.execute(
+            f'INSERT INTO "{name}" ({others}) SELECT {others} FROM "{name}"'
+        )
     else:
         row, old = pick(rng, rows)
         value = in_cell(rng, old)
@@ -336,10 +380,16 @@ def in_cell(rng: Generator, old: Any) -> Any:
     if isinstance(old, str):
         with suppress(ValueError):
             document = json.loads(old)
-            changed = damaged_document(rng, document) if chance(rng, 0.7) else pick(rng, VALUES)
+            changed = (
+                damaged_document(rng, document)
+                if chance(rng, 0.7)
+                else pick(rng, VALUES)
+            )
             return json.dumps(changed) if chance(rng, 0.9) else json.dumps(changed)[:-1]
     value = pick(rng, VALUES)
     if isinstance(value, str):
         return value.encode() if chance(rng, 0.2) else value
     fits = not isinstance(value, int) or abs(value) < 2**63
-    return value if fits and isinstance(value, float | int | None) else json.dumps(value)
+    return (
+        value if fits and isinstance(value, float | int | None) else json.dumps(value)
+    )

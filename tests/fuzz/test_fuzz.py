@@ -13,7 +13,15 @@ import pytest
 from storage.pool import cores
 from study import options
 from tests.fuzz import campaign
-from tests.fuzz.campaign import ACCEPTED, REFUSED, Plan, Verdict, content, run_cases, wrong
+from tests.fuzz.campaign import (
+    ACCEPTED,
+    REFUSED,
+    Plan,
+    Verdict,
+    content,
+    run_cases,
+    wrong,
+)
 from tests.fuzz.cases import HERE, NAMES, Case, make_case
 from tests.fuzz.damage import HUGE, VALUES, as_json, damaged_document, nudged
 from tests.fuzz.world import COMMANDS, make_world
@@ -68,7 +76,10 @@ def test_what_ends_a_process_is_noticed(plan: Plan, tmp_path: Path) -> None:
     cruel = replace(elsewhere(plan, "cruel"), judge=that_ends, limit_s=SHORT_S)
     outcomes = run_cases(cruel, range(8), 1)
     found = {each.case.number: each.verdict.wrong for each in outcomes}
-    assert found == dict.fromkeys(range(8), "") | {2: "abort", 5: f"longer than {SHORT_S:g} s"}
+    assert found == dict.fromkeys(range(8), "") | {
+        2: "abort",
+        5: f"longer than {SHORT_S:g} s",
+    }
     (aborted,) = (each for each in outcomes if each.case.number == 2)
     campaign.keep(cruel, aborted, tmp_path / "kept")
     made = make_case(plan.seed, 2, plan.world, tmp_path / "again")
@@ -86,7 +97,10 @@ def that_ends(case: Case) -> Verdict:
 
 def test_damage_to_a_document_leaves_the_values_that_it_takes_as_they_are() -> None:
     """Else a case would depend on those before it, and a list might come to hold itself."""
-    before, document = deepcopy(VALUES), {"a": [1, {"b": [2, 3]}], "c": {"d": "e", "f": []}}
+    before, document = (
+        deepcopy(VALUES),
+        {"a": [1, {"b": [2, 3]}], "c": {"d": "e", "f": []}},
+    )
     for number in range(3000):
         as_json(damaged_document(np.random.default_rng(number), document))
     assert repr(before) == repr(VALUES)
@@ -107,14 +121,25 @@ def test_a_case_is_the_same_whenever_it_is_made(plan: Plan, tmp_path: Path) -> N
 LINE = "error: field: 3 cannot be used; allowed: 4\n"
 
 
-@pytest.mark.parametrize(("code", "said", "what"), [
-    (0, "", ""), (2, LINE, ""), (0, "Traceback (most recent call last)", "a traceback"),
-    (2, "", "names nothing"), (2, "error\n", "names nothing"), (2, "error: no\n", "names"),
-    (2, LINE * 2, ""), (2, LINE * 21, "21 lines"), (2, f"warning\n{LINE}", "names nothing"),
-    (2, LINE.replace("3", "\x1b[31m"), "not printable"),
-    (2, LINE.replace("3", "x" * 9999), "of 10040 characters"), (1, "", "exit code 1"),
-    (130, "interrupted", "exit code 130"), (None, "", "exit code None"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("code", "said", "what"),
+    [
+        (0, "", ""),
+        (2, LINE, ""),
+        (0, "Traceback (most recent call last)", "a traceback"),
+        (2, "", "names nothing"),
+        (2, "error\n", "names nothing"),
+        (2, "error: no\n", "names"),
+        (2, LINE * 2, ""),
+        (2, LINE * 21, "21 lines"),
+        (2, f"warning\n{LINE}", "names nothing"),
+        (2, LINE.replace("3", "\x1b[31m"), "not printable"),
+        (2, LINE.replace("3", "x" * 9999), "of 10040 characters"),
+        (1, "", "exit code 1"),
+        (130, "interrupted", "exit code 130"),
+        (None, "", "exit code None"),
+    ],
+)
 def test_what_is_wrong(code: int | None, said: str, what: str, tmp_path: Path) -> None:
     found = wrong(code, said, content(tmp_path), tmp_path)
     assert what in found and bool(found) == bool(what)

@@ -1,6 +1,7 @@
 """The sound files that are damaged: one of every format, made once with a formula for a simulator.
 
-Nothing in them is of the day, so that a case is the same wherever and whenever it is made.
+Nothing in them is of the day, so that a case is the same wherever and whenever it is
+made.
 """
 
 import bz2
@@ -35,10 +36,16 @@ Words = tuple[str, ...]
 COMMANDS: dict[str, Words] = {
     name: tuple(line.split()) for name, line in asset("fuzz/commands.toml").items()
 }
-COMPARE, PRECOMPUTE, STUDY = (COMMANDS[name] for name in ("compare", "precompute", "study"))
+COMPARE, PRECOMPUTE, STUDY = (
+    COMMANDS[name] for name in ("compare", "precompute", "study")
+)
 ON_A_TABLE = 'seed = 1\n[terrain]\nkind = "file"\nfile = "{}"\n'
 HILL = "x_m,height_m\n" + "".join(f"{x},{0.01 * (x % 3)}\n" for x in range(0, 60, 2))
-PACKERS = {".gz": partial(gzip.compress, mtime=0), ".bz2": bz2.compress, ".xz": lzma.compress}
+PACKERS = {
+    ".gz": partial(gzip.compress, mtime=0),
+    ".bz2": bz2.compress,
+    ".xz": lzma.compress,
+}
 UNPACKERS = {".gz": gzip.decompress, ".bz2": bz2.decompress, ".xz": lzma.decompress}
 DAY = "2026-01-01 00:00:00.000000"
 
@@ -54,7 +61,9 @@ def make_world(folder: Path) -> None:
         name = f"hill.csv{ending}"
         (folder / name).write_bytes(pack(HILL.encode()))
         (folder / f"{name}.toml").write_text(ON_A_TABLE.format(name))
-    gains = dict(zip(taichi_nmm.GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True))
+    gains = dict(
+        zip(taichi_nmm.GAIN_NAMES, taichi_nmm.PUBLISHED_GAINS.tolist(), strict=True)
+    )
     (folder / "gains.json").write_text(json.dumps(gains | {"theta_ref": 0.1}, indent=1))
     with mock.patch.object(journal, "datetime") as clock:
         clock.now().isoformat.return_value = DAY
@@ -62,7 +71,9 @@ def make_world(folder: Path) -> None:
         robot.run(bench, 3)
         bench.next()  # trial 3, whose log is read
         bench._journal.storage.engine.dispose()
-    (folder / "trials.csv").write_text("stiffness,damping,value,torque\n50,1,0.9,80\n60,1,1.2,\n")
+    (folder / "trials.csv").write_text(
+        "stiffness,damping,value,torque\n50,1,0.9,80\n60,1,1.2,\n"
+    )
     write_fresh_bench(folder)
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=fake_walker.simulate)
     shown = StringIO()
@@ -80,10 +91,15 @@ def write_fresh_bench(folder: Path) -> None:
     known = (folder / "candidates.csv").read_text().splitlines()[:40]
     (folder / "fresh.csv").write_text("\n".join([*known, ""]))
     cells = [line.split(",") for line in known]
-    columns = {name: [float(cell) for cell in column] for name, *column in zip(*cells, strict=True)}
+    columns = {
+        name: [float(cell) for cell in column]
+        for name, *column in zip(*cells, strict=True)
+    }
     pq.write_table(pa.table(columns), folder / "fresh.parquet")
     for name, file in (("fresh", "fresh.csv"), ("fresh-parquet", "fresh.parquet")):
-        text = robot.TOML.format(known=robot.WORLDS + "\nbounds = {damping = [0.0, 3.0]}")
+        text = robot.TOML.format(
+            known=robot.WORLDS + "\nbounds = {damping = [0.0, 3.0]}"
+        )
         text = text.replace("candidates.csv", file).replace('"walk"', f'"{name}"')
         (folder / f"{name}.toml").write_text(text)
     log = [f"{0.1 * step:.1f},{0.12 * step:.2f}\n" for step in range(301)]
@@ -98,9 +114,13 @@ def settle(folder: Path) -> None:
         footer.pop(DIGEST_KEY)
         place = table.schema.get_field_index("proposal_s")
         same = pa.array([0.001] * len(table))
-        write_stamped(path, table.set_column(place, table.schema.field(place), same), footer)
+        write_stamped(
+            path, table.set_column(place, table.schema.field(place), same), footer
+        )
     for path in folder.rglob("proposal_times.parquet"):
-        arms = [pq.read_table(arm) for arm in sorted(path.parent.glob("arms/*.parquet"))]
+        arms = [
+            pq.read_table(arm) for arm in sorted(path.parent.glob("arms/*.parquet"))
+        ]
         footer = json.loads(pq.read_schema(path).metadata[FOOTER_KEY])
         write_table(path, in_order(arms).select(TIME_COLUMNS), footer)
     for path in folder.rglob("run.json"):

@@ -1,7 +1,8 @@
 """The walker interpreted by NumPy: the simulator's own modules, with NumPy in Taichi's place.
 
-The leaf physics has no branch on a value, so it runs as it stands on arrays of walkers: a lane
-index becomes the index array of all walkers. That checks the compiler, not the equations.
+The leaf physics has no branch on a value, so it runs as it stands on arrays of walkers:
+a lane index becomes the index array of all walkers. That checks the compiler, not the
+equations.
 """
 
 import builtins
@@ -15,10 +16,23 @@ import numpy as np
 from taichi_nmm import kernel
 
 INTERPRETED = (
-    "elementary", "kinematics", "muscle_table", "joints", "muscle", "dynamics", "contact",
-    "nerves", "reflexes", "swing", "gait", "device", "walker", "entry_points", "carried",
+    "elementary",
+    "kinematics",
+    "muscle_table",
+    "joints",
+    "muscle",
+    "dynamics",
+    "contact",
+    "nerves",
+    "reflexes",
+    "swing",
+    "gait",
+    "device",
+    "walker",
+    "entry_points",
+    "carried",
     "actuation",
-)  # fmt: skip
+)
 
 
 class AllLanes:
@@ -36,13 +50,24 @@ def lane_range(*arguments: Any) -> Any:
 
 
 NUMPY_TAICHI = SimpleNamespace(
-    func=lambda function: function, kernel=lambda function: function,
+    func=lambda function: function,
+    kernel=lambda function: function,
     static=lambda *values: values[0] if len(values) == 1 else values,
-    select=np.where, max=np.maximum, min=np.minimum, floor=np.floor, sqrt=np.sqrt,
-    cast=lambda value, dtype: np.asarray(value).astype(dtype), raw_mod=np.fmod,
-    bit_cast=lambda value, dtype: value.view(dtype), Vector=list,
-    i32=np.int32, u32=np.uint32, i64=np.int64, f32=np.float32, f64=np.float64,
-)  # fmt: skip
+    select=np.where,
+    max=np.maximum,
+    min=np.minimum,
+    floor=np.floor,
+    sqrt=np.sqrt,
+    cast=lambda value, dtype: np.asarray(value).astype(dtype),
+    raw_mod=np.fmod,
+    bit_cast=lambda value, dtype: value.view(dtype),
+    Vector=list,
+    i32=np.int32,
+    u32=np.uint32,
+    i64=np.int64,
+    f32=np.float32,
+    f64=np.float64,
+)
 
 
 def interpreted_walker() -> Any:
@@ -54,22 +79,33 @@ def interpreted_walker() -> Any:
 def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
     """Modules of the kernel, and all they import, over NumPy in float64, or in float32.
 
-    Sums and products are of the arrays' own type. The real modules are put back before returning.
+    Sums and products are of the arrays' own type. The real modules are put back before
+    returning.
     """
     shim: Any = ModuleType("taichi_nmm.kernel.backend")
-    shim.ti, shim.Rows, shim.Array, shim.is_double = NUMPY_TAICHI, Any, Any, lambda: double
+    shim.ti, shim.Rows, shim.Array, shim.is_double = (
+        NUMPY_TAICHI,
+        Any,
+        Any,
+        lambda: double,
+    )
     shim.local_rows = None  # used in kernels, which are not interpreted
     replaced = ("backend", *INTERPRETED)
-    real = {name: sys.modules.pop(f"{kernel.__name__}.{name}", None) for name in replaced}
+    real = {
+        name: sys.modules.pop(f"{kernel.__name__}.{name}", None) for name in replaced
+    }
     for name in replaced:
         vars(kernel).pop(name, None)
     sys.modules[shim.__name__] = kernel.backend = shim
     try:
         prefix = kernel.__name__
-        modules = {name: importlib.import_module(f"{prefix}.{name}") for name in INTERPRETED}
+        modules = {
+            name: importlib.import_module(f"{prefix}.{name}") for name in INTERPRETED
+        }
         for name in ("walker", "carried", "actuation"):
             vars(modules[name])["range"] = lane_range
-        # All phases for all lanes, and no early exit: a settled pass repeats itself, bit for bit.
+        # All phases for all lanes, and no early exit: a settled pass repeats itself,
+        # bit for bit.
         vars(modules["walker"])["highest"] = lambda row, lanes, rows: 1.0
         vars(modules["walker"])["nerves_vary"] = lambda lanes, const: True
         return tuple(modules[name] for name in names)

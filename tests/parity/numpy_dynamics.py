@@ -1,11 +1,13 @@
 """The linkage's dynamics written another way: dense, from the Jacobians of the seven masses.
 
-The simulator solves the closed form of the equations as an arrow matrix; nothing here knows of it.
-Every centre of mass is `hip + sum_k arm[i, k] u_k(th_k)`, u_k the unit vector along segment k, so
-with e_k = du_k/dth_k the Jacobian of segment i is J_i = [1, arm[i, k] e_k] and the centripetal
-part of its acceleration is `-sum_k arm[i, k] u_k w_k^2`.
+The simulator solves the closed form of the equations as an arrow matrix; nothing here
+knows of it. Every centre of mass is `hip + sum_k arm[i, k] u_k(th_k)`, u_k the unit
+vector along segment k, so with e_k = du_k/dth_k the Jacobian of segment i is J_i = [1,
+arm[i, k] e_k] and the centripetal part of its acceleration is `-sum_k arm[i, k] u_k
+w_k^2`.
 
-Arrays: states q, qdot [n, 9] as in `taichi_nmm`, joint torques [n, 6], bodies of length 1 or n.
+Arrays: states q, qdot [n, 9] as in `taichi_nmm`, joint torques [n, 6], bodies of length
+1 or n.
 """
 
 import numpy as np
@@ -62,7 +64,9 @@ def com_positions(q: Array, bodies: Bodies) -> Array:
 
 def com_accelerations(q: Array, qdot: Array, qddot: Array, bodies: Bodies) -> Array:
     """Acceleration of each segment's centre of mass, [n, 7, 2]."""
-    turning = contract("nik,nkc,nk->nic", arms_m(bodies), unit_vectors(q), qdot[:, 2:] ** 2)
+    turning = contract(
+        "nik,nkc,nk->nic", arms_m(bodies), unit_vectors(q), qdot[:, 2:] ** 2
+    )
     return contract("nica,na->nic", jacobians(q, bodies), qddot) - turning
 
 
@@ -83,6 +87,8 @@ def moment_about_com(q: Array, rate: Array, bodies: Bodies) -> Array:
     """Clockwise moment of m_i rate_i (velocities or accelerations, [n, 7, 2]), [n]."""
     position = com_positions(q, bodies)
     mass = bodies.mass_kg[..., None]
-    centre = np.sum(mass * position, axis=1, keepdims=True) / np.sum(mass, axis=1, keepdims=True)
+    centre = np.sum(mass * position, axis=1, keepdims=True) / np.sum(
+        mass, axis=1, keepdims=True
+    )
     x, z = np.moveaxis(mass * (position - centre), -1, 0)
     return contract("ni,ni->n", z, rate[..., 0]) - contract("ni,ni->n", x, rate[..., 1])

@@ -8,11 +8,28 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import Bodies, Prosthesis, Settings, WorldRanges, Worlds, simulator, terrain
+from taichi_nmm import (
+    Bodies,
+    Prosthesis,
+    Settings,
+    WorldRanges,
+    Worlds,
+    simulator,
+    terrain,
+)
 from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.carried import drive, follow
-from taichi_nmm.kernel.layout import COORDINATES, LEGS, Drive, Motion, Muscle, Sense, State, Work
+from taichi_nmm.kernel.layout import (
+    COORDINATES,
+    LEGS,
+    Drive,
+    Motion,
+    Muscle,
+    Sense,
+    State,
+    Work,
+)
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.parameters import (
     FIXED,
@@ -33,8 +50,8 @@ STEPS_S = pytest.mark.parametrize(
 )
 WALKERS = 21  # the last pack is not full
 WALK_TICKS, WALK_TOLERANCE = 500, 1e-6  # 0.5 s; contacts enlarge what rounding changes
-# The kernels of one physics step get random inputs: a body of another simulator may sense or do
-# anything.
+# The kernels of one physics step get random inputs: a body of another simulator may
+# sense or do anything.
 TICKS = 60  # beyond the longest delay
 TOLERANCE = 1e-9  # of each row, or of 1: rounding, which muscles forget and sums keep
 LARGEST_LOAD_N = 2000.0
@@ -42,9 +59,9 @@ SEGMENT_COUNT = layout.SEGMENT_COUNT
 
 
 def walking_batch(count: int) -> Batch:
-    """Walkers of random gains, the first of the published ones: each body and each world another,
-    every second with a device and legs that differ, every third with a prosthesis and muscles of
-    its own, on five grounds in turn.
+    """Walkers of random gains, the first of the published ones: each body and each
+    world another, every second with a device and legs that differ, every third with a
+    prosthesis and muscles of its own, on five grounds in turn.
     """
     rng = np.random.default_rng(4)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (count, 16))
@@ -60,7 +77,9 @@ def walking_batch(count: int) -> Batch:
     healthy = WorldRanges(*ranges, catch_ns=(0.0, 5.0))
     own = {name: tuple(rng.uniform(0.9, 1.1, 14)) for name in MUSCLE_LIMITS}
     amputees = replace(healthy, prosthesis=Prosthesis("right", 400.0, 1.0, 0.05), **own)
-    each_world = Worlds.stacked(ranges.draw(range(count)) for ranges in (healthy, amputees))
+    each_world = Worlds.stacked(
+        ranges.draw(range(count)) for ranges in (healthy, amputees)
+    )
     worlds = each_world.take(np.arange(count) + count * (np.arange(count) % 3 == 2))
     bodies = Bodies.disturbed(range(count))
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (count, 1))
@@ -85,7 +104,12 @@ class Both:
         self.substeps, self.blends = settings.substeps, blends(step_s)
         self.table = muscle_table(step_s)
         self.heights = np.array([ground.height_m for ground in batch.terrains])
-        firsts = [layout.FIRST_FIBRE, layout.FIRST_DELAY, layout.FIRST_EVENT, layout.FIRST_SUM]
+        firsts = [
+            layout.FIRST_FIBRE,
+            layout.FIRST_DELAY,
+            layout.FIRST_EVENT,
+            layout.FIRST_SUM,
+        ]
         self.blocks = np.split(np.ascontiguousarray(self.rows().T), firsts)
         self.state, self.fibres, self.delay, self.events, self.sums = self.blocks
         self.const = constant_rows(batch, settings).T
@@ -125,11 +149,24 @@ def test_a_walk(step_s: float) -> None:
     with np.errstate(all="ignore"):
         for tick in range(WALK_TICKS):
             walker.step(
-                tick, both.substeps, step_s, *both.blends, 1, both.lanes, both.index, both.heights,
-                both.table, *both.blocks, both.const, both.work,
-            )  # fmt: skip
+                tick,
+                both.substeps,
+                step_s,
+                *both.blends,
+                1,
+                both.lanes,
+                both.index,
+                both.heights,
+                both.table,
+                *both.blocks,
+                both.const,
+                both.work,
+            )
     ours, numpys = both.rows(), np.vstack(both.blocks).T
-    assert np.nanmax(np.abs(ours - numpys) / np.maximum(np.abs(numpys), 1.0)) < WALK_TOLERANCE
+    assert (
+        np.nanmax(np.abs(ours - numpys) / np.maximum(np.abs(numpys), 1.0))
+        < WALK_TOLERANCE
+    )
     assert np.array_equal(np.isnan(ours), np.isnan(numpys))
     # Something happened: most walk on, the feet changed, the muscles pulled.
     assert ours[:, State.active].sum() > WALKERS / 2
@@ -141,14 +178,20 @@ def test_a_walk(step_s: float) -> None:
 def random_senses(rng: np.random.Generator) -> Array:
     """Rows of `layout.Sense`, [n, rows]."""
     rows = np.zeros((WALKERS, Sense.count))
-    bent = np.cumsum(rng.uniform(-0.3, 0.6, (WALKERS, LEGS, 3)), axis=2).reshape(WALKERS, -1)
+    bent = np.cumsum(rng.uniform(-0.3, 0.6, (WALKERS, LEGS, 3)), axis=2).reshape(
+        WALKERS, -1
+    )
     lean = rng.uniform(-0.2, 0.2, (WALKERS, 1))
     rows[:, Sense.angle : Sense.angle + SEGMENT_COUNT] = np.hstack([lean, lean + bent])
-    rows[:, Sense.rate : Sense.rate + SEGMENT_COUNT] = rng.uniform(-3, 3, (WALKERS, SEGMENT_COUNT))
+    rows[:, Sense.rate : Sense.rate + SEGMENT_COUNT] = rng.uniform(
+        -3, 3, (WALKERS, SEGMENT_COUNT)
+    )
     for first, low, high in (
-        (Sense.load, 0.0, LARGEST_LOAD_N), (Sense.leg_length, 0.7, 1.0),
-        (Sense.leg_angle, 1.0, 2.2), (Sense.com_ahead, -0.4, 0.4),
-    ):  # fmt: skip
+        (Sense.load, 0.0, LARGEST_LOAD_N),
+        (Sense.leg_length, 0.7, 1.0),
+        (Sense.leg_angle, 1.0, 2.2),
+        (Sense.com_ahead, -0.4, 0.4),
+    ):
         rows[:, first : first + LEGS] = rng.uniform(low, high, (WALKERS, LEGS))
     rows[:, Sense.contact : Sense.contact + LEGS] = rng.integers(0, 2, (WALKERS, LEGS))
     rows[:, Sense.com_speed] = rng.uniform(0.0, 2.0, WALKERS)
@@ -165,9 +208,18 @@ def test_actuation(step_s: float) -> None:
         folded = both.packs.fold(senses)
         both.launch(actuate, both.table, folded, torques, tick, commands, *both.blends)
         actuation.step(
-            tick, commands, *both.blends, both.lanes, both.table, np.ascontiguousarray(senses.T),
-            both.state, both.fibres, both.delay, both.const, both.work,
-        )  # fmt: skip
+            tick,
+            commands,
+            *both.blends,
+            both.lanes,
+            both.table,
+            np.ascontiguousarray(senses.T),
+            both.state,
+            both.fibres,
+            both.delay,
+            both.const,
+            both.work,
+        )
         expected = both.work[Work.joint_torque : Work.joint_torque + 3 * LEGS].T
         assert_close(both.packs.unfold(torques), expected)
         both.assert_same()
@@ -180,11 +232,15 @@ def random_motion(rng: np.random.Generator, start: Array) -> Array:
     """Rows of `layout.Motion`, [n, rows]: about the start, so that most stay upright."""
     rows = np.zeros((WALKERS, Motion.count))
     shape = (WALKERS, COORDINATES)
-    q, qdot = (rows[:, first : first + COORDINATES] for first in (Motion.q, Motion.qdot))
+    q, qdot = (
+        rows[:, first : first + COORDINATES] for first in (Motion.q, Motion.qdot)
+    )
     q[:] = start + rng.uniform(-0.1, 0.1, shape)
     qdot[:] = rng.uniform(-2.0, 2.0, shape)
     q[rng.random(WALKERS) < 0.005, 1] = 0.3  # a fall
-    rows[:, Motion.touching : Motion.touching + LEGS] = rng.integers(0, 2, (WALKERS, LEGS))
+    rows[:, Motion.touching : Motion.touching + LEGS] = rng.integers(
+        0, 2, (WALKERS, LEGS)
+    )
     forces = rng.uniform(-0.1, 1.0, (WALKERS, 2 * LEGS)) * LARGEST_LOAD_N
     rows[:, Motion.ground_force : Motion.ground_force + 2 * LEGS] = forces
     return rows
@@ -195,18 +251,38 @@ def test_bodies_that_another_engine_moves(step_s: float) -> None:
     """Both kernels, before and after the other engine's step; some walkers fall."""
     (carried,) = interpreted("carried")
     both, rng = Both(step_s), np.random.default_rng(10)
-    start, drives = both.rows()[:, State.q : State.q + COORDINATES], both.output(Drive.count)
+    start, drives = (
+        both.rows()[:, State.q : State.q + COORDINATES],
+        both.output(Drive.count),
+    )
     activation, load = both.blends
     for tick, within in both.steps():
         commands, ends = int(within == 0), int(within == both.substeps - 1)
         both.launch(
-            drive, both.packs.terrains, both.heights, both.table, drives, tick, commands, activation
+            drive,
+            both.packs.terrains,
+            both.heights,
+            both.table,
+            drives,
+            tick,
+            commands,
+            activation,
         )
         carried.before(
-            tick, commands, activation, both.lanes, both.index, both.heights, both.table,
-            *both.blocks, both.const, both.work,
-        )  # fmt: skip
-        power = both.work[Work.metabolic_power : Work.metabolic_power + 2 * 7].sum(axis=0)
+            tick,
+            commands,
+            activation,
+            both.lanes,
+            both.index,
+            both.heights,
+            both.table,
+            *both.blocks,
+            both.const,
+            both.work,
+        )
+        power = both.work[Work.metabolic_power : Work.metabolic_power + 2 * 7].sum(
+            axis=0
+        )
         torque = both.work[Work.joint_torque : Work.joint_torque + 3 * LEGS]
         catch = both.work[Work.momentum : Work.momentum + COORDINATES]
         expected = np.vstack([torque, power, both.work[Work.ground_hip], catch])
@@ -216,9 +292,18 @@ def test_bodies_that_another_engine_moves(step_s: float) -> None:
         motion = random_motion(rng, start)
         both.launch(follow, drives, both.packs.fold(motion), tick, ends, step_s, load)
         carried.after(
-            tick, ends, step_s, load, both.lanes, expected, np.ascontiguousarray(motion.T),
-            both.state, both.sums, both.const, both.work,
-        )  # fmt: skip
+            tick,
+            ends,
+            step_s,
+            load,
+            both.lanes,
+            expected,
+            np.ascontiguousarray(motion.T),
+            both.state,
+            both.sums,
+            both.const,
+            both.work,
+        )
         both.assert_same()
         both.work[:] = 0.0
     assert 0 < both.state[State.active].sum() < WALKERS

@@ -1,7 +1,8 @@
 """`Controller` driven with recorded states of the simulator makes the simulator's torques.
 
-Torques are what the muscles' forces make at the joints by their table of moments, weighted, and the
-ideal parts: the simulator keeps both. The stop of the hip is no part of them.
+Torques are what the muscles' forces make at the joints by their table of moments,
+weighted, and the ideal parts: the simulator keeps both. The stop of the hip is no part
+of them.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +18,12 @@ from taichi_nmm.kernel import backend, layout
 from taichi_nmm.kernel.joints import HIP_EXTENSION_LIMIT_RAD
 from taichi_nmm.kernel.layout import COORDINATES, LEGS, Muscle, State, Work
 from taichi_nmm.kernel.muscle_table import TORQUES_NM
-from taichi_nmm.parameters import PUBLISHED_GAINS, load_gains, lower_bounds, upper_bounds
+from taichi_nmm.parameters import (
+    PUBLISHED_GAINS,
+    load_gains,
+    lower_bounds,
+    upper_bounds,
+)
 from taichi_nmm.walkers import check_batch, constant_rows
 from tests.parity import numpy_dynamics
 from tests.parity.interpreter import interpreted
@@ -48,7 +54,10 @@ def record(gains: Array, settings: Settings) -> Walks:
     """Walk on level ground at a physics step of 1 ms, and keep each tick."""
     batch = check_batch(gains)
     backend.start(settings)
-    packs, launch = simulator.start_packs(batch, settings), simulator.launcher(batch, settings)
+    packs, launch = (
+        simulator.start_packs(batch, settings),
+        simulator.launcher(batch, settings),
+    )
     kept = layout.FIRST_FIBRE + Muscle.count
     rows = np.empty((TICKS + 1, len(batch), kept), dtype=backend.real_dtype())
     rows[0] = packs.unfold(packs.rows)[:, :kept]
@@ -59,7 +68,9 @@ def record(gains: Array, settings: Settings) -> Walks:
     # Where a walker is at its last tick upright, it stays.
     last = np.where(up, np.arange(TICKS)[:, None], 0).max(axis=0)
     held = np.minimum(np.arange(TICKS)[:, None], last)
-    rows_0, rows_1 = (part[held, np.arange(len(batch))] for part in (rows[:-1], rows[1:]))
+    rows_0, rows_1 = (
+        part[held, np.arange(len(batch))] for part in (rows[:-1], rows[1:])
+    )
     touching = rows_1[..., State.touching : State.touching + 2 * LEGS]
     return Walks(
         q=rows_0[..., State.q : State.q + COORDINATES],
@@ -77,7 +88,9 @@ def _torques(before: Array, after: Array) -> Array:
     first = layout.FIRST_FIBRE + Muscle.force
     force = after[..., first : first + LEGS * layout.MUSCLES_PER_LEG].astype(np.float64)
     force = force.reshape(*force.shape[:2], LEGS, layout.MUSCLES_PER_LEG)
-    joint = joint_angles(before[..., State.q : State.q + COORDINATES].astype(np.float64))
+    joint = joint_angles(
+        before[..., State.q : State.q + COORDINATES].astype(np.float64)
+    )
     joint = joint.reshape(*force.shape[:3], 3)
     hip = force @ TORQUES_NM[:, 0]
     knee, ankle = (
@@ -89,7 +102,9 @@ def _torques(before: Array, after: Array) -> Array:
         after[..., row : row + LEGS].astype(np.float64)
         for row in (State.stance_weight, State.hip_torque, State.knee_torque)
     )
-    torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle], axis=-1)
+    torque = np.stack(
+        [weight * hip + ideal_hip, weight * knee + ideal_knee, ankle], axis=-1
+    )
     return torque.reshape(*torque.shape[:2], 3 * LEGS)
 
 
@@ -101,7 +116,8 @@ def joint_angles(q: Array) -> Array:
 def sensed(walks: Walks, bodies: Bodies) -> list[Observation]:
     """What the bodies sense at each tick, by plain geometry in float64."""
     q, qdot = (
-        rows.astype(np.float64).reshape(TICKS * WALKERS, -1) for rows in (walks.q, walks.qdot)
+        rows.astype(np.float64).reshape(TICKS * WALKERS, -1)
+        for rows in (walks.q, walks.qdot)
     )
     way = numpy_dynamics.unit_vectors(q)  # of each segment, from the hip on
     speed = numpy_dynamics.clockwise_quarter_turn(way) * qdot[:, 2:, None]
@@ -129,7 +145,8 @@ def sensed_in_float32(walks: Walks) -> list[Observation]:
     kinematics.contact_points(lanes, state, work)
     kinematics.centre_of_mass(lanes, state, const, work)
     length, angle, ankle_x = (
-        work[row : row + LEGS].T for row in (Work.leg_length, Work.leg_angle, Work.ankle_x)
+        work[row : row + LEGS].T
+        for row in (Work.leg_length, Work.leg_angle, Work.ankle_x)
     )
     ahead = work[Work.com_x][:, None] - ankle_x
     return observations(walks, length, angle, ahead, work[Work.com_speed])
@@ -139,11 +156,21 @@ def observations(
     walks: Walks, length: Array, angle: Array, ahead: Array, speed: Array
 ) -> list[Observation]:
     """An `Observation` of each tick from lengths, angles and speeds of all ticks, [t n, ...]."""
-    shape, q, qdot = walks.up.shape, walks.q.astype(np.float64), walks.qdot.astype(np.float64)
+    shape, q, qdot = (
+        walks.up.shape,
+        walks.q.astype(np.float64),
+        walks.qdot.astype(np.float64),
+    )
     columns = (
-        joint_angles(q), joint_angles(qdot), q[..., 2], qdot[..., 2], walks.contact, walks.load_n,
-        *(part.reshape(*shape, LEGS) for part in (length, angle, ahead)), speed.reshape(shape),
-    )  # fmt: skip
+        joint_angles(q),
+        joint_angles(qdot),
+        q[..., 2],
+        qdot[..., 2],
+        walks.contact,
+        walks.load_n,
+        *(part.reshape(*shape, LEGS) for part in (length, angle, ahead)),
+        speed.reshape(shape),
+    )
     return [Observation(*rows) for rows in zip(*columns, strict=True)]
 
 
@@ -156,13 +183,21 @@ def twelve_gains() -> np.ndarray:
     return np.asarray(np.clip(gains, lower_bounds(), upper_bounds()))
 
 
-@pytest.mark.parametrize(("precision", "bound"), [("float64", 1e-12), ("float32", 1e-6)])
-def test_recorded_states_give_the_torques_of_the_walk(precision: str, bound: float) -> None:
+@pytest.mark.parametrize(
+    ("precision", "bound"), [("float64", 1e-12), ("float32", 1e-6)]
+)
+def test_recorded_states_give_the_torques_of_the_walk(
+    precision: str, bound: float
+) -> None:
     settings = Settings(precision=precision, arch="cpu")
     walks = record(twelve_gains(), settings)
-    assert walks.up[-1, :2].all()  # The published gains and the reference walk to the end
+    assert walks.up[
+        -1, :2
+    ].all()  # The published gains and the reference walk to the end
     double = precision == "float64"
-    states = sensed(walks, Bodies.nominal(WALKERS)) if double else sensed_in_float32(walks)
+    states = (
+        sensed(walks, Bodies.nominal(WALKERS)) if double else sensed_in_float32(walks)
+    )
     controller = Controller(twelve_gains(), settings=settings)
     torque = np.array([controller.step(state) for state in states])
     largest = np.abs(walks.torque_nm[walks.up]).max()
@@ -170,14 +205,20 @@ def test_recorded_states_give_the_torques_of_the_walk(precision: str, bound: flo
 
 
 def test_the_stop_of_the_hip_is_the_bodys_own() -> None:
-    """In swing only the leg's angle and length count: a hip far beyond its limit changes nothing,
-    where the stop would turn it by some N m."""
+    """In swing only the leg's angle and length count: a hip far beyond its limit
+    changes nothing, where the stop would turn it by some N m."""
     inside = Observation(
-        joint_rad=[[0.3, 0.4, 0.0] * 2], joint_rate_radps=[[0.0] * 6],
-        trunk_rad=[0.0], trunk_rate_radps=[0.0], contact=[[False, False]], load_n=[[0.0, 0.0]],
-        leg_length_m=[[0.95, 0.95]], leg_angle_rad=[[1.5, 1.5]], com_ahead_m=[[0.0, 0.0]],
+        joint_rad=[[0.3, 0.4, 0.0] * 2],
+        joint_rate_radps=[[0.0] * 6],
+        trunk_rad=[0.0],
+        trunk_rate_radps=[0.0],
+        contact=[[False, False]],
+        load_n=[[0.0, 0.0]],
+        leg_length_m=[[0.95, 0.95]],
+        leg_angle_rad=[[1.5, 1.5]],
+        com_ahead_m=[[0.0, 0.0]],
         com_speed_mps=[1.3],
-    )  # fmt: skip
+    )
     bent = np.array([[HIP_EXTENSION_LIMIT_RAD + 0.3, 0.4, 0.0] * 2])
     torques = [
         Controller(PUBLISHED_GAINS, settings=Settings(precision="float64")).step(state)

@@ -13,7 +13,9 @@ from tests.parity import numpy_dynamics
 pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
-States = tuple[Array, Array, Array, Bodies]  # q, qdot [n, 9], joint torques [n, 6] and n bodies
+States = tuple[
+    Array, Array, Array, Bodies
+]  # q, qdot [n, 9], joint torques [n, 6] and n bodies
 
 STATES = 1000
 LARGEST_RATE_PS = 10.0  # m/s and rad/s; walking stays below
@@ -26,13 +28,18 @@ ROUNDING = 1e-12  # relative
 def random_states(count: int) -> States:
     """Any angles, fast rates, strong torques; every second body is disturbed."""
     rng = np.random.default_rng(20161)
-    nominal, disturbed = vars(Bodies.nominal(count)), vars(Bodies.disturbed(range(count)))
+    nominal, disturbed = (
+        vars(Bodies.nominal(count)),
+        vars(Bodies.disturbed(range(count))),
+    )
     odd = (np.arange(count) % 2 == 1)[:, None]
     return (
         rng.uniform(-np.pi, np.pi, (count, 9)),
         rng.uniform(-LARGEST_RATE_PS, LARGEST_RATE_PS, (count, 9)),
         rng.uniform(-LARGEST_TORQUE_NM, LARGEST_TORQUE_NM, (count, 6)),
-        Bodies(**{name: np.where(odd, disturbed[name], nominal[name]) for name in nominal}),
+        Bodies(
+            **{name: np.where(odd, disturbed[name], nominal[name]) for name in nominal}
+        ),
     )
 
 
@@ -69,30 +76,47 @@ def test_accelerations_are_mujocos(states: States, expected: Array) -> None:
     assert relative_error(found, expected) <= LARGEST_ERROR
 
 
-def test_bodies_matter_and_the_rest_of_the_batch_does_not(states: States, expected: Array) -> None:
+def test_bodies_matter_and_the_rest_of_the_batch_does_not(
+    states: States, expected: Array
+) -> None:
     found = forward_dynamics(*states[:3])
     nominal, disturbed = slice(0, None, 2), slice(1, None, 2)
     assert relative_error(found[nominal], expected[nominal]) <= LARGEST_ERROR
     assert relative_error(found[disturbed], expected[disturbed]) > 0.01
     body = Bodies.disturbed([7])
     one = forward_dynamics(*states[:3], body)
-    np.testing.assert_array_equal(one, forward_dynamics(*states[:3], body.take([0] * STATES)))
+    np.testing.assert_array_equal(
+        one, forward_dynamics(*states[:3], body.take([0] * STATES))
+    )
     q, qdot, torque, bodies = states
     for count in (1, 3, 17):  # a state does not depend on its batch
-        few = forward_dynamics(q[:count], qdot[:count], torque[:count], bodies.take(range(count)))
+        few = forward_dynamics(
+            q[:count], qdot[:count], torque[:count], bodies.take(range(count))
+        )
         np.testing.assert_array_equal(few, forward_dynamics(*states)[:count])
 
 
-GOOD = {"q": np.zeros((2, 9)), "qdot": np.zeros((2, 9)), "joint_torque": np.zeros((2, 6))}
+GOOD = {
+    "q": np.zeros((2, 9)),
+    "qdot": np.zeros((2, 9)),
+    "joint_torque": np.zeros((2, 6)),
+}
 
 
-@pytest.mark.parametrize(("name", "value"), [
-    ("q", np.zeros((2, 8))), ("qdot", np.zeros((3, 9))), ("joint_torque", np.zeros((2, 5))),
-    ("bodies", Bodies.nominal(3)), ("q", np.full((2, 9), np.nan)),
-    # Numbers whose accelerations are none, and angles of which a sine is noise.
-    ("qdot", np.full((2, 9), 1e200)), ("joint_torque", np.full((2, 6), -1e308)),
-    ("q", np.full((2, 9), 1e8)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("q", np.zeros((2, 8))),
+        ("qdot", np.zeros((3, 9))),
+        ("joint_torque", np.zeros((2, 5))),
+        ("bodies", Bodies.nominal(3)),
+        ("q", np.full((2, 9), np.nan)),
+        # Numbers whose accelerations are none, and angles of which a sine is noise.
+        ("qdot", np.full((2, 9), 1e200)),
+        ("joint_torque", np.full((2, 6), -1e308)),
+        ("q", np.full((2, 9), 1e8)),
+    ],
+)
 def test_what_cannot_be_used_is_named(name: str, value: object) -> None:
     with pytest.raises(InputError, match=rf"^{name}\b"):
         forward_dynamics(**GOOD | {name: value})  # type: ignore[arg-type]
@@ -107,7 +131,11 @@ def test_no_torque_between_segments_moves_the_whole(states: States) -> None:
     net = np.sum(force, axis=1)
     net[:, 1] += GRAVITY_MPS2 * np.sum(bodies.mass_kg, axis=1)
     spin = bodies.inertia_kgm2 * qddot[:, 2:]
-    moment = numpy_dynamics.moment_about_com(q, acceleration, bodies) + np.sum(spin, axis=1)
-    scale = np.sum(np.abs(force), axis=(1, 2))  # arms are about a metre: of force and moment alike
+    moment = numpy_dynamics.moment_about_com(q, acceleration, bodies) + np.sum(
+        spin, axis=1
+    )
+    scale = np.sum(
+        np.abs(force), axis=(1, 2)
+    )  # arms are about a metre: of force and moment alike
     assert np.max(np.abs(net) / scale[:, None]) <= ROUNDING
     assert np.max(np.abs(moment) / scale) <= ROUNDING

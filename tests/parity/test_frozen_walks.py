@@ -1,6 +1,7 @@
 """Walks of version 0.2.0 on both engines, frozen: every sum and score of a result.
 
-Parity with NumPy and MuJoCo covers forces and torques; the scores of a walk have no second source.
+Parity with NumPy and MuJoCo covers forces and torques; the scores of a walk have no
+second source.
 
     python -m tests.parity.test_frozen_walks    # freezes the walks anew: after a change of physics
 
@@ -27,8 +28,12 @@ DURATION_S = 4.0
 TOLERANCE = 1e-6
 WALKERS = {"taichi": 25, "mujoco": 10}
 WORLDS = {  # MuJoCo's contact is its own
-    "taichi": WorldRanges((0.5, 1.5), (0.8, 1.5), (0.8, 1.0), (0.9, 1.1), (0, 0.005), (0, 0.005)),
-    "mujoco": WorldRanges((1, 1), (1, 1), (0.8, 1.0), (0.9, 1.1), (0, 0.005), (0, 0.005)),
+    "taichi": WorldRanges(
+        (0.5, 1.5), (0.8, 1.5), (0.8, 1.0), (0.9, 1.1), (0, 0.005), (0, 0.005)
+    ),
+    "mujoco": WorldRanges(
+        (1, 1), (1, 1), (0.8, 1.0), (0.9, 1.1), (0, 0.005), (0, 0.005)
+    ),
 }
 
 
@@ -50,10 +55,14 @@ def walked(engine: str) -> NDArray[np.void]:
         terrain.stairs(rise_m=0.01, run_m=0.5, flat_start_m=1.0),
     ]
     return simulate(
-        gains, duration_s=DURATION_S, bodies=Bodies.disturbed(range(count)), terrains=grounds,
-        terrain_index=np.arange(count) % len(grounds), worlds=WORLDS[engine].draw(range(count)),
+        gains,
+        duration_s=DURATION_S,
+        bodies=Bodies.disturbed(range(count)),
+        terrains=grounds,
+        terrain_index=np.arange(count) % len(grounds),
+        worlds=WORLDS[engine].draw(range(count)),
         settings=Settings(precision="float64", arch="cpu", engine=engine),
-    ).rows  # fmt: skip
+    ).rows
 
 
 @pytest.mark.parametrize("engine", WALKERS)
@@ -64,11 +73,17 @@ def test_walks_are_those_of_0_2_0(engine: str) -> None:
     assert (rows["step_count"] > 0).sum() > len(rows) / 2
     for name in known.column_names:
         np.testing.assert_allclose(
-            rows[name], known[name].to_numpy(), rtol=TOLERANCE, atol=TOLERANCE, err_msg=name
+            rows[name],
+            known[name].to_numpy(),
+            rtol=TOLERANCE,
+            atol=TOLERANCE,
+            err_msg=name,
         )
 
 
 if __name__ == "__main__":
     for one in WALKERS:
         made = walked(one)
-        pq.write_table(pa.table({name: made[name] for name in made.dtype.names}), frozen(one))
+        pq.write_table(
+            pa.table({name: made[name] for name in made.dtype.names}), frozen(one)
+        )

@@ -1,7 +1,8 @@
 """The kernel on a GPU against the same on the processor; skipped where there is no GPU.
 
-All walkers start with tendons that are slack to the last bit, and rounding decides whether one
-pulls. So the two are compared from a state that the processor has walked to.
+All walkers start with tendons that are slack to the last bit, and rounding decides
+whether one pulls. So the two are compared from a state that the processor has walked
+to.
 """
 
 from itertools import pairwise
@@ -24,18 +25,29 @@ TOLERANCE = 1e-9  # of each row, or of 1: rounding, in float64
 DEVICE = slice(State.device_air, State.device_torque)
 
 
-def walked(batch: Batch, arch: str, ticks: tuple[int, ...], rows: NDArray[np.float64] | None = None
-           ) -> list[NDArray[np.float64]]:  # fmt: skip
+def walked(
+    batch: Batch,
+    arch: str,
+    ticks: tuple[int, ...],
+    rows: NDArray[np.float64] | None = None,
+) -> list[NDArray[np.float64]]:
     """Rows of all walkers at the later ticks, [n, row] each, from `rows` at the first one."""
     settings = Settings(arch=arch, precision="float64")
     backend.start(settings)
-    packs, launch = simulator.start_packs(batch, settings), simulator.launcher(batch, settings)
+    packs, launch = (
+        simulator.start_packs(batch, settings),
+        simulator.launcher(batch, settings),
+    )
     if rows is not None:
         packs.rows[...] = packs.fold(rows)
-    return [after(packs, launch, first, last - first) for first, last in pairwise(ticks)]
+    return [
+        after(packs, launch, first, last - first) for first, last in pairwise(ticks)
+    ]
 
 
-def after(packs: Packs, launch: simulator.Launch, tick: int, ticks: int) -> NDArray[np.float64]:
+def after(
+    packs: Packs, launch: simulator.Launch, tick: int, ticks: int
+) -> NDArray[np.float64]:
     launch(packs, tick, ticks)
     return np.array(packs.unfold(packs.rows))
 
@@ -52,9 +64,12 @@ def test_a_gpu_walks_as_the_processor() -> None:
     bare = batch.low_level[:, LOW_LEVEL_NAMES.index("exo_torque")] == 0.0
     assert 0 < bare.sum() < WALKERS
     for gpu, cpu in zip(gpus, cpus, strict=True):
-        # Strides of walkers without a device are counted where another one of the pack has one.
+        # Strides of walkers without a device are counted where another one of the pack
+        # has one.
         gpu[bare, DEVICE] = cpu[bare, DEVICE]
         assert np.array_equal(gpu[:, State.active], cpu[:, State.active])
         up = cpu[:, State.active] > 0.5
         assert up.sum() > WALKERS / 2
-        assert np.max((np.abs(gpu - cpu) / np.maximum(np.abs(cpu), 1.0))[up]) < TOLERANCE
+        assert (
+            np.max((np.abs(gpu - cpu) / np.maximum(np.abs(cpu), 1.0))[up]) < TOLERANCE
+        )

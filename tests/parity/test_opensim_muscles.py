@@ -1,7 +1,8 @@
 """OpenSim's model of a walker's muscles: forces, arms and numbers, computed from the files alone.
 
-By a calculation of our own from the file's functions, with OpenSim's tendon as its documentation
-has it (`TendonForceLengthCurve`), and by OpenSim itself where it is installed: pip install opensim.
+By a calculation of our own from the file's functions, with OpenSim's tendon as its
+documentation has it (`TendonForceLengthCurve`), and by OpenSim itself where it is
+installed: pip install opensim.
 """
 
 from pathlib import Path
@@ -32,28 +33,42 @@ pytestmark = pytest.mark.slow
 Array = NDArray[np.float64]
 
 OURS = {
-    "soleus": "SOL", "tib_ant": "TA", "gastroc": "GAS", "vasti": "VAS", "hamstrings": "HAM",
-    "glut_max": "GLU", "iliopsoas": "HFL",
-}  # fmt: skip
+    "soleus": "SOL",
+    "tib_ant": "TA",
+    "gastroc": "GAS",
+    "vasti": "VAS",
+    "hamstrings": "HAM",
+    "glut_max": "GLU",
+    "iliopsoas": "HFL",
+}
 NAMES = [f"{name}_{side}" for side in "lr" for name in OURS]
 # Of Geyer and Herr 2010: Fmax, optimal length, slack length, largest speed.
 PUBLISHED = {
-    "soleus": (4000.0, 0.04, 0.26, 6.0), "tib_ant": (800.0, 0.06, 0.24, 12.0),
-    "gastroc": (1500.0, 0.05, 0.40, 12.0), "vasti": (6000.0, 0.08, 0.23, 12.0),
-    "hamstrings": (3000.0, 0.10, 0.31, 12.0), "glut_max": (1500.0, 0.11, 0.13, 12.0),
+    "soleus": (4000.0, 0.04, 0.26, 6.0),
+    "tib_ant": (800.0, 0.06, 0.24, 12.0),
+    "gastroc": (1500.0, 0.05, 0.40, 12.0),
+    "vasti": (6000.0, 0.08, 0.23, 12.0),
+    "hamstrings": (3000.0, 0.10, 0.31, 12.0),
+    "glut_max": (1500.0, 0.11, 0.13, 12.0),
     "iliopsoas": (2000.0, 0.11, 0.10, 12.0),
-}  # fmt: skip
+}
 OWN_WORLD = {
     "muscles": {
-        "SOL_left": 0.5, "HAM_right": 0.7, "GLU_left": 0.0,
-        "optimal_length": {"GAS": 1.1}, "slack_length": {"VAS_left": 1.02},
+        "SOL_left": 0.5,
+        "HAM_right": 0.7,
+        "GLU_left": 0.0,
+        "optimal_length": {"GAS": 1.1},
+        "slack_length": {"VAS_left": 1.02},
         "activation_time": {"TA": 2.0},
     },
     "prosthesis": {
-        "side": "right", "stiffness_nmprad": 400.0, "damping_nmsprad": 1.0, "rest_rad": 0.1
+        "side": "right",
+        "stiffness_nmprad": 400.0,
+        "damping_nmsprad": 1.0,
+        "rest_rad": 0.1,
     },
     "exoskeleton": {"motion": "hip_extension", "side": "left"},
-}  # fmt: skip
+}
 MISSING = {"glut_max_l", "soleus_r", "tib_ant_r", "gastroc_r"}
 
 
@@ -89,15 +104,21 @@ def walked(world: dict[str, object], folder: Path) -> Case:
     low_level = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])
     low_level[LOW_LEVEL_NAMES.index("exo_torque")] = 10.0 if world else 0.0
     result = simulate(
-        PUBLISHED_GAINS, low_level_gains=low_level, duration_s=4.0,
-        worlds=worlds, record=[0], record_rate_hz=1000.0,
-    )  # fmt: skip
+        PUBLISHED_GAINS,
+        low_level_gains=low_level,
+        duration_s=4.0,
+        worlds=worlds,
+        record=[0],
+        record_rate_hz=1000.0,
+    )
     write_opensim(folder, result.trajectories[0], Bodies.nominal(), world=worlds)
     return Case(result.trajectories[0], folder)
 
 
 @pytest.fixture(scope="module", params=[{}, OWN_WORLD], ids=["nominal", "own world"])
-def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Case:
+def case(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Case:
     return walked(request.param, tmp_path_factory.mktemp("opensim") / "walk")
 
 
@@ -110,7 +131,9 @@ def computed(function: Element | None, arguments: list[Array]) -> Array:
     assert function is not None
     names = function.findtext(".//variables", "").split()
     given = dict(zip(names, arguments, strict=True))
-    value = eval(function.findtext(".//expression", ""), {"sin": np.sin, "cos": np.cos}, given)
+    value = eval(
+        function.findtext(".//expression", ""), {"sin": np.sin, "cos": np.cos}, given
+    )
     return np.asarray(value + np.zeros_like(arguments[0]))
 
 
@@ -120,9 +143,13 @@ def tendon_force(muscle: Element, strain: Array) -> Array:
     assert curve is not None
     one, stiffness, toe, curviness = (
         number(curve, tag)
-        for tag in ("strain_at_one_norm_force", "stiffness_at_one_norm_force",
-                    "norm_force_at_toe_end", "curviness")
-    )  # fmt: skip
+        for tag in (
+            "strain_at_one_norm_force",
+            "stiffness_at_one_norm_force",
+            "norm_force_at_toe_end",
+            "curviness",
+        )
+    )
     x_toe = one + (toe - 1.0) / stiffness
     x_middle = one + (0.5 * toe - 1.0) / stiffness
     foot = x_toe / 10.0
@@ -136,7 +163,9 @@ def tendon_force(muscle: Element, strain: Array) -> Array:
     c, u, points = 0.1 + 0.8 * curviness, np.linspace(0.0, 1.0, 3000), []
     for start, corner, end in zip(ends, corners, ends[1:], strict=False):
         near, far = (1 - c) * start + c * corner, (1 - c) * end + c * corner
-        points.append(BPoly(np.array([[start], [near], [near], [far], [far], [end]]), [0, 1])(u))
+        points.append(
+            BPoly(np.array([[start], [near], [near], [far], [far], [end]]), [0, 1])(u)
+        )
     x, y = np.concatenate(points).T
     beyond = toe + stiffness * (strain - x_toe)
     return np.where(strain > x_toe, beyond, np.interp(strain, x, y))
@@ -144,14 +173,21 @@ def tendon_force(muscle: Element, strain: Array) -> Array:
 
 def coordinates(case: Case, muscle: Element, kind: str) -> list[Array]:
     table = case.table(STATES)
-    return [table[f"{path}/{kind}"] for path in muscle.findtext(".//coordinate_paths", "").split()]
+    return [
+        table[f"{path}/{kind}"]
+        for path in muscle.findtext(".//coordinate_paths", "").split()
+    ]
 
 
-def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(case: Case) -> None:
+def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(
+    case: Case,
+) -> None:
     states, muscles = case.table(STATES), case.muscles
     assert set(NAMES) - set(muscles) in (set(), MISSING)
     for name, muscle in muscles.items():
-        length = computed(muscle.find(".//length_function/*"), coordinates(case, muscle, "value"))
+        length = computed(
+            muscle.find(".//length_function/*"), coordinates(case, muscle, "value")
+        )
         fibre = states[f"/forceset/{name}/fiber_length"]
         strain = (length - fibre) / number(muscle, "tendon_slack_length") - 1.0
         force = number(muscle, "max_isometric_force") * tendon_force(muscle, strain)
@@ -159,7 +195,9 @@ def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(case: C
         assert error < 0.001, (name, error)  # wanted: 0.05
 
 
-def test_the_fibres_of_the_file_are_the_walkers_but_for_tendon_and_step(case: Case) -> None:
+def test_the_fibres_of_the_file_are_the_walkers_but_for_tendon_and_step(
+    case: Case,
+) -> None:
     """What is between them: two curves of a tendon, and how far the path goes in a physics step."""
     states = case.table(STATES)
     for name, element in case.muscles.items():
@@ -167,8 +205,13 @@ def test_the_fibres_of_the_file_are_the_walkers_but_for_tendon_and_step(case: Ca
         column = MUSCLES.index(OURS[muscle]) + len(MUSCLES) * "lr".index(side)
         own = case.trajectory.fibre_length_m[:, column]
         away_m = np.abs(states[f"/forceset/{name}/fiber_length"] - own)
-        pose = [*coordinates(case, element, "value"), *coordinates(case, element, "speed")]
-        speed_mps = np.abs(computed(element.find(".//lengthening_speed_function/*"), pose))
+        pose = [
+            *coordinates(case, element, "value"),
+            *coordinates(case, element, "speed"),
+        ]
+        speed_mps = np.abs(
+            computed(element.find(".//lengthening_speed_function/*"), pose)
+        )
         between_m = 0.0019 * number(element, "tendon_slack_length") + 1e-3 * speed_mps
         assert (away_m < between_m + 1e-4).all(), (name, away_m.max())
         assert away_m.max() < 2e-3, (name, away_m.max())
@@ -187,8 +230,11 @@ def test_opensim_itself_computes_the_walkers_forces(
     muscles = [model.getMuscles().get(n) for n in range(model.getMuscles().getSize())]
     assert {muscle.getName() for muscle in muscles} == set(case.muscles)
     forces, errors = {each.getName(): list[float]() for each in muscles}, list[float]()
-    names = [f"{joint}_{side}" for side in "lr"
-             for joint in ("hip_flexion", "knee_angle", "ankle_angle")]  # fmt: skip
+    names = [
+        f"{joint}_{side}"
+        for side in "lr"
+        for joint in ("hip_flexion", "knee_angle", "ankle_angle")
+    ]
     arms = {each.getName(): [list[float]() for _ in names] for each in muscles}
     for sample in range(0, states.getSize(), 20):
         state = states.get(sample)
@@ -199,7 +245,10 @@ def test_opensim_itself_computes_the_walkers_forces(
                 joint = model.getCoordinateSet().get(coordinate)
                 values.append(muscle.computeMomentArm(state, joint))
     for name, force in forces.items():
-        error = np.abs(np.array(force) - case.force(name)[::20]).max() / case.force(name).max()
+        error = (
+            np.abs(np.array(force) - case.force(name)[::20]).max()
+            / case.force(name).max()
+        )
         errors.append(error)
         element = case.muscles[name]
         paths = element.findtext(".//coordinate_paths", "").split()
@@ -212,7 +261,9 @@ def test_opensim_itself_computes_the_walkers_forces(
     assert model.getTotalMass(state) == pytest.approx(80.0)
 
 
-def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(case: Case) -> None:
+def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(
+    case: Case,
+) -> None:
     """At the middles of the intervals, of which motors and the walker's torques are the means."""
     walk, torques = case.trajectory, np.zeros_like(case.trajectory.joint_torque_nm)
     joints = [
@@ -226,7 +277,9 @@ def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(case:
     ]
     for name, muscle in case.muscles.items():
         paths = muscle.findtext(".//coordinate_paths", "").split()
-        for path, arm in zip(paths, muscle.findall(".//moment_arm_functions/*"), strict=True):
+        for path, arm in zip(
+            paths, muscle.findall(".//moment_arm_functions/*"), strict=True
+        ):
             arms = computed(arm, coordinates(case, muscle, "value"))
             torques[:, joints.index(path)] += arms * case.force(name)
     controls, states = case.table(CONTROLS), case.table(STATES)
@@ -237,16 +290,24 @@ def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(case:
         stretch = angle - number(spring, "rest_length")
         torques[:, joint] -= number(spring, "stiffness") * stretch
         torques[:, joint] -= number(spring, "viscosity") * rate
-    actuators = {f"/forceset/{each.get('name')}": each.findtext("coordinate", "")
-                 for each in case.model.iter("CoordinateActuator")}  # fmt: skip
-    assert set(actuators) == set(controls) - {"time"} and set(actuators.values()) == set(short)
+    actuators = {
+        f"/forceset/{each.get('name')}": each.findtext("coordinate", "")
+        for each in case.model.iter("CoordinateActuator")
+    }
+    assert set(actuators) == set(controls) - {"time"} and set(
+        actuators.values()
+    ) == set(short)
     torques[1:] = 0.5 * (torques[1:] + torques[:-1])
     for name, coordinate in actuators.items():
         torques[:, short.index(coordinate)] += controls[name]
     peak = np.abs(walk.joint_torque_nm).max()
     np.testing.assert_allclose(torques, -walk.joint_torque_nm, atol=1e-6 * peak)
-    # A motor has what its name says, and no torque of a muscle: in stance nothing, but for stops.
-    stance, extended = walk.stance[:, 0], walk.joint_rad[:, 1] < KNEE_STRAIGHTEST_RAD + 0.01
+    # A motor has what its name says, and no torque of a muscle: in stance nothing, but
+    # for stops.
+    stance, extended = (
+        walk.stance[:, 0],
+        walk.joint_rad[:, 1] < KNEE_STRAIGHTEST_RAD + 0.01,
+    )
     motor = np.abs(controls["/forceset/motor_knee_l"])[stance & ~extended]
     assert np.median(motor) < 0.01 * np.abs(walk.joint_torque_nm[:, 1]).max()
 
@@ -256,18 +317,30 @@ def test_the_rate_of_a_path_is_that_of_its_length(case: Case) -> None:
         values, rates = (coordinates(case, muscle, kind) for kind in ("value", "speed"))
         function, step = muscle.find(".//length_function/*"), 1e-6
         later, earlier = (
-            computed(function, [value + sign * step * rate
-                                for value, rate in zip(values, rates, strict=True)])
+            computed(
+                function,
+                [
+                    value + sign * step * rate
+                    for value, rate in zip(values, rates, strict=True)
+                ],
+            )
             for sign in (1.0, -1.0)
-        )  # fmt: skip
-        speed = computed(muscle.find(".//lengthening_speed_function/*"), [*values, *rates])
+        )
+        speed = computed(
+            muscle.find(".//lengthening_speed_function/*"), [*values, *rates]
+        )
         np.testing.assert_allclose(speed, (later - earlier) / (2 * step), atol=1e-6)
 
 
 def numbers_of(model: ElementTree.ElementTree) -> dict[str, tuple[float, ...]]:
-    tags = ("max_isometric_force", "optimal_fiber_length", "tendon_slack_length",
-            "max_contraction_velocity", "activation_time_constant",
-            "pennation_angle_at_optimal")  # fmt: skip
+    tags = (
+        "max_isometric_force",
+        "optimal_fiber_length",
+        "tendon_slack_length",
+        "max_contraction_velocity",
+        "activation_time_constant",
+        "pennation_angle_at_optimal",
+    )
     return {
         each.get("name", ""): tuple(number(each, tag) for tag in tags)
         for each in model.iter(MUSCLE)
@@ -279,26 +352,41 @@ def test_every_muscle_has_the_numbers_of_the_walkers_own_world(case: Case) -> No
     own = len(found) < len(NAMES)
     factors: dict[tuple[str, int], float] = {}
     if own:
-        factors = {("soleus_l", 0): 0.5, ("hamstrings_r", 0): 0.7, ("gastroc_l", 1): 1.1,
-                   ("vasti_l", 2): 1.02, ("tib_ant_l", 4): 2.0}  # fmt: skip
+        factors = {
+            ("soleus_l", 0): 0.5,
+            ("hamstrings_r", 0): 0.7,
+            ("gastroc_l", 1): 1.1,
+            ("vasti_l", 2): 1.02,
+            ("tib_ant_l", 4): 2.0,
+        }
         assert set(found) == set(NAMES) - MISSING
     for name, values in found.items():
         published = (*PUBLISHED[name.rpartition("_")[0]], 0.01, 0.0)
-        wanted = [each * factors.get((name, n), 1.0) for n, each in enumerate(published)]
+        wanted = [
+            each * factors.get((name, n), 1.0) for n, each in enumerate(published)
+        ]
         assert values == pytest.approx(wanted, rel=1e-12), name
     states = case.table(STATES)
-    assert {path.split("/")[2] for path in states if path.startswith("/forceset")} == set(found)
+    assert {
+        path.split("/")[2] for path in states if path.startswith("/forceset")
+    } == set(found)
     springs = list(case.model.iter("SpringGeneralizedForce"))
     assert len(springs) == own
     for spring in springs:
         assert spring.findtext("coordinate") == "ankle_angle_r"
-        values = [number(spring, tag) for tag in ("stiffness", "viscosity", "rest_length")]
+        values = [
+            number(spring, tag) for tag in ("stiffness", "viscosity", "rest_length")
+        ]
         assert values == [400.0, 1.0, -0.1]
 
 
 def test_lines_run_where_the_muscles_are_drawn(case: Case) -> None:
-    origins = {"pelvis": (0.0, 0.0), "femur": (0.0, 0.0), "tibia": (0.0, -0.5),
-               "calcn": (0.0, -1.0)}  # fmt: skip
+    origins = {
+        "pelvis": (0.0, 0.0),
+        "femur": (0.0, 0.0),
+        "tibia": (0.0, -0.5),
+        "calcn": (0.0, -1.0),
+    }
     lines = {each.get("name", ""): each for each in case.model.iter("GeometryPath")}
     assert set(lines) == {f"{name}_line" for name in case.muscles}
     for name, line in lines.items():
@@ -329,15 +417,30 @@ def test_the_fibres_curves_are_as_near_as_the_documents_say(
     opensim = pytest.importorskip("opensim", reason="no OpenSim: pip install opensim")
     model = opensim.Model(str(case.folder / MODEL))
     model.initSystem()
-    muscle = opensim.Millard2012EquilibriumMuscle.safeDownCast(model.getMuscles().get(0))
+    muscle = opensim.Millard2012EquilibriumMuscle.safeDownCast(
+        model.getMuscles().get(0)
+    )
     length, speed = np.linspace(0.3, 1.0 + WIDTH, 281), np.linspace(-1.0, 1.0, 401)
-    lengthening = ECCENTRIC + (ECCENTRIC - 1.0) * (speed - 1.0) / (1.0 + 7.56 * SHAPE * speed)
+    lengthening = ECCENTRIC + (ECCENTRIC - 1.0) * (speed - 1.0) / (
+        1.0 + 7.56 * SHAPE * speed
+    )
     curves = [
-        (muscle.getActiveForceLengthCurve(), length, 0.05 ** np.abs((length - 1.0) / WIDTH) ** 3),
-        (muscle.getFiberForceLengthCurve(), length, np.maximum((length - 1.0) / WIDTH, 0.0) ** 2),
-        (muscle.getForceVelocityCurve(), speed,
-         np.where(speed < 0.0, (1.0 + speed) / (1.0 - SHAPE * speed), lengthening)),
-    ]  # fmt: skip
+        (
+            muscle.getActiveForceLengthCurve(),
+            length,
+            0.05 ** np.abs((length - 1.0) / WIDTH) ** 3,
+        ),
+        (
+            muscle.getFiberForceLengthCurve(),
+            length,
+            np.maximum((length - 1.0) / WIDTH, 0.0) ** 2,
+        ),
+        (
+            muscle.getForceVelocityCurve(),
+            speed,
+            np.where(speed < 0.0, (1.0 + speed) / (1.0 - SHAPE * speed), lengthening),
+        ),
+    ]
     for (curve, places, ours), most in zip(curves, (0.11, 0.01, 0.06), strict=True):
         theirs = [curve.calcValue(place) for place in places.tolist()]
         assert np.abs(np.array(theirs) - ours).max() < most

@@ -18,9 +18,12 @@ from taichi_nmm.parameters import upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 
 ENGINE = {
-    "engine": "fake", "engine_version": "1", "arch": "cpu", "precision": "float32",
+    "engine": "fake",
+    "engine_version": "1",
+    "arch": "cpu",
+    "precision": "float32",
     "fast_math": False,
-}  # fmt: skip
+}
 
 
 def simulate(gains: Any, **options: Any) -> Result:
@@ -28,7 +31,10 @@ def simulate(gains: Any, **options: Any) -> Result:
     unit = gains[:, 0] / upper_bounds()[0]
     bodies, terrains = options["bodies"], options["terrains"]
     index = options.get("terrain_index", np.zeros(len(gains), dtype=int))
-    slopes = [terrain.height_m.std() for terrain in np.atleast_1d(np.array(terrains, dtype=object))]
+    slopes = [
+        terrain.height_m.std()
+        for terrain in np.atleast_1d(np.array(terrains, dtype=object))
+    ]
     mass = bodies.mass_kg.sum(axis=1) / 80.0
     fitness = unit * mass - 0.001 * np.array(slopes)[index]
     if "worlds" in options:
@@ -67,9 +73,13 @@ def configuration(**changes: Any) -> dict[str, Any]:
 def family(settings: int = 6, seed: int = 8, **terrain: Any) -> dict[str, Any]:
     """The table of a family of settings."""
     return {
-        "settings": settings, "min_survival_s": 3.0, "horizon_s": 8.0, "seed": seed,
-        "terrain": terrain, "body": {"disturbance": 0.15},
-    }  # fmt: skip
+        "settings": settings,
+        "min_survival_s": 3.0,
+        "horizon_s": 8.0,
+        "seed": seed,
+        "terrain": terrain,
+        "body": {"disturbance": 0.15},
+    }
 
 
 def specification(**changes: Any) -> Specification:
@@ -96,7 +106,9 @@ def stopping(
     return stopped
 
 
-def interrupt(after: int, specification: Specification, path: Path, **options: Any) -> None:
+def interrupt(
+    after: int, specification: Specification, path: Path, **options: Any
+) -> None:
     """Fill a store until Ctrl-C comes, in the call of the simulator after so many."""
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=stopping(after))
     with simulator, pytest.raises(KeyboardInterrupt):

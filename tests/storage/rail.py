@@ -10,7 +10,10 @@ from storage.mujoco_simulator import MujocoSimulator, SensedState
 from tests.cases import ASSETS
 
 XML = (ASSETS / "rail.xml").read_text()
-PARAMETERS = {"kp": FloatDistribution(0.1, 3.0, log=True), "beats": IntDistribution(1, 4)}
+PARAMETERS = {
+    "kp": FloatDistribution(0.1, 3.0, log=True),
+    "beats": IntDistribution(1, 4),
+}
 
 
 def swing(point: Mapping[str, Any], sensed: SensedState, memory: dict[str, Any]) -> Any:
@@ -25,7 +28,9 @@ def swing(point: Mapping[str, Any], sensed: SensedState, memory: dict[str, Any])
 def made(text: str = XML, **changes: Any) -> MujocoSimulator:
     """The simulator of a model, which is a text."""
     return MujocoSimulator(
-        Model(text), swing, **{"parameters": PARAMETERS, "control_step_s": 0.01} | changes
+        Model(text),
+        swing,
+        **{"parameters": PARAMETERS, "control_step_s": 0.01} | changes,
     )
 
 

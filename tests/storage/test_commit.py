@@ -16,10 +16,18 @@ from tests.processes import python
 
 IMPORTS = "import sys; from pathlib import Path; from storage.commit import commit_json, together\n"
 TABLE = pa.table({"row": [0, 1], "score": [0.5, 0.25]})
-FOOTER = {"format": 1, "rows": 2, "shard": 0, "specification": {}, "specification_hash": ""}
+FOOTER = {
+    "format": 1,
+    "rows": 2,
+    "shard": 0,
+    "specification": {},
+    "specification_hash": "",
+}
 
 
-def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(tmp_path: Path) -> None:
+def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "part.parquet"
     write_table(path, TABLE, FOOTER)
     footer, schema = read_footer(path)
@@ -33,7 +41,9 @@ def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(tmp_path: Pa
         read_footer(path)
 
 
-def test_a_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "part.parquet"
     write_table(path, TABLE, FOOTER)
     before = path.read_bytes()
@@ -48,7 +58,9 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.Mon
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(tmp_path: Path) -> None:
+def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(
+    tmp_path: Path,
+) -> None:
     def check(temporary: Path) -> None:
         raise OSError("what was read back differs from what was written")
 
@@ -57,7 +69,11 @@ def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(tmp_p
         raise KeyboardInterrupt
 
     with pytest.raises(InputError, match="differs"):
-        commit(tmp_path / "part.parquet", lambda temporary: temporary.write_text("half"), check)
+        commit(
+            tmp_path / "part.parquet",
+            lambda temporary: temporary.write_text("half"),
+            check,
+        )
     assert not list(tmp_path.iterdir())
     with pytest.raises(KeyboardInterrupt):
         commit(tmp_path / "file", interrupted, lambda temporary: None)
@@ -66,7 +82,9 @@ def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(tmp_p
         commit_json(tmp_path / "missing" / "file.json", {})
 
 
-def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_path: Path) -> None:
+def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(
+    tmp_path: Path,
+) -> None:
     path, other = tmp_path / "file.json", tmp_path / ".another.json.1.tmp"
     killed, living = (tmp_path / f".file.json.{pid}.tmp" for pid in (1, 2))
     for file in (killed, living, other):
@@ -79,7 +97,9 @@ def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_
     assert set(tmp_path.iterdir()) == {path, other}
 
 
-def test_what_is_removed_before_its_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_removed_before_its_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By another process, that finds it without a lock."""
     real, calls = fcntl.flock, []
 
@@ -103,19 +123,27 @@ def errors_of(code: str, path: Path) -> str:
 def test_what_is_being_written_or_filled_is_let_be(tmp_path: Path) -> None:
     path = tmp_path / "file.json"
     with temporary_sibling(path) as temporary:
-        assert errors_of("commit_json(Path(sys.argv[1]), {})", path) == "" and temporary.exists()
+        assert (
+            errors_of("commit_json(Path(sys.argv[1]), {})", path) == ""
+            and temporary.exists()
+        )
     assert list(tmp_path.iterdir()) == [path]
     path.unlink()
     folder = tmp_path / "report"
     with together(folder) as new:
         (new / "file").write_text("first")
         errors = errors_of("with together(Path(sys.argv[1])): pass", folder)
-        assert "allowed: a folder that no other process is filling at this moment" in errors
+        assert (
+            "allowed: a folder that no other process is filling at this moment"
+            in errors
+        )
     assert [file.name for file in tmp_path.rglob("*")] == ["report", "file"]
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
-def test_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+def test_without_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
     def fails(file: Any, operation: int) -> None:
         raise OSError(number, os.strerror(number))
 
@@ -126,7 +154,9 @@ def test_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: 
         pass
 
 
-def test_files_move_into_a_named_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_move_into_a_named_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "a").mkdir()
     monkeypatch.chdir(tmp_path / "a")
     for folder in (Path(), Path(".."), Path("..", "a")):
@@ -137,12 +167,16 @@ def test_files_move_into_a_named_folder(tmp_path: Path, monkeypatch: pytest.Monk
     refused = pytest.raises(InputError, match=r"^out: '/' .* a folder that has a name")
     with refused, together(Path("/")):
         pass
-    assert [file.name for file in tmp_path.iterdir()] == ["a"] and not list(Path().iterdir())
+    assert [file.name for file in tmp_path.iterdir()] == ["a"] and not list(
+        Path().iterdir()
+    )
 
 
 def test_files_appear_together(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "report"
-    (tmp_path / "deep" / ".report.new").mkdir(parents=True)  # of a process that was killed
+    (tmp_path / "deep" / ".report.new").mkdir(
+        parents=True
+    )  # of a process that was killed
     (tmp_path / "deep" / ".report.new" / "old").touch()
     for text in ("1", "2"):
         with together(folder) as new:

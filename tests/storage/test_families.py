@@ -22,10 +22,16 @@ from tests.storage import fake
 
 RAMPS = {
     "up": fake.family(settings=2, kind="ramp", segment_m=1.0),
-    "down": fake.family(settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"),
+    "down": fake.family(
+        settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"
+    ),
 }
 THETA_REF = LOW_LEVEL_GAINS[7]
-POINT_3 = [5.53585406, 1.44055244, 1.84605681]  # of the sequence 7, row 16, before groups
+POINT_3 = [
+    5.53585406,
+    1.44055244,
+    1.84605681,
+]  # of the sequence 7, row 16, before groups
 WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
 WALKER = Walker(Settings())
 FIRST = range(8)  # rows of a shard
@@ -46,7 +52,9 @@ def test_a_shard_has_its_points_and_every_field_of_the_result() -> None:
     assert np.array_equal(table["l_clr"].to_numpy(), points[:, 15])
     assert set(table["end_reason"].to_pylist()) <= set(END_REASONS)
     assert computed_by == fake.ENGINE
-    specification = fake.specification(robust=True, samples=8, simulation={"duration_s": 60.0})
+    specification = fake.specification(
+        robust=True, samples=8, simulation={"duration_s": 60.0}
+    )
     object.__setattr__(specification.families[0], "min_survival_s", 60.0)
     table, _ = score_rows(specification, FIRST, lambda _: None)
     assert not table["robust_evaluated"].to_numpy().any()
@@ -57,7 +65,9 @@ def test_every_family_has_columns_of_its_own() -> None:
     names = [column.partition(":")[0] for column in document["columns"]]
     assert len(set(names)) == len(names) == 1 + 16 + len(WALKER.columns) + 3 * 35
     starts = [names.index(f"{family}_evaluated") for family in ("robust", "down", "up")]
-    assert starts == [names.index("robust_evaluated") + 35 * number for number in range(3)]
+    assert starts == [
+        names.index("robust_evaluated") + 35 * number for number in range(3)
+    ]
     assert names[-6:-4] == list(family_names("up", "phi_corrected"))
     assert document["columns"][-4] == "up_survived_fraction_worlds: float[2]"
     assert document["columns"][-1] == f"up_{ENERGY}_worlds: float[2]"
@@ -96,21 +106,34 @@ def test_family_columns_are_mean_and_spread_over_its_settings() -> None:
     for family in specification.families:
         assert np.array_equal(table[f"{family.name}_evaluated"].to_numpy(), alive)
         worlds = family.worlds
-        runs = [fake.simulate(
-            points, bodies=worlds.bodies.take([setting] * 8), terrains=worlds.terrains[setting],
-            worlds=worlds.surroundings.take([setting] * 8), duration_s=family.horizon_s,
-            progress=lambda now_s, active: None,
-        ).rows for setting in range(family.settings)]  # fmt: skip
+        runs = [
+            fake.simulate(
+                points,
+                bodies=worlds.bodies.take([setting] * 8),
+                terrains=worlds.terrains[setting],
+                worlds=worlds.surroundings.take([setting] * 8),
+                duration_s=family.horizon_s,
+                progress=lambda now_s, active: None,
+            ).rows
+            for setting in range(family.settings)
+        ]
         for component, _ in SCORE_FIELDS:
             values = np.array([run[component] for run in runs], dtype=float)
             mean, spread = family_names(family.name, component)
-            for name, expected in ((mean, values.mean(axis=0)), (spread, values.std(axis=0))):
-                np.testing.assert_allclose(table[name].to_numpy(), alive * expected, rtol=1e-12)
+            for name, expected in (
+                (mean, values.mean(axis=0)),
+                (spread, values.std(axis=0)),
+            ):
+                np.testing.assert_allclose(
+                    table[name].to_numpy(), alive * expected, rtol=1e-12
+                )
         for component in WALKER.outcomes:
             each = np.array(table[f"{family.name}_{component}_worlds"].to_pylist())
             expected = np.array([run[component] for run in runs], dtype=np.float32).T
             assert np.array_equal(each, np.where(alive[:, None], expected, 0.0))
-    ups, downs = (table[f"{name}_phi_printed_mean"].to_numpy()[alive] for name in ("up", "down"))
+    ups, downs = (
+        table[f"{name}_phi_printed_mean"].to_numpy()[alive] for name in ("up", "down")
+    )
     assert not np.any(ups == downs)  # their bodies differ
 
 
@@ -130,7 +153,9 @@ def test_a_family_draws_a_world_for_each_setting() -> None:
     assert base.document["world"]["friction"] == [0.5, 0.5]
     assert base.worlds.surroundings.friction[0] == 0.5
     ours, theirs = (
-        score_rows(one, FIRST, lambda _: None)[0]["up_survived_fraction_mean"].to_numpy()
+        score_rows(one, FIRST, lambda _: None)[0][
+            "up_survived_fraction_mean"
+        ].to_numpy()
         for one in (nominal, fake.specification(families=ramps))
     )
     assert np.all(theirs <= ours) and np.any(theirs < ours)
@@ -140,10 +165,19 @@ def test_a_later_family_is_run_on_the_survivors_of_another() -> None:
     """`a_late` comes first by name, and after `down` by what it asks for."""
     late = RAMPS | {"a_late": fake.family(settings=3, seed=4) | LATER}
     specification = fake.specification(families=late)
-    assert [family.name for family in specification.families] == ["down", "up", "a_late"]
+    assert [family.name for family in specification.families] == [
+        "down",
+        "up",
+        "a_late",
+    ]
     table, _ = score_rows(specification, FIRST, lambda _: None)
-    down, evaluated = table["down_survived_fraction_mean"].to_numpy(), table["a_late_evaluated"]
-    assert np.array_equal(evaluated.to_numpy(), table["down_evaluated"].to_numpy() & (down >= 0.6))
+    down, evaluated = (
+        table["down_survived_fraction_mean"].to_numpy(),
+        table["a_late_evaluated"],
+    )
+    assert np.array_equal(
+        evaluated.to_numpy(), table["down_evaluated"].to_numpy() & (down >= 0.6)
+    )
     assert 0 < evaluated.to_numpy().sum() < table["down_evaluated"].to_numpy().sum()
     document = specification.document["families"]
     assert document["a_late"] | LATER == document["a_late"]
@@ -156,7 +190,9 @@ def test_each_family_draws_from_its_own_seed() -> None:
     a, b, c = store.families
     assert np.array_equal(a.worlds.terrains[3].height_m, c.worlds.terrains[3].height_m)
     assert np.array_equal(a.worlds.bodies.mass_kg, c.worlds.bodies.mass_kg)
-    assert not np.array_equal(a.worlds.terrains[3].height_m, b.worlds.terrains[3].height_m)
+    assert not np.array_equal(
+        a.worlds.terrains[3].height_m, b.worlds.terrains[3].height_m
+    )
     assert not np.any(a.worlds.bodies.mass_kg == b.worlds.bodies.mass_kg)
     strict = RAMPS["up"] | {"min_survival_s": 4.5}
     store = fake.specification(families={"up": strict, "down": RAMPS["down"]})
@@ -173,7 +209,9 @@ def test_progress_is_shared_by_work_and_rises_to_one() -> None:
     for part in parts:
         part(1.0)
     base, robust, down, up = (end - start for start, end in pairwise([0.0, *seen]))
-    assert down == pytest.approx(up) and robust == pytest.approx(3 * up)  # six settings, not two
+    assert down == pytest.approx(up) and robust == pytest.approx(
+        3 * up
+    )  # six settings, not two
     assert 0.3 < base < 0.5 and seen[-1] == 1.0
     seen.clear()
     score_rows(store, FIRST, seen.append)
@@ -190,7 +228,10 @@ def test_an_opened_store_knows_its_families(tmp_path: Path) -> None:
         assert count == store.numpy([name])[name].sum() > 0
         mean = f"{family}_survived_fraction_mean"
         outcomes = store.outcomes(family, "survived_fraction")
-        assert np.isfinite(outcomes).all(axis=1).sum() == count and outcomes.dtype == np.float32
+        assert (
+            np.isfinite(outcomes).all(axis=1).sum() == count
+            and outcomes.dtype == np.float32
+        )
         found = np.nan_to_num(outcomes.mean(axis=1))
         np.testing.assert_allclose(found, store.numpy([mean])[mean], rtol=1e-6)
         with pytest.raises(InputError, match="column: 'up_speed_worlds'"):
@@ -202,11 +243,17 @@ def test_an_opened_store_knows_its_families(tmp_path: Path) -> None:
         (RAMPS | {"up": RAMPS["up"] | {"horizon_s": 7.0}}, "families.up.horizon_s"),
     ):
         with pytest.raises(InputError, match=rf"^{field}: "):
-            precompute(fake.specification(robust=True, families=changed), tmp_path / "store")
+            precompute(
+                fake.specification(robust=True, families=changed), tmp_path / "store"
+            )
 
 
-def test_points_have_a_column_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    precompute(fake.specification(searched=["theta_ref"], robust=True), tmp_path / "store")
+def test_points_have_a_column_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    precompute(
+        fake.specification(searched=["theta_ref"], robust=True), tmp_path / "store"
+    )
     store = open_store(tmp_path / "store", verify=True)
     assert store.gain_names == (*GAIN_NAMES, "theta_ref")
     assert store.columns[:19] == ("row", *GAIN_NAMES, "theta_ref", "duration_s")
@@ -214,7 +261,14 @@ def test_points_have_a_column_more(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert np.array_equal(points, sobol_points(7, 0, 50, (*GAINS, THETA_REF)))
     assert points.shape == (50, 17)
     angles = points[:, 16]
-    assert THETA_REF.low <= angles.min() < 0 < np.deg2rad(25) < angles.max() <= THETA_REF.high
+    assert (
+        THETA_REF.low
+        <= angles.min()
+        < 0
+        < np.deg2rad(25)
+        < angles.max()
+        <= THETA_REF.high
+    )
     merged = merge(tmp_path / "store", tmp_path / "merged.parquet")
     assert np.array_equal(merged.gains(), points)
     store.require_bounds()
@@ -230,10 +284,16 @@ def test_points_of_plain_stores_are_what_they_were() -> None:
     assert fake.specification(searched=[]).hash == plain.hash
     document = fake.specification(searched=["theta_ref"]).document
     assert list(document["gains"]) == [*GAIN_NAMES, "theta_ref"]
-    assert document["gains"]["theta_ref"] == {"low": THETA_REF.low, "high": THETA_REF.high}
+    assert document["gains"]["theta_ref"] == {
+        "low": THETA_REF.low,
+        "high": THETA_REF.high,
+    }
     assert list(document["low_level_gains"]) == list(LOW_LEVEL_NAMES[:7])
     found = difference(fake.specification().document, document)
     assert found is not None and found[0] == "gains.theta_ref"
     one = fake.specification(searched=["theta_ref", "k_oe"])
     assert one.hash == fake.specification(searched=["k_oe", "theta_ref"]).hash
-    assert [parameter.name for parameter in one.simulator.searched] == ["k_oe", "theta_ref"]
+    assert [parameter.name for parameter in one.simulator.searched] == [
+        "k_oe",
+        "theta_ref",
+    ]

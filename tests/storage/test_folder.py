@@ -12,7 +12,13 @@ import pytest
 
 from storage import tables
 from storage.store import FOOTER_NEEDS, read_footer
-from storage.tables import read_columns, read_stamped, table_digest, write_stamped, write_table
+from storage.tables import (
+    read_columns,
+    read_stamped,
+    table_digest,
+    write_stamped,
+    write_table,
+)
 from study import FeatureTable
 from study.report.runs import read_trials
 from taichi_nmm.errors import InputError
@@ -23,7 +29,9 @@ FOLDER = {"seed": 1, "arms": {"dog": {}, "cat": {}}}
 
 
 def agreed(path: Path, document: dict[str, Any], *growing: str) -> dict[str, Any]:
-    return tables.agree(path / "experiment.json", document, growing=growing, remedy="another --out")
+    return tables.agree(
+        path / "experiment.json", document, growing=growing, remedy="another --out"
+    )
 
 
 def read(path: Path) -> Any:
@@ -95,10 +103,13 @@ def test_the_digest_is_of_the_content_alone() -> None:
     assert pieces["cost"].num_chunks == 2
     assert table_digest(pieces) == table_digest(TABLE)
     others = (
-        TABLE.slice(0, 1), TABLE.take([1, 0]), TABLE.rename_columns(["arm", "price", "walked"]),
-        TABLE.set_column(1, "cost", pa.array([1, 2])), TABLE.set_column(0, "arm", [["a", "c"]]),
+        TABLE.slice(0, 1),
+        TABLE.take([1, 0]),
+        TABLE.rename_columns(["arm", "price", "walked"]),
+        TABLE.set_column(1, "cost", pa.array([1, 2])),
+        TABLE.set_column(0, "arm", [["a", "c"]]),
         TABLE.set_column(2, "walked", pa.array([True, True])),
-    )  # fmt: skip
+    )
     assert len({table_digest(each) for each in (TABLE, *others)}) == 7
 
 
@@ -110,7 +121,9 @@ def test_other_footers_are_one_line(tmp_path: Path, footer: dict[str, object]) -
 
 
 @pytest.mark.parametrize("read", [read_columns, read_footer])
-def test_a_column_whose_name_is_no_text(tmp_path: Path, read: Callable[[Path], object]) -> None:
+def test_a_column_whose_name_is_no_text(
+    tmp_path: Path, read: Callable[[Path], object]
+) -> None:
     path = tmp_path / "a.parquet"
     write_table(path, pa.table({"mean_speed": [1.0]}), dict.fromkeys(FOOTER_NEEDS, 1))
     path.write_bytes(path.read_bytes().replace(b"mean_speed", b"mean\x80speed"))
@@ -120,14 +133,18 @@ def test_a_column_whose_name_is_no_text(tmp_path: Path, read: Callable[[Path], o
 
 READERS: dict[str, Callable[[Path], object]] = {
     "store": read_columns,
-    "table": lambda path: FeatureTable.from_parquet(path, parameters=["a"], features=["b"]).rows,
+    "table": lambda path: (
+        FeatureTable.from_parquet(path, parameters=["a"], features=["b"]).rows
+    ),
     "trials": lambda path: read_trials(path, ["a", "b"]),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
-def test_a_small_file_of_too_many_rows_is_not_unpacked(tmp_path: Path, reader: str) -> None:
+def test_a_small_file_of_too_many_rows_is_not_unpacked(
+    tmp_path: Path, reader: str
+) -> None:
     """A value that is repeated for ever takes no room in a file, and all of it in memory."""
     path = tmp_path / "endless.parquet"
     some = pa.table(dict.fromkeys("ab", np.zeros(tables.MOST_ROWS // 10, np.int8)))
@@ -135,5 +152,7 @@ def test_a_small_file_of_too_many_rows_is_not_unpacked(tmp_path: Path, reader: s
         for _ in range(11):
             writer.write_table(some)
     assert path.stat().st_size < 1e6
-    with pytest.raises(InputError, match="110,000,000 rows, and 100,000,000 are allowed"):
+    with pytest.raises(
+        InputError, match="110,000,000 rows, and 100,000,000 are allowed"
+    ):
         READERS[reader](path)

@@ -36,31 +36,49 @@ def of_columns(folder: Path, **columns: Any) -> ForeignTable:
     return read(folder / "table.parquet")
 
 
-@pytest.mark.parametrize(("name", "text"), [
-    ("a.csv", "dose,cost,kind\n1,0.25,soft\n2,1.5,hard\n"), ("a.csv", EUROPE), ("A.CSV", EUROPE),
-    ("a.tsv", "dose\tcost\tkind\n1\t0.25\tsoft\n2\t1.5\thard\n"), ("a.log", EUROPE),
-    ("a.tsv", "dose\tcost\tkind\n1\t0,25\tsoft\n2\t1,5\thard\n"), ("a.TXT", EUROPE),
-    ("a.txt", "dose cost   kind\n1 0.25 soft\n 2 1.5 hard\n"), ("without", EUROPE),
-    ("a.csv", "sep=;\ndose;cost;kind\n1;0,25;soft\n2;1,5;hard\n"),
-    ("a.csv", '"dose","cost","kind"\n"1","0.25","soft"\n"2","1.5","hard"\n'),
-    ("a.csv", "dose, cost, kind\n1, 0.25,soft\n2, 1.5,hard\n"),
-    ("a.csv", "dose;cost;kind\n1;0,25;soft\n2;1,5;hard\n\n\n"),
-    ("a.csv", "dose;cost;kind\r\n1;0,25;soft\r\n2;1,5;hard\r\n;;\r\n;;\r\n"),
-    ("a.csv", "dose,cost,kind\r1,0.25,soft\r2,1.5,hard\r"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.csv", "dose,cost,kind\n1,0.25,soft\n2,1.5,hard\n"),
+        ("a.csv", EUROPE),
+        ("A.CSV", EUROPE),
+        ("a.tsv", "dose\tcost\tkind\n1\t0.25\tsoft\n2\t1.5\thard\n"),
+        ("a.log", EUROPE),
+        ("a.tsv", "dose\tcost\tkind\n1\t0,25\tsoft\n2\t1,5\thard\n"),
+        ("a.TXT", EUROPE),
+        ("a.txt", "dose cost   kind\n1 0.25 soft\n 2 1.5 hard\n"),
+        ("without", EUROPE),
+        ("a.csv", "sep=;\ndose;cost;kind\n1;0,25;soft\n2;1,5;hard\n"),
+        ("a.csv", '"dose","cost","kind"\n"1","0.25","soft"\n"2","1.5","hard"\n'),
+        ("a.csv", "dose, cost, kind\n1, 0.25,soft\n2, 1.5,hard\n"),
+        ("a.csv", "dose;cost;kind\n1;0,25;soft\n2;1,5;hard\n\n\n"),
+        ("a.csv", "dose;cost;kind\r\n1;0,25;soft\r\n2;1,5;hard\r\n;;\r\n;;\r\n"),
+        ("a.csv", "dose,cost,kind\r1,0.25,soft\r2,1.5,hard\r"),
+    ],
+)
 def test_a_text_in_any_clear_dialect(tmp_path: Path, name: str, text: str) -> None:
     table = of_text(tmp_path, text, name)
     assert table.names == ("dose", "cost", "kind")
-    assert table.values("dose").tolist() == [1, 2] and table.values("dose").dtype.kind == "i"
+    assert (
+        table.values("dose").tolist() == [1, 2]
+        and table.values("dose").dtype.kind == "i"
+    )
     assert table.numbers("cost").tolist() == [0.25, 1.5]
     assert table.values("kind").tolist() == ["soft", "hard"]
 
 
-@pytest.mark.parametrize(("ending", "packed"), [
-    (".csv.gz", gzip.compress), (".CSV.GZ", gzip.compress), (".csv.bz2", bz2.compress),
-    (".csv.xz", lzma.compress),
-])  # fmt: skip
-def test_a_packed_text(tmp_path: Path, ending: str, packed: Callable[[bytes], bytes]) -> None:
+@pytest.mark.parametrize(
+    ("ending", "packed"),
+    [
+        (".csv.gz", gzip.compress),
+        (".CSV.GZ", gzip.compress),
+        (".csv.bz2", bz2.compress),
+        (".csv.xz", lzma.compress),
+    ],
+)
+def test_a_packed_text(
+    tmp_path: Path, ending: str, packed: Callable[[bytes], bytes]
+) -> None:
     path = tmp_path / f"table{ending}"
     path.write_bytes(packed(EUROPE.encode()))
     assert read(path).numbers("cost").tolist() == [0.25, 1.5]
@@ -72,37 +90,54 @@ def test_what_excel_calls_unicode_and_a_packed_parquet_file(tmp_path: Path) -> N
     of_columns(tmp_path, a=[1, 2], b=["x", "y"])
     whole = (tmp_path / "table.parquet").read_bytes()
     (tmp_path / "B.Parquet.GZ").write_bytes(gzip.compress(whole))
-    assert read(tmp_path / "B.Parquet.GZ", columns=["b"]).values("b").tolist() == ["x", "y"]
+    assert read(tmp_path / "B.Parquet.GZ", columns=["b"]).values("b").tolist() == [
+        "x",
+        "y",
+    ]
     (tmp_path / "named-so.csv").write_bytes(whole)
     assert read(tmp_path / "named-so.csv").numbers("a").tolist() == [1.0, 2.0]
 
 
-@pytest.mark.parametrize(("content", "said"), [
-    (b"a,b\n1,5,2\n", "row 2 has 3 cells, and row 1, of names, 2; decimal commas need columns"),
-    (b"a\n1,5\n", "decimal commas need columns"),
-    (b"a,b\n1,\xb5\n", "save it as CSV UTF-8"),
-    (b"PK\x03\x04rest", "spreadsheet or a ZIP archive: save the table as CSV"),
-    (b"a\0b\n", "it is no text"),
-    (b"", "Empty CSV file"),
-    (b"a,b;c,d\n1,2;3,4\n", "two of tabs, ; and ,"),
-])  # fmt: skip
-def test_a_text_that_cannot_be_read_in_one_way(tmp_path: Path, content: bytes, said: str) -> None:
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (
+            b"a,b\n1,5,2\n",
+            "row 2 has 3 cells, and row 1, of names, 2; decimal commas need columns",
+        ),
+        (b"a\n1,5\n", "decimal commas need columns"),
+        (b"a,b\n1,\xb5\n", "save it as CSV UTF-8"),
+        (b"PK\x03\x04rest", "spreadsheet or a ZIP archive: save the table as CSV"),
+        (b"a\0b\n", "it is no text"),
+        (b"", "Empty CSV file"),
+        (b"a,b;c,d\n1,2;3,4\n", "two of tabs, ; and ,"),
+    ],
+)
+def test_a_text_that_cannot_be_read_in_one_way(
+    tmp_path: Path, content: bytes, said: str
+) -> None:
     (tmp_path / "table.csv").write_bytes(content)
     with pytest.raises(InputError, match=f"^table: '.*table.csv' .*{said}"):
         read(tmp_path / "table.csv")
 
 
 @cases("bad-numbers.toml", "text", "said")
-def test_a_column_that_has_no_numbers_in_one_reading(tmp_path: Path, text: str, said: str) -> None:
+def test_a_column_that_has_no_numbers_in_one_reading(
+    tmp_path: Path, text: str, said: str
+) -> None:
     table = of_text(tmp_path, text)
     with pytest.raises(InputError, match=rf"^table(\.|: ){said}"):
         table.numbers("x")
 
 
-def test_another_decimal_mark_than_the_rest_of_the_file_is_refused(tmp_path: Path) -> None:
+def test_another_decimal_mark_than_the_rest_of_the_file_is_refused(
+    tmp_path: Path,
+) -> None:
     table = of_text(tmp_path, "x;y\n1,5;1.234\n2,5;5.678\n")  # 1,234 or 1234?
     assert table.numbers("x").tolist() == [1.5, 2.5]
-    with pytest.raises(InputError, match=r"table.y\[0\]: '1.234' .* the same decimal mark"):
+    with pytest.raises(
+        InputError, match=r"table.y\[0\]: '1.234' .* the same decimal mark"
+    ):
         table.numbers("y")
 
 
@@ -112,8 +147,12 @@ def test_gaps_and_infinity(tmp_path: Path) -> None:
     assert np.array_equal(table.numbers("y"), [np.inf, -np.inf, np.nan], equal_nan=True)
     assert np.isnan(table.numbers("z")).all()
     table = of_text(tmp_path, "x;y\n0,5;1\nNA;2\n1;3\n-1e-3;4\n")
-    assert np.array_equal(table.numbers("x"), [0.5, np.nan, 1.0, -0.001], equal_nan=True)
-    table = of_columns(tmp_path, x=["s", None])  # no row of units: nothing else is a number
+    assert np.array_equal(
+        table.numbers("x"), [0.5, np.nan, 1.0, -0.001], equal_nan=True
+    )
+    table = of_columns(
+        tmp_path, x=["s", None]
+    )  # no row of units: nothing else is a number
     with pytest.raises(InputError, match=r"table.x\[0\]: 's' .* one in each row$"):
         table.numbers("x")
 
@@ -133,30 +172,41 @@ def test_types_of_a_parquet_file(tmp_path: Path) -> None:
         id=[2**60, 2**60 + 1],
     )
     assert table.values("decimal").tolist() == [1.5, 1.75]
-    assert table.values("whole").tolist() == [3, 4] and table.values("whole").dtype == np.int64
+    assert (
+        table.values("whole").tolist() == [3, 4]
+        and table.values("whole").dtype == np.int64
+    )
     assert table.values("coded").tolist() == table.values("view").tolist() == ["a", "b"]
     assert table.values("flag").tolist() == [True, False]
     assert table.numbers("flag").tolist() == [1.0, 0.0]
     assert table.values("maybe").tolist() == [True, None]
     assert np.array_equal(table.numbers("maybe"), [1.0, np.nan], equal_nan=True)
     assert np.array_equal(table.values("gap"), [2.0**53, np.nan], equal_nan=True)
-    assert np.isnan(table.numbers("none")).all() and np.isnan(table.values("none")).all()
+    assert (
+        np.isnan(table.numbers("none")).all() and np.isnan(table.values("none")).all()
+    )
     assert table.numbers("half").tolist() == [0.5, 1.5]
-    assert table.values("id").tolist() == [2**60, 2**60 + 1]  # as choices they are what they are
+    assert table.values("id").tolist() == [
+        2**60,
+        2**60 + 1,
+    ]  # as choices they are what they are
     with pytest.raises(InputError, match=r"table.id: .* whole numbers up to 2\^53"):
         table.numbers("id")
 
 
-@pytest.mark.parametrize(("values", "said"), [
-    ([date(2026, 5, 4)], "'2026-05-04' .* of a date or a time make a number"),
-    ([datetime(2026, 5, 4, 14, 30)], "'2026-05-04 14:30.* of a date or a time"),
-    ([time(14, 30)], "'14:30.* of a date or a time"),
-    ([timedelta(seconds=3)], "of a date or a time"),
-    ([[1.0, 2.0]], "'list<.*a column of numbers, words or flags"),
-    ([{"a": 1}], "'struct<.*a column of numbers, words or flags"),
-    ([b"bytes"], "'binary'.*a column of numbers, words or flags"),
-    ([Decimal(2**70)], "whole numbers within 2"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ([date(2026, 5, 4)], "'2026-05-04' .* of a date or a time make a number"),
+        ([datetime(2026, 5, 4, 14, 30)], "'2026-05-04 14:30.* of a date or a time"),
+        ([time(14, 30)], "'14:30.* of a date or a time"),
+        ([timedelta(seconds=3)], "of a date or a time"),
+        ([[1.0, 2.0]], "'list<.*a column of numbers, words or flags"),
+        ([{"a": 1}], "'struct<.*a column of numbers, words or flags"),
+        ([b"bytes"], "'binary'.*a column of numbers, words or flags"),
+        ([Decimal(2**70)], "whole numbers within 2"),
+    ],
+)
 def test_a_column_of_something_else_is_refused_by_name(
     tmp_path: Path, values: list[Any], said: str
 ) -> None:
@@ -168,10 +218,14 @@ def test_a_column_of_something_else_is_refused_by_name(
 
 
 @pytest.mark.parametrize("strings", [["1.5", "2"], ["1", "2"]])
-def test_words_that_look_like_numbers_are_none(tmp_path: Path, strings: list[str]) -> None:
+def test_words_that_look_like_numbers_are_none(
+    tmp_path: Path, strings: list[str]
+) -> None:
     table = of_columns(tmp_path, x=strings)
     assert table.values("x").tolist() == strings
-    with pytest.raises(InputError, match=r"table.x\[0\]: '1.* no words that look like them"):
+    with pytest.raises(
+        InputError, match=r"table.x\[0\]: '1.* no words that look like them"
+    ):
         table.numbers("x")
 
 
@@ -180,32 +234,53 @@ LATER = [timedelta(0), timedelta(milliseconds=10), timedelta(hours=1)]
 OF_A_DAY = [(MOMENT + t).time() for t in LATER]
 
 
-@pytest.mark.parametrize("values", [
-    *[pa.array([MOMENT + t for t in LATER], pa.timestamp(unit)) for unit in ("ms", "us", "ns")],
-    pa.array([(MOMENT + t).replace(tzinfo=UTC) for t in LATER], pa.timestamp("us", "Asia/Tokyo")),
-    *[pa.array(LATER, pa.duration(unit)) for unit in ("ms", "us", "ns")],
-    *[pa.array(OF_A_DAY, kind) for kind in (pa.time64("us"), pa.time32("ms"))],
-    pa.array([f"2026-05-04 {clock}" for clock in OF_A_DAY]), pa.array([*map(str, OF_A_DAY)]),
-    pa.array(["14:30:00", "14:30:00,010000", "15:30:00"]),
-    pa.array([1700000000.0, 1700000000.01, 1700003600.0]),
-    pa.array([Decimal(0), Decimal("0.01"), Decimal(3600)]),
-])  # fmt: skip
-def test_a_clock_is_seconds_from_its_first_reading(tmp_path: Path, values: pa.Array) -> None:
+@pytest.mark.parametrize(
+    "values",
+    [
+        *[
+            pa.array([MOMENT + t for t in LATER], pa.timestamp(unit))
+            for unit in ("ms", "us", "ns")
+        ],
+        pa.array(
+            [(MOMENT + t).replace(tzinfo=UTC) for t in LATER],
+            pa.timestamp("us", "Asia/Tokyo"),
+        ),
+        *[pa.array(LATER, pa.duration(unit)) for unit in ("ms", "us", "ns")],
+        *[pa.array(OF_A_DAY, kind) for kind in (pa.time64("us"), pa.time32("ms"))],
+        pa.array([f"2026-05-04 {clock}" for clock in OF_A_DAY]),
+        pa.array([*map(str, OF_A_DAY)]),
+        pa.array(["14:30:00", "14:30:00,010000", "15:30:00"]),
+        pa.array([1700000000.0, 1700000000.01, 1700003600.0]),
+        pa.array([Decimal(0), Decimal("0.01"), Decimal(3600)]),
+    ],
+)
+def test_a_clock_is_seconds_from_its_first_reading(
+    tmp_path: Path, values: pa.Array
+) -> None:
     table = of_columns(tmp_path, time=values)
     assert np.allclose(table.seconds("time"), [0.0, 0.01, 3600.0], rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("readings", "seconds"), [
-    ("2026-05-04 14:30:00.010 2026-05-04T14:30:01Z", None),
-    ("14:30:00 14:30:02", 2.0), ("14:30:00.5 14:30:02", 1.5),
-    ("2026-05-04T14:30:00.010 2026-05-04T14:30:00.510", 0.5),
-    ("2026-05-04T14:30:00+02:00 2026-05-04T14:30:02+02:00", 2.0),
-    ("100 102.5", 2.5), ("-1 0", 1.0),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("readings", "seconds"),
+    [
+        ("2026-05-04 14:30:00.010 2026-05-04T14:30:01Z", None),
+        ("14:30:00 14:30:02", 2.0),
+        ("14:30:00.5 14:30:02", 1.5),
+        ("2026-05-04T14:30:00.010 2026-05-04T14:30:00.510", 0.5),
+        ("2026-05-04T14:30:00+02:00 2026-05-04T14:30:02+02:00", 2.0),
+        ("100 102.5", 2.5),
+        ("-1 0", 1.0),
+    ],
+)
 def test_clocks_in_a_text(tmp_path: Path, readings: str, seconds: float | None) -> None:
-    table = of_text(tmp_path, "time,x\n" + "".join(f"{r},1\n" for r in readings.split()))
+    table = of_text(
+        tmp_path, "time,x\n" + "".join(f"{r},1\n" for r in readings.split())
+    )
     if seconds is None:
-        with pytest.raises(InputError, match=r"table.time\[0\]: '2026.* seconds, or times such as"):
+        with pytest.raises(
+            InputError, match=r"table.time\[0\]: '2026.* seconds, or times such as"
+        ):
             table.seconds("time")
     else:
         assert table.seconds("time").tolist() == [0.0, pytest.approx(seconds, abs=1e-9)]
@@ -213,7 +288,9 @@ def test_clocks_in_a_text(tmp_path: Path, readings: str, seconds: float | None) 
 
 @cases("bad-clocks.toml", "readings", "said")
 def test_what_is_no_clock_is_refused(tmp_path: Path, readings: str, said: str) -> None:
-    table = of_text(tmp_path, "time,x\n" + "".join(f"{r},1\n" for r in readings.split()))
+    table = of_text(
+        tmp_path, "time,x\n" + "".join(f"{r},1\n" for r in readings.split())
+    )
     with pytest.raises(InputError, match=rf"^table.{said}"):
         table.seconds("time")
 
@@ -233,7 +310,9 @@ def test_folders_of_parquet_as_hive_writes_them(tmp_path: Path) -> None:
     assert read(tmp_path).names == ("x", "dose", "kind")
     (tmp_path / "dose=3").mkdir()
     pq.write_table(pa.table({"x": [1.0]}), tmp_path / "dose=3" / "part-0.PARQUET")
-    with pytest.raises(InputError, match="a folder whose files all lie in KEY=VALUE of dose, kind"):
+    with pytest.raises(
+        InputError, match="a folder whose files all lie in KEY=VALUE of dose, kind"
+    ):
         read(tmp_path)
 
 
@@ -247,7 +326,9 @@ def test_files_of_a_folder_may_have_whole_numbers_or_others(tmp_path: Path) -> N
 
 
 def test_other_columns_may_hold_anything(tmp_path: Path) -> None:
-    table = of_columns(tmp_path, x=[1.0], id=[UUID(int=3).bytes], when=[MOMENT], deep=[[{"a": 1}]])
+    table = of_columns(
+        tmp_path, x=[1.0], id=[UUID(int=3).bytes], when=[MOMENT], deep=[[{"a": 1}]]
+    )
     assert table.numbers("x").tolist() == [1.0]
 
 

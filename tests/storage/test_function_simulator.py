@@ -10,7 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 from storage import FunctionSimulator, make_store, open_store
 from storage.points import in_unit_cube, sobol_points, within_bounds
@@ -39,13 +43,19 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(function: Callable[..., Any], **changes: Any) -> FunctionSimulator:
-    given = {"parameters": robot.PARAMETERS, "worlds": robot.WORLDS, "columns": robot.COLUMNS}
+    given = {
+        "parameters": robot.PARAMETERS,
+        "worlds": robot.WORLDS,
+        "columns": robot.COLUMNS,
+    }
     return FunctionSimulator(function, **(given | changes))
 
 
 def runs(simulator: FunctionSimulator) -> np.ndarray[Any, Any]:
     """Eight points in two worlds."""
-    worlds = simulator.read_worlds(Table(GALE | {})).draw(list(map(np.random.SeedSequence, (1, 2))))
+    worlds = simulator.read_worlds(Table(GALE | {})).draw(
+        list(map(np.random.SeedSequence, (1, 2)))
+    )
     points = sobol_points(1, 0, 8, simulator.parameters)
     return run_points(simulator, points, worlds, 2, 5.0)[0]
 
@@ -53,29 +63,48 @@ def runs(simulator: FunctionSimulator) -> np.ndarray[Any, Any]:
 def test_rows_are_what_the_function_returns(store: Path) -> None:
     opened = open_store(store, verify=True)
     rows, gains = opened.numpy(), opened.gains()
-    assert opened.simulator == "robot:drive" and opened.gain_names == tuple(robot.PARAMETERS)
+    assert opened.simulator == "robot:drive" and opened.gain_names == tuple(
+        robot.PARAMETERS
+    )
     modes = [robot.PARAMETERS["mode"].choices[int(mode)] for mode in gains[:, 3]]  # type: ignore[attr-defined]
-    points = [dict(zip(robot.PARAMETERS, (*row[:3], mode), strict=True))
-              for row, mode in zip(gains.tolist(), modes, strict=True)]  # fmt: skip
+    points = [
+        dict(zip(robot.PARAMETERS, (*row[:3], mode), strict=True))
+        for row, mode in zip(gains.tolist(), modes, strict=True)
+    ]
     base = [robot.drive(point, robot.WORLDS, 5.0) for point in points]
     for column in robot.COLUMNS:
         assert rows[column].tolist() == [each[column] for each in base]
     drawn = opened.specification["families"]["gale"]["drawn"]
     assert drawn["mass_kg"] == [0.8] * 3 and len(set(drawn["seed"])) == 3
-    assert all(1.0 <= wind <= 3.0 for wind in drawn["wind"]) and len(set(drawn["wind"])) == 3
+    assert (
+        all(1.0 <= wind <= 3.0 for wind in drawn["wind"])
+        and len(set(drawn["wind"])) == 3
+    )
     outcomes = opened.outcomes("gale", "survived_fraction")
     for point, found, ran in zip(points, outcomes, rows["gale_evaluated"], strict=True):
         worlds = [{"wind": wind, "mass_kg": 0.8} for wind in drawn["wind"]]
-        expected = [robot.drive(point, world, 8.0)["survived_fraction"] for world in worlds]
+        expected = [
+            robot.drive(point, world, 8.0)["survived_fraction"] for world in worlds
+        ]
         np.testing.assert_allclose(found, expected if ran else np.nan, rtol=1e-6)
     assert set(rows["run_ended"]) == {"ran"}
 
 
 @pytest.mark.slow
-def test_the_command_makes_the_same_bytes_until_a_file_changes(store: Path, tmp_path: Path) -> None:
+def test_the_command_makes_the_same_bytes_until_a_file_changes(
+    store: Path, tmp_path: Path
+) -> None:
     shutil.copy(robot.__file__, tmp_path / "my_robot.py")
     shutil.copy(ASSETS / "function-cart.toml", tmp_path / "cart.toml")
-    words = ("-m", "taichi_nmm", "precompute", "--config", tmp_path / "cart.toml", "--out", "out")
+    words = (
+        "-m",
+        "taichi_nmm",
+        "precompute",
+        "--config",
+        tmp_path / "cart.toml",
+        "--out",
+        "out",
+    )
     printed(*words, "--workers", "2", cwd=tmp_path)
     code = "import my_robot, storage; storage.make_store(my_robot.Cart, 'python', workers=1, **{})"
     printed("-c", code.replace("{}", repr(CONFIGURATION)), cwd=tmp_path)
@@ -84,16 +113,27 @@ def test_the_command_makes_the_same_bytes_until_a_file_changes(store: Path, tmp_
     with (tmp_path / "my_robot.py").open("a") as file:
         file.write("# another version\n")
     refused = python(*words, cwd=tmp_path)
-    assert refused.returncode == 2 and refused.stderr.startswith("error: code_version: ")
+    assert refused.returncode == 2 and refused.stderr.startswith(
+        "error: code_version: "
+    )
     assert len(open_store(tmp_path / "out")) == 60
 
 
-@pytest.mark.parametrize(("file", "text", "match"), [
-    ("json.py", "", "a file whose name is not that of another module .*json"),
-    ("broken_robot.py", "1 / 0", "module:Class .division by zero"),
-    ("odd.py", "import storage; storage.FunctionSimulator(3, parameters={}, columns=())", "^fun"),
-])  # fmt: skip
-def test_a_file_that_has_no_simulator(file: str, text: str, match: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("file", "text", "match"),
+    [
+        ("json.py", "", "a file whose name is not that of another module .*json"),
+        ("broken_robot.py", "1 / 0", "module:Class .division by zero"),
+        (
+            "odd.py",
+            "import storage; storage.FunctionSimulator(3, parameters={}, columns=())",
+            "^fun",
+        ),
+    ],
+)
+def test_a_file_that_has_no_simulator(
+    file: str, text: str, match: str, tmp_path: Path
+) -> None:
     (tmp_path / file).write_text(text + "\nloads = 1\n")
     table = Table({"simulator": f"{file}:loads", "samples": 8}, folder=tmp_path)
     with pytest.raises(InputError, match=match):
@@ -108,15 +148,22 @@ def test_many_runs_at_a_time_are_the_same_rows() -> None:
     worlds = robot.Cart.read_worlds(Table({})).draw([np.random.SeedSequence(1)])
     drawn = {name: values.item() for name, values in worlds.items()}
     assert drawn == robot.WORLDS | {"seed": drawn["seed"]}
-    robot.Cart.run(sobol_points(1, 0, 4, robot.Cart.parameters), worlds, 5.0, report.append)
+    robot.Cart.run(
+        sobol_points(1, 0, 4, robot.Cart.parameters), worlds, 5.0, report.append
+    )
     assert report == [0.25, 0.5, 0.75, 1.0]
 
 
 def test_points_fill_their_distributions() -> None:
-    parameters = (*robot.Cart.parameters, Uniform("count", 1.0, 100.0, log=True, step=1.0))
+    parameters = (
+        *robot.Cart.parameters,
+        Uniform("count", 1.0, 100.0, log=True, step=1.0),
+    )
     points = sobol_points(1, 0, 4096, parameters)
     assert points[:, 0].min() >= 0.1 and points[:, 0].max() <= 10.0
-    assert np.mean(points[:, 0] < 1.0) == pytest.approx(0.5, abs=0.01)  # of its logarithm
+    assert np.mean(points[:, 0] < 1.0) == pytest.approx(
+        0.5, abs=0.01
+    )  # of its logarithm
     assert np.mean(points[:, 1] < 0.5) == pytest.approx(0.75, abs=0.01)
     for place, values in ((2, range(1, 6)), (3, range(2))):
         found, counts = np.unique(points[:, place], return_counts=True)
@@ -144,9 +191,13 @@ def test_tables_have_the_parameters_that_studies_suggest(store: Path) -> None:
 
 def test_a_choice_that_is_none_of_its_parameters_is_refused() -> None:
     """A store comes from anybody; -1 would be the last choice."""
-    ranges = {"mode": {"distribution": json.loads(robot.Cart.parameters[3].distribution)}}
+    ranges = {
+        "mode": {"distribution": json.loads(robot.Cart.parameters[3].distribution)}
+    }
     for number in (-1.0, 0.5, 2.0, np.nan):
-        with pytest.raises(InputError, match=r"^store\.gains\.mode: .*none of its choices"):
+        with pytest.raises(
+            InputError, match=r"^store\.gains\.mode: .*none of its choices"
+        ):
             store_parameters(ranges, np.array([[0.0], [number]]))
 
 
@@ -183,45 +234,82 @@ def returns(value: Any) -> Callable[..., Any]:
     return function
 
 
-@pytest.mark.parametrize(("function", "allowed"), [
-    (returns(3), "returns survived_fraction, speed_mps by name, not int"),
-    (returns({"survived_fraction": 1.0}), r"by name, not \['survived_fraction'\]"),
-    (returns({"survived_fraction": [1.0, 1.0], "speed_mps": 1}), r"broadcast to \[1, 1\]"),
-    (returns({"survived_fraction": 1.5, "speed_mps": 1}), "survived_fraction from 0 to 1, not 1.5"),
-])  # fmt: skip
-def test_a_function_that_does_not_keep_to_it(function: Callable[..., Any], allowed: str) -> None:
+@pytest.mark.parametrize(
+    ("function", "allowed"),
+    [
+        (returns(3), "returns survived_fraction, speed_mps by name, not int"),
+        (returns({"survived_fraction": 1.0}), r"by name, not \['survived_fraction'\]"),
+        (
+            returns({"survived_fraction": [1.0, 1.0], "speed_mps": 1}),
+            r"broadcast to \[1, 1\]",
+        ),
+        (
+            returns({"survived_fraction": 1.5, "speed_mps": 1}),
+            "survived_fraction from 0 to 1, not 1.5",
+        ),
+    ],
+)
+def test_a_function_that_does_not_keep_to_it(
+    function: Callable[..., Any], allowed: str
+) -> None:
     with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
         runs(changed(function))
 
 
-@pytest.mark.parametrize(("function", "changes", "field"), [
-    (lambda *_: {}, {}, "function"), (print, {}, "function"), (3, {}, "function"),
-    (robot.drive, {"columns": ("speed_mps",)}, "columns"),
-    (robot.drive, {"columns": ("survived_fraction", "run_ended")}, "columns"),
-    (robot.drive, {"worlds": {"seed": 1.0}}, "worlds"),
-    (robot.drive, {"worlds": {"wind": "much"}}, "worlds.wind"),
-    (robot.drive, {"parameters": {"a": (0.0, 1.0)}}, "parameters.a"),
-    (robot.drive, {"parameters": {}}, "parameters"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("function", "changes", "field"),
+    [
+        (lambda *_: {}, {}, "function"),
+        (print, {}, "function"),
+        (3, {}, "function"),
+        (robot.drive, {"columns": ("speed_mps",)}, "columns"),
+        (robot.drive, {"columns": ("survived_fraction", "run_ended")}, "columns"),
+        (robot.drive, {"worlds": {"seed": 1.0}}, "worlds"),
+        (robot.drive, {"worlds": {"wind": "much"}}, "worlds.wind"),
+        (robot.drive, {"parameters": {"a": (0.0, 1.0)}}, "parameters.a"),
+        (robot.drive, {"parameters": {}}, "parameters"),
+    ],
+)
 def test_what_makes_no_simulator(function: Any, changes: Any, field: str) -> None:
     with pytest.raises(InputError, match=rf"^{field}: "):
         changed(function, **changes)
 
 
-@pytest.mark.parametrize(("simulator", "changes", "match"), [
-    (changed(random_drive), {}, r"random_drive.* runs repeat; .*world\['seed'\]"),
-    (changed(never), {}, r"that runs, not ValueError: no.*model, at \{'thrust_n'.* in \{'wind'"),
-    (changed(never, batch=True), {}, r"a function that runs, not ValueError: no.*model$"),
-    (robot.Cart, {"families": {"gale": GALE | {"world": {"winds": 1.0}}}},
-     r"^families\.gale\.world\.winds: "),
-    (robot.Cart, {"families": {"gale": GALE | {"world": {"wind": [3.0, 1.0]}}}},
-     r"^families\.gale\.world\.wind: "),
-    (robot.Cart, {"world": {"wind": "much"}}, r"^world\.wind: "),
-    (robot.Cart, {"samples": 0}, "^samples: "),
-])  # fmt: skip
-def test_what_is_refused_at_once(simulator: Any, changes: Any, match: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("simulator", "changes", "match"),
+    [
+        (changed(random_drive), {}, r"random_drive.* runs repeat; .*world\['seed'\]"),
+        (
+            changed(never),
+            {},
+            r"that runs, not ValueError: no.*model, at \{'thrust_n'.* in \{'wind'",
+        ),
+        (
+            changed(never, batch=True),
+            {},
+            r"a function that runs, not ValueError: no.*model$",
+        ),
+        (
+            robot.Cart,
+            {"families": {"gale": GALE | {"world": {"winds": 1.0}}}},
+            r"^families\.gale\.world\.winds: ",
+        ),
+        (
+            robot.Cart,
+            {"families": {"gale": GALE | {"world": {"wind": [3.0, 1.0]}}}},
+            r"^families\.gale\.world\.wind: ",
+        ),
+        (robot.Cart, {"world": {"wind": "much"}}, r"^world\.wind: "),
+        (robot.Cart, {"samples": 0}, "^samples: "),
+    ],
+)
+def test_what_is_refused_at_once(
+    simulator: Any, changes: Any, match: str, tmp_path: Path
+) -> None:
     with pytest.raises(InputError, match=match):
-        make_store(simulator, tmp_path / "store", workers=1, **(CONFIGURATION | changes))
+        make_store(
+            simulator, tmp_path / "store", workers=1, **(CONFIGURATION | changes)
+        )
     assert not (tmp_path / "store").exists()
 
 
@@ -234,7 +322,9 @@ def hangs(point: Any, world: Any, seconds: float) -> dict[str, float]:
 def test_a_run_that_hangs_is_stopped_and_has_failed() -> None:
     rows, free = runs(changed(hangs, longest_run_s=0.02)), runs(robot.Cart)
     gears = sobol_points(1, 0, 8, robot.Cart.parameters)[:, 2]
-    assert rows["run_ended"][:, 0].tolist() == (gears == 2).tolist() and (gears == 2).any()
+    assert (
+        rows["run_ended"][:, 0].tolist() == (gears == 2).tolist() and (gears == 2).any()
+    )
     assert rows[gears != 2].tobytes() == free[gears != 2].tobytes()
     with pytest.raises(InputError, match=r"^longest_run_s: .* none with batch"):
         changed(robot.drive_all, batch=True, longest_run_s=1.0)
@@ -242,7 +332,10 @@ def test_a_run_that_hangs_is_stopped_and_has_failed() -> None:
 
 def plant(duration_s: float, samples: int = 8, **changes: Any) -> Specification:
     """The battery's store with a family that says no times."""
-    table = {"simulation": {"duration_s": duration_s}, "families": {"hot": {"settings": 2}}}
+    table = {
+        "simulation": {"duration_s": duration_s},
+        "families": {"hot": {"settings": 2}},
+    }
     return read_specification(
         Table({"samples": samples} | table | changes), simulator=plants.Battery
     )
@@ -254,7 +347,9 @@ def test_families_run_as_long_as_the_store(duration_s: float) -> None:
     (hot,) = plant(duration_s).families
     assert (hot.horizon_s, hot.min_survival_s) == (duration_s, 0.6 * duration_s)
     for wrong in (0.0, 1e13, float("nan")):
-        with pytest.raises(InputError, match=r"^simulation\.duration_s: .* from 1e-09 to 1e\+12"):
+        with pytest.raises(
+            InputError, match=r"^simulation\.duration_s: .* from 1e-09 to 1e\+12"
+        ):
             plant(wrong)
 
 
@@ -262,21 +357,35 @@ def test_each_world_keeps_what_kept_names() -> None:
     assert plant(5.0).outcomes == plants.COLUMNS
     assert plant(5.0, kept=["loss_j"]).outcomes == ("survived_fraction", "loss_j")
     assert plant(5.0, kept=["survived_fraction"]).outcomes == ("survived_fraction",)
-    assert plant(5.0, kept=[]).document["columns"][-1] == "hot_survived_fraction_worlds: double[2]"
+    assert (
+        plant(5.0, kept=[]).document["columns"][-1]
+        == "hot_survived_fraction_worlds: double[2]"
+    )
     for wrong in (["loss"], "loss_j", ["loss_j", "loss_j"], ["run_ended"]):
-        with pytest.raises(InputError, match=r"^kept: .* survived_fraction, loss_j, finished_at_s"):
+        with pytest.raises(
+            InputError, match=r"^kept: .* survived_fraction, loss_j, finished_at_s"
+        ):
             plant(5.0, kept=wrong)
 
 
-@pytest.mark.parametrize(("columns", "families", "twice"), [
-    (("origin",), {"hot": {"settings": 1}}, "origin"),
-    (("late_x", "x"), {"hot": {"settings": 1}, "hot_late": {"settings": 1}}, "hot_late_x_mean"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("columns", "families", "twice"),
+    [
+        (("origin",), {"hot": {"settings": 1}}, "origin"),
+        (
+            ("late_x", "x"),
+            {"hot": {"settings": 1}, "hot_late": {"settings": 1}},
+            "hot_late_x_mean",
+        ),
+    ],
+)
 def test_no_two_columns_of_a_store_have_one_name(
     columns: tuple[str, ...], families: dict[str, Any], twice: str
 ) -> None:
     own = changed(
-        robot.drive, columns=("survived_fraction", *columns), measures={columns[0]: (0.0, 1.0)}
+        robot.drive,
+        columns=("survived_fraction", *columns),
+        measures={columns[0]: (0.0, 1.0)},
     )
     search = {"evaluations": 10_000, "candidates": 20}
     with pytest.raises(InputError, match=f"^simulator: '{twice}' .* another name"):
@@ -287,13 +396,18 @@ def test_no_two_columns_of_a_store_have_one_name(
 def test_a_store_of_many_columns_says_which_it_keeps() -> None:
     """Else it would have 6 numbers a row for each of them, hundreds of gigabytes."""
     columns = ("survived_fraction", *(f"cell_{number}_v" for number in range(500)))
-    pack = FunctionSimulator(plants.charge, parameters=plants.PARAMETERS, columns=columns)
+    pack = FunctionSimulator(
+        plants.charge, parameters=plants.PARAMETERS, columns=columns
+    )
     table = {"samples": 10**6, "families": {"hot": {"settings": 64}}}
     with pytest.raises(InputError, match=r"^kept: 'missing' .* all would take 257 GB"):
         read_specification(Table(table), simulator=pack)
     chosen = read_specification(Table(table | {"kept": ["cell_3_v"]}), simulator=pack)
     assert chosen.outcomes == ("survived_fraction", "cell_3_v")
-    assert read_specification(Table(table | {"samples": 100}), simulator=pack).outcomes == columns
+    assert (
+        read_specification(Table(table | {"samples": 100}), simulator=pack).outcomes
+        == columns
+    )
 
 
 def test_a_run_that_all_but_lasted_has_lasted() -> None:
@@ -323,14 +437,22 @@ def test_files_that_a_function_imports_are_in_its_version(
 ) -> None:
     """Half a store of a function goes on with its own physics, or not at all."""
     (tmp_path / "parts").mkdir()
-    for name in ("parts/__init__.py", "parts/deep.py", "further.py", "other.py", "storage.py"):
+    for name in (
+        "parts/__init__.py",
+        "parts/deep.py",
+        "further.py",
+        "other.py",
+        "storage.py",
+    ):
         (tmp_path / name).write_text("G = 9.81")
     (tmp_path / "helper.py").write_text("from further import G")
     name = tmp_path.name  # of a module that no other test has imported
     (tmp_path / f"{name}.py").write_text(
         f"def run(point, world, seconds):\n    {statement}\n    import storage\n"
     )
-    simulator = changed(import_object("simulator", f"{name}.py:run", tmp_path, "a function"))
+    simulator = changed(
+        import_object("simulator", f"{name}.py:run", tmp_path, "a function")
+    )
     first = simulator.code_version
     for unused in ("other.py", "storage.py"):
         (tmp_path / unused).write_text("G = 1.62")
@@ -345,7 +467,10 @@ def test_a_file_that_imports_none_of_its_folder_has_the_version_of_before() -> N
 
 
 def by_mode(point: Any, world: Any, seconds: float) -> dict[str, Any]:
-    return {"survived_fraction": 1.0, "speed_mps": np.where(point["mode"] == 1, 2.0, 3.0)}
+    return {
+        "survived_fraction": 1.0,
+        "speed_mps": np.where(point["mode"] == 1, 2.0, 3.0),
+    }
 
 
 @pytest.mark.parametrize("batch", [False, True])
@@ -371,7 +496,10 @@ def of_phasors(point: Any, world: Any, seconds: float) -> dict[str, Any]:
 
 
 def of_gaps(point: Any, world: Any, seconds: float) -> dict[str, Any]:
-    return {"survived_fraction": 1.0, "speed_mps": np.ma.masked_array([[5.0]], [[True]])}
+    return {
+        "survived_fraction": 1.0,
+        "speed_mps": np.ma.masked_array([[5.0]], [[True]]),
+    }
 
 
 def test_columns_of_another_kind_are_no_numbers() -> None:
@@ -386,7 +514,9 @@ def test_columns_of_another_kind_are_no_numbers() -> None:
 def test_steps_may_be_longer_than_a_second(batch: bool) -> None:
     """The check before the work takes as long as the store's runs where a second is too short."""
     simulator = changed(hourly, batch=batch)
-    with pytest.raises(InputError, match="a function that runs, not ValueError: no step"):
+    with pytest.raises(
+        InputError, match="a function that runs, not ValueError: no step"
+    ):
         simulator.lasting(1800.0).require_machine()
     simulator.lasting(7200.0).require_machine()
     longest: list[float] = []
@@ -411,22 +541,33 @@ def recording(longest: list[float]) -> Callable[..., Any]:
 
 def test_a_store_in_which_nothing_came_to_the_end_says_so(tmp_path: Path) -> None:
     late = {"settings": 2, "min_survival_s": 600.0}
-    families = {"hot": late, "never": late | {"after": "hot", "min_survived_fraction": 1.0}}
+    families = {
+        "hot": late,
+        "never": late | {"after": "hot", "min_survived_fraction": 1.0},
+    }
     table = {"samples": 16, "simulation": {"duration_s": 600.0}, "families": families}
     with pytest.warns(UserWarning) as found:
         make_store(plants.Battery, tmp_path / "store", workers=1, **table)
     lines = [str(each.message) for each in found]
     assert {each.filename for each in found} == {__file__}
-    for line, expected in zip(lines, (
-        r"simulation\.duration_s: 0 of 16 rows lasted 600 s; the longest 0\.9 of it",
-        r"families\.hot\.min_survival_s: 0 of 16 rows reached 600",
-        r"families\.never\.min_survived_fraction: 0 of 16 rows reached 1",
-    ), strict=True):  # fmt: skip
+    for line, expected in zip(
+        lines,
+        (
+            r"simulation\.duration_s: 0 of 16 rows lasted 600 s; the longest 0\.9 of it",
+            r"families\.hot\.min_survival_s: 0 of 16 rows reached 600",
+            r"families\.never\.min_survived_fraction: 0 of 16 rows reached 1",
+        ),
+        strict=True,
+    ):
         assert re.search(expected, line)
 
 
-@pytest.mark.parametrize(("share", "shown"), [(0.99997, "0.9999"), (0.5, "0.5"), (0.0, "0")])
-def test_a_share_below_1_is_not_said_to_be_1(share: float, shown: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("share", "shown"), [(0.99997, "0.9999"), (0.5, "0.5"), (0.0, "0")]
+)
+def test_a_share_below_1_is_not_said_to_be_1(
+    share: float, shown: str, tmp_path: Path
+) -> None:
     almost = changed(returns({"survived_fraction": share, "speed_mps": 1.0}))
     with pytest.warns(
         UserWarning, match=rf"rows lasted 5 s; the longest {re.escape(shown)} of it$"

@@ -23,14 +23,30 @@ from tests.storage import rail
 from tests.storage.rail import XML, Rail, made, swing
 from tests.tools.running import load_tool
 
-HARD = {"mass": [0.8, 1.3], "mass_spread": 0.2, "friction": [0.3, 1.0], "strength": [0.5, 1.0],
-        "delay_s": [0.0, 0.03], "noise": 0.01, "noise_rate": 0.1, "slope": [-0.1, 0.1],
-        "push_mps": 0.3, "inertia": 1.1, "damping": 1.2, "armature": 0.9}  # fmt: skip
+HARD = {
+    "mass": [0.8, 1.3],
+    "mass_spread": 0.2,
+    "friction": [0.3, 1.0],
+    "strength": [0.5, 1.0],
+    "delay_s": [0.0, 0.03],
+    "noise": 0.01,
+    "noise_rate": 0.1,
+    "slope": [-0.1, 0.1],
+    "push_mps": 0.3,
+    "inertia": 1.1,
+    "damping": 1.2,
+    "armature": 0.9,
+}
 SECONDS = 1.5
 
 
-def runs(simulator: MujocoSimulator, points: Any, world: dict[str, Any], worlds: int = 1,
-         seconds: float = SECONDS) -> Any:  # fmt: skip
+def runs(
+    simulator: MujocoSimulator,
+    points: Any,
+    world: dict[str, Any],
+    worlds: int = 1,
+    seconds: float = SECONDS,
+) -> Any:
     """Rows of points in so many worlds, [n, w]."""
     seeds = list(map(np.random.SeedSequence, range(worlds)))
     drawn = simulator.read_worlds(Table({"world": world})).draw(seeds)
@@ -52,11 +68,18 @@ def plain_loop(kp: float, beats: int, world: dict[str, float]) -> dict[str, floa
     for step in range(steps):
         up = data.xmat[1].reshape(3, 3)[:, 2]
         now = SensedState(
-            step * 0.01, data.qpos[None].copy(), data.qvel[None].copy(), data.xpos[1:2, 0].copy(),
-            data.xpos[1:2, 2].copy(), np.array([np.arctan2(up[0], up[2])]), np.zeros(1),
+            step * 0.01,
+            data.qpos[None].copy(),
+            data.qvel[None].copy(),
+            data.xpos[1:2, 0].copy(),
+            data.xpos[1:2, 2].copy(),
+            np.array([np.arctan2(up[0], up[2])]),
+            np.zeros(1),
             {"hip": data.sensordata[:1].copy()},
-        )  # fmt: skip
-        data.ctrl[:] = swing({"kp": np.array([kp]), "beats": np.array([beats])}, now, memory)[0]
+        )
+        data.ctrl[:] = swing(
+            {"kp": np.array([kp]), "beats": np.array([beats])}, now, memory
+        )[0]
         mujoco.mj_step(model, data, 5)
         power = abs(data.actuator_force[0] * data.actuator_velocity[0])
         energy, effort = energy + 0.01 * power, effort + data.ctrl[0] ** 2
@@ -69,11 +92,14 @@ def plain_loop(kp: float, beats: int, world: dict[str, float]) -> dict[str, floa
     weight = model.body_mass.sum() * 9.81
     distance = data.xpos[1, 0]
     return {
-        "survived_fraction": step / steps, "distance_m": distance,
-        "speed_mps": distance / (max(step, 1) * 0.01), "energy_j": energy,
+        "survived_fraction": step / steps,
+        "distance_m": distance,
+        "speed_mps": distance / (max(step, 1) * 0.01),
+        "energy_j": energy,
         "cost_of_transport": min(energy / (weight * max(distance, 1e-6)), 100.0),
-        "peak_torque_nm": peak, "effort": effort / max(step, 1),
-    }  # fmt: skip
+        "peak_torque_nm": peak,
+        "effort": effort / max(step, 1),
+    }
 
 
 def test_each_robot_is_a_loop_over_mj_step() -> None:
@@ -93,7 +119,10 @@ def test_each_robot_is_a_loop_over_mj_step() -> None:
 
 @pytest.mark.parametrize("more", [{}, {"rough_m": [0.02, 0.05]}])
 def test_no_bit_depends_on_the_company(more: dict[str, Any]) -> None:
-    points, seeds = sobol_points(1, 0, 8, Rail.parameters), map(np.random.SeedSequence, range(3))
+    points, seeds = (
+        sobol_points(1, 0, 8, Rail.parameters),
+        map(np.random.SeedSequence, range(3)),
+    )
     drawn = Rail.read_worlds(Table({"world": HARD | more})).draw(list(seeds))
     drawn["noise"][1] = drawn["noise_rate"][1] = drawn["push_mps"][2] = 0.0
     rows = run_points(Rail, points, drawn, 3, SECONDS)[0]
@@ -102,7 +131,10 @@ def test_no_bit_depends_on_the_company(more: dict[str, Any]) -> None:
         alone = run_points(Rail, points[k : k + 1], own, 1, SECONDS)[0]
         assert alone.tobytes() == rows[k, w].tobytes()
     again = run_points(pickle.loads(pickle.dumps(Rail)), points, drawn, 3, SECONDS)[0]
-    assert again.tobytes() == rows.tobytes() and len({row.tobytes() for row in rows.ravel()}) == 24
+    assert (
+        again.tobytes() == rows.tobytes()
+        and len({row.tobytes() for row in rows.ravel()}) == 24
+    )
 
 
 def still(point: Any, sensed: SensedState, memory: Any) -> Any:
@@ -123,7 +155,11 @@ SHARE = {"share": FloatDistribution(0.0, 1.0)}
 
 def test_worlds_do_what_their_names_say() -> None:
     """A cart of 2 kg under 4 N; a block on a slope, whose friction is 0.2."""
-    given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01, "fallen": never}
+    given: dict[str, Any] = {
+        "parameters": SHARE,
+        "control_step_s": 0.01,
+        "fallen": never,
+    }
     cart = MujocoSimulator(rail.Model(CART), full, **given)
 
     def moved(**world: float) -> float:
@@ -135,11 +171,18 @@ def test_worlds_do_what_their_names_say() -> None:
     assert moved(strength=0.5) == moved(mass=2.0) == pytest.approx(0.5, rel=5e-3)
     assert moved(delay_s=0.2) == pytest.approx(0.64, rel=5e-3)
     assert abs(moved(mass_spread=0.3, mass=1.0) - 1.0) > 1e-3
-    assert 0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5  # at a time between .5 and 1 s or not at all
+    assert (
+        0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5
+    )  # at a time between .5 and 1 s or not at all
     block = MujocoSimulator(rail.Model(BLOCK), still, **given)
     slopes = []
     for slope, friction in ((0.1, 1.0), (0.5, 1.0), (0.5, 3.0)):
-        row = runs(block, np.array([[0.0]]), {"slope": slope, "friction": friction}, seconds=1.0)
+        row = runs(
+            block,
+            np.array([[0.0]]),
+            {"slope": slope, "friction": friction},
+            seconds=1.0,
+        )
         slopes.append(float(row[0, 0]["distance_m"]))
     turn = np.arctan(0.5)
     slid = -0.5 * 9.81 * (np.sin(turn) - 0.2 * np.cos(turn))
@@ -147,8 +190,12 @@ def test_worlds_do_what_their_names_say() -> None:
 
 
 def test_strength_scales_the_force_of_muscles_and_not_their_range() -> None:
-    text = XML.replace('<motor joint="hip" gear="20"/>', '<muscle joint="hip" lengthrange="0 1"/>')
-    plain, weak = (made(text)._model_of({**WORLDS, "seed": 1.0, "strength": s}) for s in (1, 0.5))
+    text = XML.replace(
+        '<motor joint="hip" gear="20"/>', '<muscle joint="hip" lengthrange="0 1"/>'
+    )
+    plain, weak = (
+        made(text)._model_of({**WORLDS, "seed": 1.0, "strength": s}) for s in (1, 0.5)
+    )
     for parameters in ("actuator_gainprm", "actuator_biasprm"):
         ratio = getattr(weak, parameters)[0, :9] / getattr(plain, parameters)[0, :9]
         assert ratio.tolist() == [1.0, 1.0, 0.5, 0.5, *[1.0] * 5]
@@ -162,21 +209,31 @@ def test_a_number_means_the_same_on_any_model(
     file.write_text(xml)
     found = load_tool("try_models").measured(file)
     words = {number: word for number, (word, _) in found.items()}
-    assert {number: why for number, (word, why) in found.items() if word == "WRONG"} == {}
+    assert {
+        number: why for number, (word, why) in found.items() if word == "WRONG"
+    } == {}
     assert {number for number, word in words.items() if word == "refused"} == {*refused}
-    assert {number for number, word in words.items() if word == "-"} - {"pose"} == {*nothing}
+    assert {number for number, word in words.items() if word == "-"} - {"pose"} == {
+        *nothing
+    }
 
 
 def test_energy_and_weight_are_what_the_robot_has() -> None:
     """A joint takes 4 N of an actuator's 100; a table, a rail and gravity along y add nothing."""
-    given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01, "fallen": never}
+    given: dict[str, Any] = {
+        "parameters": SHARE,
+        "control_step_s": 0.01,
+        "fallen": never,
+    }
     strong = CART.replace('gear="4"', 'gear="100"')
     clipped = strong.replace('axis="1 0 0"', 'axis="1 0 0" actuatorfrcrange="-4 4"')
     table = '<body pos="9 9 9"><geom size="1" mass="70"/></body>'
     tabled = CART.replace("</worldbody>", f"{table}</worldbody>")
     sideways = CART.replace('gravity="0 0 -10"', 'gravity="0 -10 0"')
     track = '<body><geom size="1" mass="70"/><body name="cart" pos="5 5 5">'
-    railed = CART.replace("<body>", track).replace("</worldbody>", "</body></worldbody>")
+    railed = CART.replace("<body>", track).replace(
+        "</worldbody>", "</body></worldbody>"
+    )
     for text in (CART, clipped, tabled, sideways, railed):
         root = "cart" if text == railed else None
         robot = MujocoSimulator(rail.Model(text), full, root=root, **given)
@@ -185,7 +242,9 @@ def test_energy_and_weight_are_what_the_robot_has() -> None:
         # sampled at the ends of 100 control steps: 1 % more than 4 N times 1 m
         assert row["energy_j"] == pytest.approx(4.04, rel=5e-3)
         assert row["cost_of_transport"] == pytest.approx(4.04 / 20.0, rel=5e-3)
-    afloat = MujocoSimulator(rail.Model(CART.replace("0 0 -10", "0 0 0")), full, **given)
+    afloat = MujocoSimulator(
+        rail.Model(CART.replace("0 0 -10", "0 0 0")), full, **given
+    )
     assert "cost_of_transport" not in afloat.trial({"share": 1.0}, {}, 1.0)
     assert afloat.outcomes == ("survived_fraction", "energy_j", "speed_mps")
 
@@ -202,22 +261,28 @@ def test_a_trial_is_a_row() -> None:
 
 def test_a_trial_has_the_types_of_a_row() -> None:
     exact = Rail.trial({"beats": 2, "kp": 1.5}, {"seed": 7}, SECONDS)
-    assert Rail.trial({"beats": 2.0, "kp": np.float32(1.5)}, {"seed": 7.0}, SECONDS) == exact
+    assert (
+        Rail.trial({"beats": 2.0, "kp": np.float32(1.5)}, {"seed": 7.0}, SECONDS)
+        == exact
+    )
 
 
 POINT = {"kp": 1.0, "beats": 1}
 
 
-@pytest.mark.parametrize(("point", "world", "seconds", "match"), [
-    (POINT, {}, 0.0, r"^seconds: 0\.0 .* 0\.01 s, one control step, or more"),
-    (POINT, {}, np.nan, "^seconds: nan .* a finite number"),
-    (POINT, {"mass": "heavy"}, 1.0, r"^world\.mass: 'heavy' .* a finite number"),
-    (POINT, {"seed": -1}, 1.0, r"^world\.seed: -1 .* a whole number, 0 or more"),
-    (POINT, {"seed": 7.9}, 1.0, r"^world\.seed: 7\.9 .* a whole number, 0 or more"),
-    (POINT | {"beats": 2.5}, {}, 1.0, r"^point\.beats: 2\.5 .* a whole number"),
-    (POINT | {"kp": np.nan}, {}, 1.0, r"^point\.kp: nan .* a finite number"),
-    (POINT | {"kp": "1"}, {}, 1.0, r"^point\.kp: '1' .* a finite number"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("point", "world", "seconds", "match"),
+    [
+        (POINT, {}, 0.0, r"^seconds: 0\.0 .* 0\.01 s, one control step, or more"),
+        (POINT, {}, np.nan, "^seconds: nan .* a finite number"),
+        (POINT, {"mass": "heavy"}, 1.0, r"^world\.mass: 'heavy' .* a finite number"),
+        (POINT, {"seed": -1}, 1.0, r"^world\.seed: -1 .* a whole number, 0 or more"),
+        (POINT, {"seed": 7.9}, 1.0, r"^world\.seed: 7\.9 .* a whole number, 0 or more"),
+        (POINT | {"beats": 2.5}, {}, 1.0, r"^point\.beats: 2\.5 .* a whole number"),
+        (POINT | {"kp": np.nan}, {}, 1.0, r"^point\.kp: nan .* a finite number"),
+        (POINT | {"kp": "1"}, {}, 1.0, r"^point\.kp: '1' .* a finite number"),
+    ],
+)
 @pytest.mark.parametrize("run", [Rail.trial, Rail.states])
 def test_a_trial_of_no_numbers_is_refused(
     run: Any, point: Any, world: Any, seconds: float, match: str
@@ -230,10 +295,19 @@ CUBE = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1
 FACES = "\nf 1 2 3\nf 4 5 6\nf 7 8 1\nf 2 5 8\n"
 GRID = np.array([2, 2], dtype=np.int32).tobytes()
 FILES: dict[str, tuple[bytes, bytes]] = {  # of a model, before and after a change
-    "geo/foot.obj": ((CUBE + FACES).encode(), (CUBE + FACES).replace("1", "1.8", 4).encode()),
+    "geo/foot.obj": (
+        (CUBE + FACES).encode(),
+        (CUBE + FACES).replace("1", "1.8", 4).encode(),
+    ),
     "geo/hills.bin": (GRID + bytes(16), GRID + np.float32([0, 0, 0, 1]).tobytes()),
-    "geo/net.obj": ((CUBE + FACES).encode(), (CUBE + FACES).replace("1", "1.8", 4).encode()),
-    "shin/geo/shin.obj": ((CUBE + FACES).encode(), (CUBE + FACES).replace("1", "1.8", 4).encode()),
+    "geo/net.obj": (
+        (CUBE + FACES).encode(),
+        (CUBE + FACES).replace("1", "1.8", 4).encode(),
+    ),
+    "shin/geo/shin.obj": (
+        (CUBE + FACES).encode(),
+        (CUBE + FACES).replace("1", "1.8", 4).encode(),
+    ),
     "part.xml": (
         b'<mujocoinclude><geom size=".3"/></mujocoinclude>',
         b'<mujocoinclude><geom size=".4"/></mujocoinclude>',
@@ -251,7 +325,9 @@ NAMING = (ASSETS / "naming.xml").read_text()
 
 
 @pytest.mark.parametrize("changed", FILES)
-def test_a_file_that_a_model_names_is_in_its_version(changed: str, tmp_path: Path) -> None:
+def test_a_file_that_a_model_names_is_in_its_version(
+    changed: str, tmp_path: Path
+) -> None:
     for name, (before, _) in FILES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(before)
@@ -265,7 +341,9 @@ def test_a_file_that_a_model_names_is_in_its_version(changed: str, tmp_path: Pat
     first = version()
     assert version() == first
     (tmp_path / changed).write_bytes(FILES[changed][1])
-    os.utime(tmp_path / changed, (1e9, 1e9))  # MuJoCo keeps files, and asks for their times in s
+    os.utime(
+        tmp_path / changed, (1e9, 1e9)
+    )  # MuJoCo keeps files, and asks for their times in s
     assert version() != first
 
 
@@ -282,11 +360,16 @@ OTHERS = (
 
 
 def test_assets_of_a_function_are_in_its_version() -> None:
-    lines = [line for line in NAMING.splitlines() if not line.strip().startswith(OTHERS)]
+    lines = [
+        line for line in NAMING.splitlines() if not line.strip().startswith(OTHERS)
+    ]
     text = "\n".join(lines)
     versions = [
         MujocoSimulator(
-            rail.Model(text, {"foot.obj": content}), full, parameters=SHARE, fallen=never
+            rail.Model(text, {"foot.obj": content}),
+            full,
+            parameters=SHARE,
+            fallen=never,
         ).code_version
         for content in (*FILES["geo/foot.obj"], FILES["geo/foot.obj"][0])
     ]
@@ -298,18 +381,24 @@ def test_a_model_without_files_has_the_version_of_before() -> None:
     file = hashlib.sha256(Path(rail.__file__).read_bytes()).hexdigest()[:16]
     spec = mujoco.MjSpec.from_string(XML)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    found = hashlib.sha256(b"1" + file.encode() + spec.to_xml().encode()).hexdigest()[:16]
+    found = hashlib.sha256(b"1" + file.encode() + spec.to_xml().encode()).hexdigest()[
+        :16
+    ]
     assert Rail.code_version == found
     for change in ('forcerange="-9 9"', 'damping="1"', 'armature="1"'):
         text = XML.replace('gear="20"', f'gear="20" {change}')
         other = mujoco.MjSpec.from_string(text)
         other.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        before = hashlib.sha256(b"1" + file.encode() + other.to_xml().encode()).hexdigest()[:16]
+        before = hashlib.sha256(
+            b"1" + file.encode() + other.to_xml().encode()
+        ).hexdigest()[:16]
         assert made(text).code_version != before
 
 
 def test_the_root_and_the_file_of_a_rule_are_in_a_store() -> None:
-    assert "root" not in Rail.document() and made(root="leg").document()["root"] == "leg"
+    assert (
+        "root" not in Rail.document() and made(root="leg").document()["root"] == "leg"
+    )
     assert made(fallen=never).code_version != Rail.code_version
 
 
@@ -320,7 +409,10 @@ def soon(sensed: SensedState) -> Any:
 def test_half_a_store_of_another_rule_does_not_go_on(tmp_path: Path) -> None:
     """Rule and controller may be of one file: which rule it is, the file does not say."""
     given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01}
-    cart = [MujocoSimulator(rail.Model(CART), full, fallen=rule, **given) for rule in (never, soon)]
+    cart = [
+        MujocoSimulator(rail.Model(CART), full, fallen=rule, **given)
+        for rule in (never, soon)
+    ]
     with pytest.raises(InputError, match="fallen"):
         for each in cart:
             make_store(each, tmp_path / "cart", workers=1, samples=4)
@@ -340,10 +432,14 @@ def test_noise_has_its_deviation_and_rough_ground_its_height() -> None:
     runs(cart, np.array([[0.0]]), {"noise": 0.01, "noise_rate": 0.2}, seconds=2.0)
     position, speed = (np.array([seen[k] for seen in SEEN]).ravel() for k in (0, 1))
     assert [position.std(), speed.std()] == pytest.approx([0.01, 0.2], rel=0.1)
-    model, states = Rail.states({"kp": 1.0, "beats": 2}, {"rough_m": 0.08, "seed": 3.0}, 0.5)
+    model, states = Rail.states(
+        {"kp": 1.0, "beats": 2}, {"rough_m": 0.08, "seed": 3.0}, 0.5
+    )
     heights = model.hfield_data * model.hfield_size[0, 2] + model.geom("floor").pos[2]
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_HFIELD
-    assert heights.min() == pytest.approx(-0.04) and heights.max() == pytest.approx(0.04)
+    assert heights.min() == pytest.approx(-0.04) and heights.max() == pytest.approx(
+        0.04
+    )
     assert len(states) > 10 and states[0].tolist() == [0.0] * 4
 
 
@@ -358,32 +454,87 @@ def two_columns(point: Any, sensed: SensedState, memory: Any) -> Any:
 FLOATING = XML.replace("<option ", '<option gravity="0 0 0" ')
 
 
-@pytest.mark.parametrize(("build", "match"), [
-    (lambda: made(worlds={"wind": 1.0}), r"^worlds\.wind: .* one of mass, mass_spread"),
-    (lambda: made("<mujoco/>"), "^model: 'rail' .* a model with actuators"),
-    (lambda: made("<mujoco><nothing/></mujoco>"), "^model: 'rail' .* loads .XML Error.*nothing"),
-    (lambda: made(root="knee"), "^root: .*knee.* a body of the model: trunk, leg"),
-    (lambda: made(control_step_s=0.003), "^control_step_s: 0.003 .* steps of 0.002 s"),
-    (lambda: made(start_qpos=[0.0]), "^start_qpos: .* 4 numbers"),
-    (lambda: MujocoSimulator("none.xml", swing, parameters=rail.PARAMETERS), "^model: 'none.xml'"),
-    (lambda: runs(Rail, np.ones((1, 2)), {"mass": 0.0}), r"^world\.mass: 0\.0 .* more than 0"),
-    (lambda: runs(Rail, np.ones((1, 2)), {"delay_s": 2.0}), r"^world\.delay_s: 2\.0 .* 0 to 1"),
-    (lambda: runs(made(XML.replace('name="floor" type="plane" size="5 5 1"', 'size="1"')),
-                  np.ones((1, 2)), {"rough_m": 0.1}), r"^world\.rough_m: .* one plane"),
-    (lambda: runs(MujocoSimulator(rail.Model(XML), two_columns, parameters=rail.PARAMETERS),
-                  np.ones((1, 2)), {}), r"controls of shape \[1, 1\] .* not \[1, 2\]"),
-    (lambda: made(root="world"), "^root: 'world' .* a body of the model: trunk, leg"),
-    (lambda: made(worlds={"mass": -1.0}), r"^world\.mass: -1\.0 .* more than 0"),
-    (lambda: made(FLOATING, worlds={"slope": 0.1}, fallen=never),
-     r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity"),
-    (lambda: made(FLOATING, fallen=never).read_worlds(Table({"world": {"slope": [0.0, 0.1]}})),
-     r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity"),
-    (lambda: made(XML.replace('pos="0 0 0.5"', 'pos="0 0 -1"')),
-     "^fallen: None .* a rule of your own for rail: its root, trunk, starts at a height of -1 m"),
-    (lambda: Rail.trial({"kp": 1.0}, {}, 1.0), r"^point: \['kp'\] .* the parameters kp, beats"),
-    (lambda: Rail.trial({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0), r"^world\.wind: .* of mass"),
-    (lambda: Rail.states({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0), r"^world\.wind: 1\.0"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("build", "match"),
+    [
+        (
+            lambda: made(worlds={"wind": 1.0}),
+            r"^worlds\.wind: .* one of mass, mass_spread",
+        ),
+        (lambda: made("<mujoco/>"), "^model: 'rail' .* a model with actuators"),
+        (
+            lambda: made("<mujoco><nothing/></mujoco>"),
+            "^model: 'rail' .* loads .XML Error.*nothing",
+        ),
+        (lambda: made(root="knee"), "^root: .*knee.* a body of the model: trunk, leg"),
+        (
+            lambda: made(control_step_s=0.003),
+            "^control_step_s: 0.003 .* steps of 0.002 s",
+        ),
+        (lambda: made(start_qpos=[0.0]), "^start_qpos: .* 4 numbers"),
+        (
+            lambda: MujocoSimulator("none.xml", swing, parameters=rail.PARAMETERS),
+            "^model: 'none.xml'",
+        ),
+        (
+            lambda: runs(Rail, np.ones((1, 2)), {"mass": 0.0}),
+            r"^world\.mass: 0\.0 .* more than 0",
+        ),
+        (
+            lambda: runs(Rail, np.ones((1, 2)), {"delay_s": 2.0}),
+            r"^world\.delay_s: 2\.0 .* 0 to 1",
+        ),
+        (
+            lambda: runs(
+                made(XML.replace('name="floor" type="plane" size="5 5 1"', 'size="1"')),
+                np.ones((1, 2)),
+                {"rough_m": 0.1},
+            ),
+            r"^world\.rough_m: .* one plane",
+        ),
+        (
+            lambda: runs(
+                MujocoSimulator(
+                    rail.Model(XML), two_columns, parameters=rail.PARAMETERS
+                ),
+                np.ones((1, 2)),
+                {},
+            ),
+            r"controls of shape \[1, 1\] .* not \[1, 2\]",
+        ),
+        (
+            lambda: made(root="world"),
+            "^root: 'world' .* a body of the model: trunk, leg",
+        ),
+        (lambda: made(worlds={"mass": -1.0}), r"^world\.mass: -1\.0 .* more than 0"),
+        (
+            lambda: made(FLOATING, worlds={"slope": 0.1}, fallen=never),
+            r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity",
+        ),
+        (
+            lambda: made(FLOATING, fallen=never).read_worlds(
+                Table({"world": {"slope": [0.0, 0.1]}})
+            ),
+            r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity",
+        ),
+        (
+            lambda: made(XML.replace('pos="0 0 0.5"', 'pos="0 0 -1"')),
+            "^fallen: None .* a rule of your own for rail: its root, trunk, starts at a height of -1 m",
+        ),
+        (
+            lambda: Rail.trial({"kp": 1.0}, {}, 1.0),
+            r"^point: \['kp'\] .* the parameters kp, beats",
+        ),
+        (
+            lambda: Rail.trial({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0),
+            r"^world\.wind: .* of mass",
+        ),
+        (
+            lambda: Rail.states({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0),
+            r"^world\.wind: 1\.0",
+        ),
+    ],
+)
 def test_what_is_refused(build: Any, match: str) -> None:
     with pytest.raises(InputError, match=match):
         build()

@@ -66,7 +66,9 @@ def linger(folder: str) -> None:
 
 def alive(pid: int) -> bool:
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return (
+            Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        )
     except OSError:
         return False
 
@@ -83,7 +85,9 @@ def test_every_unit_is_done_once(workers: int) -> None:
         found = sorted(pool.results(units.square, deque(range(20))))
         assert found == [(n, n**2) for n in range(20)]
         assert list(pool.results(units.square, deque())) == []
-        assert dict(pool.results(bytes, deque([3_000_000]))) == {3_000_000: bytes(3_000_000)}
+        assert dict(pool.results(bytes, deque([3_000_000]))) == {
+            3_000_000: bytes(3_000_000)
+        }
         numbers, seen = deque([1, 10]), []
         for number, _ in pool.results(units.square, numbers):
             seen.append(number)
@@ -124,7 +128,9 @@ def test_an_error_of_a_unit_is_raised_here(workers: int) -> None:
         with pytest.raises(ArithmeticError) as caught:
             list(pool.results(units.fail, deque([0])))
         assert workers == 1 or "in fail" in caught.value.__notes__[0]
-        assert dict(pool.results(units.square, deque([3]))) == {3: 9}  # the pool goes on
+        assert dict(pool.results(units.square, deque([3]))) == {
+            3: 9
+        }  # the pool goes on
 
 
 @pytest.mark.parametrize("accident", [die, die_while_answering])
@@ -188,10 +194,15 @@ def test_idle_processes_end_by_themselves(tmp_path: Path) -> None:
     assert [note.read_text() for note in notes] == ["ended by itself"] * 2
 
 
-def test_processes_import_our_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_import_our_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A worker of Dask has such a folder among its paths; an editable install comes after it."""
     (tmp_path / "storage").mkdir()
-    paths = [str(tmp_path), *(path for path in sys.path if Path(path).resolve() != ROOT)]
+    paths = [
+        str(tmp_path),
+        *(path for path in sys.path if Path(path).resolve() != ROOT),
+    ]
     monkeypatch.setattr(sys, "path", paths)
     monkeypatch.chdir(tmp_path)
     with Processes(1) as processes:

@@ -25,7 +25,11 @@ from tests.storage.fake import content
 
 SHARD = "part-00003.parquet"
 rows_of = partial(pq.read_table, partitioning=None)
-STOPS = [(0, {}, 0), (3, {}, 3), (5, {"robust": True}, 2)]  # the last one within the family
+STOPS = [
+    (0, {}, 0),
+    (3, {}, 3),
+    (5, {"robust": True}, 2),
+]  # the last one within the family
 
 
 @pytest.fixture
@@ -41,7 +45,12 @@ def fill(path: Path, fresh: bool = False, **changes: object) -> Summary:
 
 def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> None:
     shards = [f"part-{number:05d}.parquet" for number in range(7)]
-    assert sorted(content(store)) == [".lock", "manifest.json", *shards, "specification.json"]
+    assert sorted(content(store)) == [
+        ".lock",
+        "manifest.json",
+        *shards,
+        "specification.json",
+    ]
     manifest = json.loads((store / "manifest.json").read_text())
     assert [shard["file"] for shard in manifest["shards"]] == shards
     assert manifest["rows"] == 50
@@ -49,9 +58,14 @@ def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> No
     footer = json.loads(pq.read_schema(store / SHARD).metadata[FOOTER_KEY])
     specification = fake.specification()
     assert footer == fake.ENGINE | {
-        "format": 1, "specification_hash": specification.hash, "shard": 3, "rows": 8, "seed": 7,
-        "code_version": "0.4.0", "specification": specification.document,
-    }  # fmt: skip
+        "format": 1,
+        "specification_hash": specification.hash,
+        "shard": 3,
+        "rows": 8,
+        "seed": 7,
+        "code_version": "0.4.0",
+        "specification": specification.document,
+    }
     before = content(store)
     (store / SHARD).unlink()
     with ThreadPoolExecutor(2) as executor:
@@ -60,7 +74,9 @@ def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> No
     assert content(store) == before
 
 
-def test_shards_in_any_order(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shards_in_any_order(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     threads, seen = [], []
 
     def simulate(gains: Any, **options: Any) -> Result:
@@ -71,13 +87,17 @@ def test_shards_in_any_order(store: Path, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setitem(vars(taichi_nmm), "simulate", simulate)
     with ThreadPoolExecutor(3) as executor:  # where the fake simulator is seen
         pool = Pool(executor, 3)
-        precompute(fake.specification(), tmp_path / "b", progress=seen.append, pool=pool)
+        precompute(
+            fake.specification(), tmp_path / "b", progress=seen.append, pool=pool
+        )
     assert content(tmp_path / "b") == content(store)
     assert threads == [1] * 8  # the last shard is cut: three processes have six others
     assert len(seen) == 9 and seen[0] == 0 and seen[-1] == 50 and seen == sorted(seen)
 
 
-def test_a_stop_loses_shards_of_which_a_part_is_missing(store: Path, tmp_path: Path) -> None:
+def test_a_stop_loses_shards_of_which_a_part_is_missing(
+    store: Path, tmp_path: Path
+) -> None:
     with ThreadPoolExecutor(1) as executor:
         fake.interrupt(6, fake.specification(), tmp_path / "b", pool=Pool(executor, 20))
     assert len([*(tmp_path / "b").glob("part-*")]) <= 1  # of six parts of two rows each
@@ -85,20 +105,32 @@ def test_a_stop_loses_shards_of_which_a_part_is_missing(store: Path, tmp_path: P
     assert content(tmp_path / "b") == content(store)
 
 
-def test_shards_of_mixed_kind(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(filling, "own_kind", lambda simulator: {"processor": "Fast 3000"})
+def test_shards_of_mixed_kind(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        filling, "own_kind", lambda simulator: {"processor": "Fast 3000"}
+    )
     with ThreadPoolExecutor(2) as executor:
-        precompute(fake.specification(), tmp_path / "b", pool=Pool(executor, 2, mixed=True))
+        precompute(
+            fake.specification(), tmp_path / "b", pool=Pool(executor, 2, mixed=True)
+        )
     found = open_store(tmp_path / "b")
     assert all(footer["kind"] == {"processor": "Fast 3000"} for footer in found.footers)
     assert found.table().equals(open_store(store).table())
 
 
 @pytest.mark.slow
-def test_processes_compute_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(vars(taichi_nmm), "simulate")  # the real one, which the processes have
+def test_processes_compute_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(
+        vars(taichi_nmm), "simulate"
+    )  # the real one, which the processes have
     short = {"duration_s": 0.2, "arch": "cpu"}
-    specification = fake.specification(samples=24, simulation=short, searched=["theta_ref"])
+    specification = fake.specification(
+        samples=24, simulation=short, searched=["theta_ref"]
+    )
     precompute(specification, tmp_path / "one")
     with local_pool(2) as pool:
         precompute(specification, tmp_path / "two", pool=pool)
@@ -125,9 +157,13 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
     "truncated": lambda file: file.write_bytes(file.read_bytes()[:-100]),
     "empty": lambda file: file.write_bytes(b""),
     "foreign": lambda file: pq.write_table(pa.table({"a": [1]}), file),
-    "other columns": lambda file: pq.write_table(rows_of(file).drop_columns(["phi_printed"]), file),
+    "other columns": lambda file: pq.write_table(
+        rows_of(file).drop_columns(["phi_printed"]), file
+    ),
     "fewer rows": lambda file: pq.write_table(rows_of(file).slice(1), file),
-    "another shard": lambda file: shutil.copy(file.with_name("part-00002.parquet"), file),
+    "another shard": lambda file: shutil.copy(
+        file.with_name("part-00002.parquet"), file
+    ),
     "another specification": another_specification,
     "edited specification": edited_specification,
     "a flipped bit": fake.flip_a_bit,
@@ -138,7 +174,9 @@ DAMAGE: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("manifest", [True, False])
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_shard_is_found_and_redone(store: Path, damage: str, manifest: bool) -> None:
+def test_a_damaged_shard_is_found_and_redone(
+    store: Path, damage: str, manifest: bool
+) -> None:
     """The right rows in other bytes are noticed by the manifest alone."""
     before = content(store)
     if not manifest:
@@ -158,17 +196,23 @@ def test_a_damaged_manifest_is_written_again(store: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize("name", [SHARD, "manifest.json", "specification.json"])
-def test_a_folder_in_a_files_place_is_refused_before_the_work(store: Path, name: str) -> None:
+def test_a_folder_in_a_files_place_is_refused_before_the_work(
+    store: Path, name: str
+) -> None:
     (store / name).unlink()
     (store / name).mkdir()
     before = sorted(store.iterdir())
     with pytest.raises(InputError, match=f"out: .*{name}.*not a folder"):
-        precompute(fake.specification(), store, progress=lambda points: pytest.fail("it works"))
+        precompute(
+            fake.specification(), store, progress=lambda points: pytest.fail("it works")
+        )
     assert sorted(store.iterdir()) == before
 
 
 @pytest.mark.parametrize(("calls", "changes", "done"), STOPS)
-def test_an_interrupt_loses_one_shard(tmp_path: Path, calls: int, changes: Any, done: int) -> None:
+def test_an_interrupt_loses_one_shard(
+    tmp_path: Path, calls: int, changes: Any, done: int
+) -> None:
     fake.interrupt(calls, fake.specification(**changes), tmp_path / "store")
     assert not (tmp_path / "store" / "manifest.json").exists()
     assert fill(tmp_path / "store", **changes).points_computed == 50 - done * 8
@@ -195,8 +239,12 @@ def test_a_run_goes_on_in_its_own_folder_alone(store: Path) -> None:
     assert seen[0] == 42 and seen[-1] == 50 and seen == sorted(seen)
 
 
-@pytest.mark.parametrize(("field", "changes"), asset("other-specifications.toml").items())
-def test_another_specification_is_refused_by_name(store: Path, changes: Any, field: str) -> None:
+@pytest.mark.parametrize(
+    ("field", "changes"), asset("other-specifications.toml").items()
+)
+def test_another_specification_is_refused_by_name(
+    store: Path, changes: Any, field: str
+) -> None:
     before = content(store)
     with pytest.raises(InputError, match=rf"^{field}: .*--fresh"):
         fill(store, **changes)
@@ -204,7 +252,9 @@ def test_another_specification_is_refused_by_name(store: Path, changes: Any, fie
 
 
 @pytest.mark.parametrize("text", ["", "{"])
-def test_fresh_starts_over_and_leaves_the_files_of_others(store: Path, text: str) -> None:
+def test_fresh_starts_over_and_leaves_the_files_of_others(
+    store: Path, text: str
+) -> None:
     (store / "notes.txt").write_text("mine")
     summary = fill(store, fresh=True, samples=20)
     assert (summary.points, summary.points_computed) == (20, 20)
@@ -219,7 +269,9 @@ def test_fresh_starts_over_and_leaves_the_files_of_others(store: Path, text: str
 
 @pytest.mark.parametrize("name", ["notes.txt", SHARD, "manifest.json"])
 @pytest.mark.parametrize("fresh", [False, True])
-def test_a_folder_of_something_else_is_refused(tmp_path: Path, name: str, fresh: bool) -> None:
+def test_a_folder_of_something_else_is_refused(
+    tmp_path: Path, name: str, fresh: bool
+) -> None:
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match=name):
         fill(tmp_path, fresh)

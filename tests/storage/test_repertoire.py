@@ -31,7 +31,9 @@ pytest.importorskip("ribs")
 
 FAMILIES = {
     "up": fake.family(settings=3, kind="ramp", segment_m=1.0),
-    "down": fake.family(settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"),
+    "down": fake.family(
+        settings=2, seed=9, kind="ramp", segment_m=1.0, direction="down"
+    ),
 }
 GENERATIONS = 3
 STARTERS = 35  # points of the grid that live long enough to be run on the families
@@ -69,7 +71,9 @@ def test_candidates_are_rows_after_the_grid(finished: Finished, tmp_path: Path) 
     assert [footer["rows"] for footer in store.footers] == [8] * 6 + [2, 8, 8, 4]
     for family in ("up", "down"):  # run like the points of the grid
         assert np.array_equal(rows[f"{family}_evaluated"], rows["duration_s"] >= 3.0)
-        assert np.all((rows[f"{family}_phi_printed_mean"] > 0) == rows[f"{family}_evaluated"])
+        assert np.all(
+            (rows[f"{family}_phi_printed_mean"] > 0) == rows[f"{family}_evaluated"]
+        )
     precompute(fake.specification(families=FAMILIES), tmp_path / "plain")
     plain = open_store(tmp_path / "plain")  # whose grid is the same
     assert plain.columns == tuple(name for name in store.columns if name != "origin")
@@ -79,11 +83,16 @@ def test_candidates_are_rows_after_the_grid(finished: Finished, tmp_path: Path) 
     assert not (tmp_path / "plain" / "repertoire.parquet").exists()
 
 
-def test_the_repertoire_says_what_was_tried_and_whence_a_row_comes(finished: Finished) -> None:
+def test_the_repertoire_says_what_was_tried_and_whence_a_row_comes(
+    finished: Finished,
+) -> None:
     path, summary = finished
     tried = pq.read_table(path / "repertoire.parquet").to_pydict()
     rows, walked = np.array(tried["row"]), np.array(tried["walked_fraction"])
-    assert walked[rows != NOT_CHOSEN].mean() > walked[np.array(tried["generation"]) == 0].mean()
+    assert (
+        walked[rows != NOT_CHOSEN].mean()
+        > walked[np.array(tried["generation"]) == 0].mean()
+    )
     assert summary.walks_searched == WALKS == 2 * len(rows)
     assert sorted(rows[rows != NOT_CHOSEN]) == list(range(50, 70))
     gains = open_store(path).gains()
@@ -96,11 +105,17 @@ def test_the_repertoire_says_what_was_tried_and_whence_a_row_comes(finished: Fin
 
 
 @pytest.mark.slow
-def test_two_runs_on_any_executor_are_the_same_bytes(finished: Finished, tmp_path: Path) -> None:
+def test_two_runs_on_any_executor_are_the_same_bytes(
+    finished: Finished, tmp_path: Path
+) -> None:
     seen: list[float] = []
     with ThreadPoolExecutor(3) as executor:  # where the fake simulator is seen
-        precompute(evolving(), tmp_path / "b", progress=seen.append, pool=Pool(executor, 3))
-        precompute(evolving(), tmp_path / "c", pool=Pool(executor, 200))  # more than points
+        precompute(
+            evolving(), tmp_path / "b", progress=seen.append, pool=Pool(executor, 3)
+        )
+        precompute(
+            evolving(), tmp_path / "c", pool=Pool(executor, 200)
+        )  # more than points
     assert content(tmp_path / "b") == content(tmp_path / "c") == content(finished[0])
     assert seen == sorted(seen) and seen[0] == 0
     assert seen[-1] == 70 + WALKS <= evolving().walkers
@@ -111,8 +126,12 @@ def test_two_runs_on_any_executor_are_the_same_bytes(finished: Finished, tmp_pat
     assert content(finished[0]) == before and seen == sorted(seen)
 
 
-@pytest.mark.parametrize("after", [7 * 3 - 1, 7 * 3 + 1, 7 * 3 + 6, 7 * 3 + 8, 7 * 3 + 8 + 4])
-def test_a_stopped_run_goes_on_alike(finished: Finished, tmp_path: Path, after: int) -> None:
+@pytest.mark.parametrize(
+    "after", [7 * 3 - 1, 7 * 3 + 1, 7 * 3 + 6, 7 * 3 + 8, 7 * 3 + 8 + 4]
+)
+def test_a_stopped_run_goes_on_alike(
+    finished: Finished, tmp_path: Path, after: int
+) -> None:
     """In the grid's last shard, in the search, and in the candidates' shards."""
     path = tmp_path / "store"
     fake.interrupt(after, evolving(), path)
@@ -123,7 +142,9 @@ def test_a_stopped_run_goes_on_alike(finished: Finished, tmp_path: Path, after: 
 
 
 @pytest.mark.parametrize("damaged", ["repertoire.parquet", "part-00008.parquet"])
-def test_damage_is_found_and_mended(finished: Finished, tmp_path: Path, damaged: str) -> None:
+def test_damage_is_found_and_mended(
+    finished: Finished, tmp_path: Path, damaged: str
+) -> None:
     path = Path(shutil.copytree(finished[0], tmp_path / "store"))
     fake.flip_a_bit(path / damaged)
     summary = precompute(evolving(), path)
@@ -141,7 +162,9 @@ def other_points(file: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [fake.flip_a_bit, other_points])
-def test_odd_generation(finished: Finished, tmp_path: Path, damage: Callable[[Path], None]) -> None:
+def test_odd_generation(
+    finished: Finished, tmp_path: Path, damage: Callable[[Path], None]
+) -> None:
     path = tmp_path / "store"
     fake.interrupt(7 * 3 + 6, evolving(), path)
     files = sorted(path.glob("search-*.parquet"))
@@ -155,21 +178,29 @@ def test_fresh_starts_over(tmp_path: Path) -> None:
     path = tmp_path / "store"
     fake.interrupt(7 * 3 + 3, evolving(), path)
     precompute(fake.specification(), path, fresh=True)
-    assert not [name for name in content(path) if "search" in name or "repertoire" in name]
+    assert not [
+        name for name in content(path) if "search" in name or "repertoire" in name
+    ]
 
 
 def test_candidates_are_tried_on_settings_of_their_own() -> None:
     specification = evolving()
     assert specification.repertoire is not None
     for trial in specification.repertoire.trials:
-        (own,) = (family for family in specification.families if family.name == trial.name)
+        (own,) = (
+            family for family in specification.families if family.name == trial.name
+        )
         assert len(trial.worlds.bodies) == 2 and trial.horizon_s == own.horizon_s
-        assert not np.any(np.isin(trial.worlds.bodies.mass_kg, own.worlds.bodies.mass_kg))
+        assert not np.any(
+            np.isin(trial.worlds.bodies.mass_kg, own.worlds.bodies.mass_kg)
+        )
     other = evolving(repertoire={"seed": 6}).repertoire
     assert other is not None and other.document != specification.repertoire.document
 
 
-def test_a_share_holds_the_best_and_the_search_is_longest_where_the_grid_survives_least() -> None:
+def test_a_share_holds_the_best_and_the_search_is_longest_where_the_grid_survives_least() -> (
+    None
+):
     rng = np.random.default_rng(1)
 
     def generation(count: int) -> Generation:
@@ -194,7 +225,9 @@ def test_a_share_holds_the_best_and_the_search_is_longest_where_the_grid_survive
     assert folded(points) == pytest.approx([0.1, 0.0, 0.3, 1.0, 0.8, 0.1])
 
 
-def test_what_makes_no_repertoire(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_makes_no_repertoire(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     weak = {"up": FAMILIES["up"] | {"min_survival_s": 5.0}}
     falls = fake.configuration(samples=1, seed=10, families=weak, repertoire=REPERTOIRE)
     store = read_specification(Table(falls))

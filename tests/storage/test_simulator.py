@@ -14,7 +14,13 @@ from storage import merge, open_store
 from storage.points import sobol_points
 from storage.pool import own_kind
 from storage.precompute import precompute
-from storage.simulator import SIMULATORS, Uniform, find_simulator, judge_rows, known_simulator
+from storage.simulator import (
+    SIMULATORS,
+    Uniform,
+    find_simulator,
+    judge_rows,
+    known_simulator,
+)
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from taichi_nmm.config import Table
 from taichi_nmm.errors import InputError
@@ -40,7 +46,9 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
     assert store.families == ("gale", "storm")
     points = sobol_points(4, 0, 60, toy.Cart.parameters)
     assert np.array_equal(store.gains(), points)
-    assert np.array_equal(rows["speed"], (points[:, 0] / points[:, 1] / 2.0).astype(np.float32))
+    assert np.array_equal(
+        rows["speed"], (points[:, 0] / points[:, 1] / 2.0).astype(np.float32)
+    )
     assert set(rows["end_reason"]) == {"arrived", "blown off"}
     assert summary.alive_at_horizon == np.count_nonzero(rows["end_reason"] == "arrived")
     gale, storm = rows["gale_evaluated"], rows["storm_evaluated"]
@@ -56,7 +64,9 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
     assert merged.table().equals(store.table().combine_chunks())
     # A store may come from anybody: no code is imported that a file names.
     store.require_bounds()  # nothing to compare them with
-    with pytest.raises(InputError, match=r"store\.simulator: 'tests.storage.toy:Cart' .* walker"):
+    with pytest.raises(
+        InputError, match=r"store\.simulator: 'tests.storage.toy:Cart' .* walker"
+    ):
         known_simulator({"simulator": CART})
 
 
@@ -65,19 +75,29 @@ def test_the_document_names_the_simulator_and_its_worlds() -> None:
     assert (document["simulator"], document["code_version"]) == (CART, "1")
     assert document["simulation"] == {"duration_s": 5.0}
     assert document["settings"] == {"mass_kg": 2.0}
-    assert document["wind"] == [0.5, 1.5] and document["families"]["storm"]["wind"] == [3.0, 4.0]
+    assert document["wind"] == [0.5, 1.5] and document["families"]["storm"]["wind"] == [
+        3.0,
+        4.0,
+    ]
     assert list(document["gains"]) == ["thrust", "drag", "steer"]
-    assert specification(simulator={"name": CART, "mass_kg": 3.0}).hash != specification().hash
+    assert (
+        specification(simulator={"name": CART, "mass_kg": 3.0}).hash
+        != specification().hash
+    )
 
 
 @pytest.mark.slow
 def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
     pytest.importorskip("ribs")
     families = {"gale": CONFIGURATION["families"]["gale"]}
-    asked = specification(samples=300, shard_rows=300, families=families, repertoire=REPERTOIRE)
+    asked = specification(
+        samples=300, shard_rows=300, families=families, repertoire=REPERTOIRE
+    )
     precompute(asked, tmp_path / "whole")
     store = open_store(tmp_path / "whole")
-    assert store.numpy(["origin"])["origin"].tolist() == ["sobol"] * 300 + ["evolved"] * 20
+    assert (
+        store.numpy(["origin"])["origin"].tolist() == ["sobol"] * 300 + ["evolved"] * 20
+    )
     tried = pq.read_table(tmp_path / "whole" / "repertoire.parquet").to_pydict()
     generation, speed = np.array(tried["generation"]), np.array(tried["tried_speed"])
     assert speed[generation == 2].max() > speed[generation == 0].max() > 0.0
@@ -86,38 +106,73 @@ def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("field", "changes"), asset("toy-refusals.toml").items())
-def test_a_simulators_own_tables_are_checked(field: str, changes: dict[str, Any]) -> None:
+def test_a_simulators_own_tables_are_checked(
+    field: str, changes: dict[str, Any]
+) -> None:
     with pytest.raises(InputError, match=rf"^{field}: "):
         specification(**changes)
 
 
-@pytest.mark.parametrize("name", ["", "cart", TOY, f"{TOY}:Bicycle", "no.module:Cart", ":Cart"])
+@pytest.mark.parametrize(
+    "name", ["", "cart", TOY, f"{TOY}:Bicycle", "no.module:Cart", ":Cart"]
+)
 def test_a_simulator_that_is_not_there_is_refused(name: str) -> None:
     with pytest.raises(InputError, match=r"^simulator\.name: .*module:Class"):
         specification(simulator={"name": name})
 
 
 FAULTS: dict[str, tuple[dict[str, Any], str]] = {
-    "no column of how far": ({"survived": "far"}, "columns with far, how far a run came"),
+    "no column of how far": (
+        {"survived": "far"},
+        "columns with far, how far a run came",
+    ),
     "how far is no score": ({"scores": ("speed",)}, "way among the scores"),
-    "a score that is no column": ({"scores": ("way", "far")}, "scores that are columns; 'far'"),
-    "a score of words": ({"scores": ("way", "end_reason")}, "numbers; 'end_reason' is none"),
-    "words of no column": ({"words": {"far": ("a",)}}, "words that are columns; 'far' is none"),
-    "a measure of no column": ({"measures": {"far": (0.0, 1.0)}}, "measures that are columns"),
+    "a score that is no column": (
+        {"scores": ("way", "far")},
+        "scores that are columns; 'far'",
+    ),
+    "a score of words": (
+        {"scores": ("way", "end_reason")},
+        "numbers; 'end_reason' is none",
+    ),
+    "words of no column": (
+        {"words": {"far": ("a",)}},
+        "words that are columns; 'far' is none",
+    ),
+    "a measure of no column": (
+        {"measures": {"far": (0.0, 1.0)}},
+        "measures that are columns",
+    ),
     "no parameter": ({"parameters": ()}, "one parameter at least"),
-    "bounds that are none": ({"parameters": (Uniform("a", 1.0, 1.0),)}, "a has 1.0, 1.0"),
-    "no bounds": ({"parameters": (Uniform("a", 0.0, np.inf),)}, "low < high; a has 0.0, inf"),
-    "a name twice": ({"parameters": (Uniform("way", 0.0, 1.0),)}, "each once, not 'way'"),
-    "the store's name": ({"parameters": (Uniform("row", 0.0, 1.0),)}, "each once, not 'row'"),
+    "bounds that are none": (
+        {"parameters": (Uniform("a", 1.0, 1.0),)},
+        "a has 1.0, 1.0",
+    ),
+    "no bounds": (
+        {"parameters": (Uniform("a", 0.0, np.inf),)},
+        "low < high; a has 0.0, inf",
+    ),
+    "a name twice": (
+        {"parameters": (Uniform("way", 0.0, 1.0),)},
+        "each once, not 'way'",
+    ),
+    "the store's name": (
+        {"parameters": (Uniform("row", 0.0, 1.0),)},
+        "each once, not 'row'",
+    ),
 }
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_simulator_that_makes_no_store(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_simulator_that_makes_no_store(
+    fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     changes, allowed = FAULTS[fault]
     for name, value in changes.items():
         monkeypatch.setattr(toy.Cart, name, value)
-    with pytest.raises(InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"):
+    with pytest.raises(
+        InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"
+    ):
         specification()
 
 
@@ -135,7 +190,10 @@ def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]
 ROWS = toy.Cart.columns
 FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
     "no array": ([1.0], "not <class 'list'>"),
-    "other columns": (np.zeros((16, 1), [("way", "f8")]), "columns way, end_reason, speed of"),
+    "other columns": (
+        np.zeros((16, 1), [("way", "f8")]),
+        "columns way, end_reason, speed of",
+    ),
     "other types": (np.zeros((16, 1)), "of their types, not float64"),
     "too few rows": (np.zeros((15, 1), ROWS), "[16 points, 1 worlds], not [15, 1]"),
     "no worlds": (np.zeros(16, ROWS), "1 worlds], not [16]"),
@@ -147,32 +205,52 @@ FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
 
 
 @pytest.mark.parametrize("fault", FAULTY_RUNS)
-def test_a_faulty_run(fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_faulty_run(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run, allowed = FAULTY_RUNS[fault]
     monkeypatch.setattr(toy.Cart, "run", run if callable(run) else lambda *_: (run, {}))
-    with pytest.raises(InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"):
+    with pytest.raises(
+        InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"
+    ):
         precompute(specification(), tmp_path / "store")
     assert not list((tmp_path / "store").glob("part-*"))
 
 
-@pytest.mark.parametrize(("objective", "measures"), [
-    (np.zeros(4), np.zeros((4, 2))), (np.zeros(3), np.zeros((4, 1))),
-    (np.full(4, np.nan), np.zeros((4, 1))), (np.zeros(4), np.full((4, 1), np.inf)),
-])  # fmt: skip
-def test_faulty_judgements(objective: Any, measures: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("objective", "measures"),
+    [
+        (np.zeros(4), np.zeros((4, 2))),
+        (np.zeros(3), np.zeros((4, 1))),
+        (np.full(4, np.nan), np.zeros((4, 1))),
+        (np.zeros(4), np.full((4, 1), np.inf)),
+    ],
+)
+def test_faulty_judgements(
+    objective: Any, measures: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(toy.Cart, "judge", lambda *_: (objective, measures))
-    with pytest.raises(InputError, match=r"objective \[4\] and measures \[4, 1\], all finite"):
+    with pytest.raises(
+        InputError, match=r"objective \[4\] and measures \[4, 1\], all finite"
+    ):
         judge_rows(toy.Cart(), np.zeros((4, 2), toy.Cart.columns), 5.0)
 
 
-@pytest.mark.parametrize(("holder", "document", "match"), [
-    (toy.Cart, {"seed": 1}, "simulator: 'seed' .* without .*shard_rows"),
-    (toy.Winds, {"columns": 1}, "simulator: 'columns' .* without .*families"),
-    (toy.Winds, {"settings": 1}, "simulator: 'settings' .* without "),
-    (toy.Winds, {"horizon_s": 1}, "simulator: 'horizon_s' .* without .*min_survival_s"),
-    (toy.Cart, {"mass": np.float32(1.0)}, "JSON values .*float32"),
-    (toy.Cart, {"mass": np.nan}, "JSON values"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("holder", "document", "match"),
+    [
+        (toy.Cart, {"seed": 1}, "simulator: 'seed' .* without .*shard_rows"),
+        (toy.Winds, {"columns": 1}, "simulator: 'columns' .* without .*families"),
+        (toy.Winds, {"settings": 1}, "simulator: 'settings' .* without "),
+        (
+            toy.Winds,
+            {"horizon_s": 1},
+            "simulator: 'horizon_s' .* without .*min_survival_s",
+        ),
+        (toy.Cart, {"mass": np.float32(1.0)}, "JSON values .*float32"),
+        (toy.Cart, {"mass": np.nan}, "JSON values"),
+    ],
+)
 def test_documents_keep_to_their_own_keys_and_to_json(
     holder: Any, document: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,7 +260,9 @@ def test_documents_keep_to_their_own_keys_and_to_json(
         specification().document  # noqa: B018
 
 
-def test_a_simulator_without_measures_has_no_repertoire(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_simulator_without_measures_has_no_repertoire(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(toy.Cart, "measures", {})
     with pytest.raises(InputError, match="a simulator that has measures"):
         specification(repertoire=REPERTOIRE)
@@ -194,7 +274,9 @@ def test_simulators_of_this_project_are_found_by_name(name: str) -> None:
     assert known_simulator({}) is find_simulator("walker")
 
 
-def test_machines_differ_by_the_simulators_own_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_machines_differ_by_the_simulators_own_batch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     kind = own_kind(toy.Cart())
     assert list(kind) == ["canary", "processor", CART, "numpy"]
     assert own_kind(toy.Cart(mass_kg=2.0)) == kind
@@ -203,7 +285,9 @@ def test_machines_differ_by_the_simulators_own_batch(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(tmp_path: Path) -> None:
+def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(
+    tmp_path: Path,
+) -> None:
     """Worker processes find it, too."""
     shutil.copy(toy.__file__, tmp_path / "my_robot.py")
     text = "samples = 40\nshard_rows = 8\nseed = 4\nwind = [0.5, 1.5]\n"

@@ -31,7 +31,11 @@ def test_shards_cover_the_samples_which_may_be_given_by_hand() -> None:
 
 def test_shipped_configs_are_valid() -> None:
     flat = read_specification(read_toml(CONFIGS / "store.toml"))
-    assert (flat.horizon_s, flat.families, flat.worlds.terrains[0].name) == (5.0, (), "flat")
+    assert (flat.horizon_s, flat.families, flat.worlds.terrains[0].name) == (
+        5.0,
+        (),
+        "flat",
+    )
     families = read_specification(read_toml(CONFIGS / "store-torso.toml")).families
     assert [family.name for family in families] == ["blocks", "down", "rough", "up"]
     for each in families:
@@ -80,10 +84,14 @@ def test_difference_names_the_first_field() -> None:
 BAD = asset("bad-stores.toml")
 
 
-@pytest.mark.parametrize(("field", "data"), [
-    pytest.param(field, data, id=f"{field}: {why}")
-    for field, reasons in BAD.items() for why, data in reasons.items()
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("field", "data"),
+    [
+        pytest.param(field, data, id=f"{field}: {why}")
+        for field, reasons in BAD.items()
+        for why, data in reasons.items()
+    ],
+)
 def test_bad_configurations_name_the_field(field: str, data: dict[str, Any]) -> None:
     whole = data if field == "samples" else {"samples": 5} | data
     with pytest.raises(InputError, match=rf"^{field}: "):

@@ -62,13 +62,17 @@ def test_merged_file_holds_the_same_rows(folder: Path, tmp_path: Path) -> None:
     footer = merged.footers[0]
     assert (footer["rows"], footer["shard"]) == (50, list(range(7)))
     assert (footer["arch"], footer["engine"]) == ("cpu", "fake")
-    assert open_store(tmp_path / "merged.parquet", verify=True).columns == merged.columns
+    assert (
+        open_store(tmp_path / "merged.parquet", verify=True).columns == merged.columns
+    )
     merge(folder, tmp_path / "again.parquet")
     files = [tmp_path / name for name in ("merged.parquet", "again.parquet")]
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
-def test_shards_of_an_unfinished_store_are_taken_where_wanted(folder: Path, tmp_path: Path) -> None:
+def test_shards_of_an_unfinished_store_are_taken_where_wanted(
+    folder: Path, tmp_path: Path
+) -> None:
     whole = open_store(folder)
     assert open_store(folder, unfinished=True) == whole
     table, first = whole.table(), whole.footers[0]["rows"]
@@ -93,7 +97,9 @@ def manifest(old: str, new: str) -> Callable[[Path], object]:
     def edit(folder: Path) -> None:
         path, outside = folder / "manifest.json", folder.parent / "outside.parquet"
         shutil.copy(folder / "part-00001.parquet", outside)
-        path.write_text(path.read_text().replace(old, new.replace("OUTSIDE", str(outside)), 1))
+        path.write_text(
+            path.read_text().replace(old, new.replace("OUTSIDE", str(outside)), 1)
+        )
 
     return edit
 
@@ -105,20 +111,36 @@ def without_a_column(folder: Path) -> None:
 
 REFUSED: dict[str, tuple[Callable[[Path], object], str]] = {
     "no folder": (shutil.rmtree, "No such file"),
-    "no manifest": (lambda folder: (folder / "manifest.json").unlink(), "a finished store"),
-    "an edited specification": (manifest('"seed": 7', '"seed": 9'), "an undamaged manifest"),
+    "no manifest": (
+        lambda folder: (folder / "manifest.json").unlink(),
+        "a finished store",
+    ),
+    "an edited specification": (
+        manifest('"seed": 7', '"seed": 9'),
+        "an undamaged manifest",
+    ),
     "another format": (manifest('"format": 1', '"format": 99'), "of format 99, not 1"),
-    "a missing shard": (lambda folder: (folder / SHARD).unlink(), r"part-00003\.parquet"),
+    "a missing shard": (
+        lambda folder: (folder / SHARD).unlink(),
+        r"part-00003\.parquet",
+    ),
     "a missing column": (without_a_column, "columns of its specification"),
     "a shard in another's place": (
         lambda folder: shutil.copy(folder / "part-00002.parquet", folder / SHARD),
-        "shard 3 of this store"),
-    **{place: (manifest("part-00001.parquet", place), "in the same folder")
-       for place in ("../outside.parquet", "OUTSIDE", "./part-00001.parquet")},
-    **{f"a manifest of {text}": (
-        lambda folder, text=text: (folder / "manifest.json").write_text(text),
-        "an undamaged manifest") for text in ("nothing", "", "[]", "{}", '{"shards": [1]}')},
-}  # fmt: skip
+        "shard 3 of this store",
+    ),
+    **{
+        place: (manifest("part-00001.parquet", place), "in the same folder")
+        for place in ("../outside.parquet", "OUTSIDE", "./part-00001.parquet")
+    },
+    **{
+        f"a manifest of {text}": (
+            lambda folder, text=text: (folder / "manifest.json").write_text(text),
+            "an undamaged manifest",
+        )
+        for text in ("nothing", "", "[]", "{}", '{"shards": [1]}')
+    },
+}
 
 
 @pytest.mark.parametrize("fault", REFUSED)
@@ -138,8 +160,12 @@ def test_a_truncated_shard(folder: Path, length: int) -> None:
             open_store(path)
 
 
-@pytest.mark.parametrize("footers", [{}, *({"taichi_nmm": footer} for footer in FOOTERS)])
-def test_a_foreign_file_even_with_a_footer_of_our_key(tmp_path: Path, footers: Any) -> None:
+@pytest.mark.parametrize(
+    "footers", [{}, *({"taichi_nmm": footer} for footer in FOOTERS)]
+)
+def test_a_foreign_file_even_with_a_footer_of_our_key(
+    tmp_path: Path, footers: Any
+) -> None:
     path, table = tmp_path / "foreign.parquet", pa.table({"phi_printed": [1.0]})
     pq.write_table(table.replace_schema_metadata(footers), path)
     with pytest.raises(InputError, match="footer"):
@@ -162,7 +188,9 @@ def test_a_wrong_hash_is_found_when_verified(folder: Path) -> None:
 def test_a_flipped_bit_changes_no_value(folder: Path, tmp_path: Path) -> None:
     """Wherever it lies, the values are those that were written, or one line refuses the file."""
     truth, rng = open_store(folder).table(), np.random.default_rng(34)
-    files = sorted(path.name for path in folder.glob("[mp]*.*"))  # the manifest and the shards
+    files = sorted(
+        path.name for path in folder.glob("[mp]*.*")
+    )  # the manifest and the shards
     refused = 0
     for number in range(60):
         flipped = shutil.copytree(folder, tmp_path / f"flipped-{number}")
@@ -184,7 +212,9 @@ def test_a_flipped_bit_changes_no_value(folder: Path, tmp_path: Path) -> None:
             open_store(path, verify=verify).table()
 
 
-def test_a_store_of_other_bounds_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_store_of_other_bounds_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store = open_store(folder)
     store.require_bounds()
     monkeypatch.setattr(walker_simulator, "GAINS", GAINS[:-1])
@@ -218,19 +248,30 @@ def test_the_old_folder_opens_and_is_not_resumed(tmp_path: Path) -> None:
 def test_a_column_with_a_gap_and_a_shard_of_another_format(folder: Path) -> None:
     shard = folder / "part-00000.parquet"
     table = pq.read_table(shard, partitioning=None)
-    place, flags = table.column_names.index("robust_evaluated"), table["robust_evaluated"]
+    place, flags = (
+        table.column_names.index("robust_evaluated"),
+        table["robust_evaluated"],
+    )
     gap = pa.array([None, *flags.to_pylist()[1:]], flags.type)
     path = folder / "edited.parquet"
-    pq.write_table(table.set_column(place, pa.field("robust_evaluated", flags.type), gap), path)
-    with pytest.raises(InputError, match=r"edited\.parquet.*robust_evaluated has no gaps"):
+    pq.write_table(
+        table.set_column(place, pa.field("robust_evaluated", flags.type), gap), path
+    )
+    with pytest.raises(
+        InputError, match=r"edited\.parquet.*robust_evaluated has no gaps"
+    ):
         open_store(path).table()
-    footer = table.schema.metadata[FOOTER_KEY].replace(b'"format": 1', b'"format": 99', 1)
+    footer = table.schema.metadata[FOOTER_KEY].replace(
+        b'"format": 1', b'"format": 99', 1
+    )
     pq.write_table(table.replace_schema_metadata({FOOTER_KEY: footer}), shard)
     with pytest.raises(InputError, match="format 1, not 99"):
         open_store(shard)
 
 
-@pytest.mark.parametrize("name", ["", ".", "x" * 300, "nul\0", "\ud800", "missing/file", "file/x"])
+@pytest.mark.parametrize(
+    "name", ["", ".", "x" * 300, "nul\0", "\ud800", "missing/file", "file/x"]
+)
 def test_merging_into_no_file(folder: Path, name: str) -> None:
     (folder / "file").write_text("")
     before = sorted(folder.iterdir())

@@ -1,7 +1,8 @@
 """A simulator of three parameters in one file, as CONTRIBUTING.md describes one.
 
-A cart is pushed with force `thrust` against wind and a drag of `drag` times its speed; a controller
-of gain `steer` keeps it on its way. It fails when the wind has blown it off.
+A cart is pushed with force `thrust` against wind and a drag of `drag` times its speed;
+a controller of gain `steer` keeps it on its way. It fails when the wind has blown it
+off.
 """
 
 from collections.abc import Sequence
@@ -23,7 +24,10 @@ class Winds:
 
     def draw(self, seeds: Sequence[np.random.SeedSequence]) -> NDArray[np.float64]:
         """Speeds, [w]."""
-        draws = [np.random.default_rng(seed).uniform(self.lowest, self.highest) for seed in seeds]
+        draws = [
+            np.random.default_rng(seed).uniform(self.lowest, self.highest)
+            for seed in seeds
+        ]
         return np.array(draws)
 
     def document(self, worlds: NDArray[np.float64]) -> dict[str, Any]:
@@ -36,8 +40,10 @@ class Cart(Simulator):
 
     code_version = "1"
     parameters = (
-        Uniform("thrust", 0.0, 10.0), Uniform("drag", 0.1, 1.0), Uniform("steer", -1.0, 1.0),
-    )  # fmt: skip
+        Uniform("thrust", 0.0, 10.0),
+        Uniform("drag", 0.1, 1.0),
+        Uniform("steer", -1.0, 1.0),
+    )
     columns = np.dtype([("way", "f8"), ("end_reason", "u1"), ("speed", "f4")])
     survived = "way"
     words: ClassVar = {"end_reason": ("arrived", "blown off")}
@@ -53,7 +59,11 @@ class Cart(Simulator):
         return Winds(*table.range("wind", (0.0, 0.0), 0.0, 100.0))
 
     def run(
-        self, points: NDArray[Any], worlds: NDArray[Any], horizon_s: float, report: Report
+        self,
+        points: NDArray[Any],
+        worlds: NDArray[Any],
+        horizon_s: float,
+        report: Report,
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         thrust, drag, steer = points.T[:, :, None]
         rows = np.zeros((len(points), len(worlds)), self.columns)

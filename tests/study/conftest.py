@@ -45,7 +45,9 @@ def table() -> FeatureTable:
     """60 rows of two parameters; the score says how good a row is."""
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-1, 1, 60), rng.uniform(0, 5, 60)
-    return FeatureTable.from_arrays({"a": a, "b": b}, np.abs(a), bounds={"a": (-1, 1), "b": (0, 5)})
+    return FeatureTable.from_arrays(
+        {"a": a, "b": b}, np.abs(a), bounds={"a": (-1, 1), "b": (0, 5)}
+    )
 
 
 @pytest.fixture
@@ -61,7 +63,9 @@ class Comparisons:
         self.folder = folder
         self.experiment = fake_walker.experiment(folder)
 
-    def run(self, out: str, *, experiment: Experiment | None = None, **request: Any) -> Outcome:
+    def run(
+        self, out: str, *, experiment: Experiment | None = None, **request: Any
+    ) -> Outcome:
         """Run it, or what is missing of it, in this process."""
         made = Request(self.folder / out, **request)
         return compare(experiment or self.experiment, made, lambda progress: None)
@@ -71,7 +75,9 @@ class Comparisons:
         stops = 0
         with pytest.MonkeyPatch.context() as patch:
             while True:
-                patch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call))
+                patch.setitem(
+                    vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call)
+                )
                 try:
                     self.run(out, **request)
                     return stops

@@ -1,8 +1,8 @@
 """A walker of one formula in place of the simulator, stores made with it, and a toy experiment.
 
-A walker's quality falls with the distance of its gains from the middle of their ranges; its body
-and its ground take something off. Whoever passes WALKS_FROM walks to the end. Trials take
-milliseconds.
+A walker's quality falls with the distance of its gains from the middle of their ranges;
+its body and its ground take something off. Whoever passes WALKS_FROM walks to the end.
+Trials take milliseconds.
 """
 
 import os
@@ -29,13 +29,25 @@ from taichi_nmm.terrain import Terrain
 from taichi_nmm.world import Worlds
 from tests.storage.fake import stopping
 
-TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))  # of a call, for those who want to kill it
-SIGNAL = os.environ.get("FAKE_SIGNAL", "")  # "5:SIGKILL": sent to this process in its fifth call
+TRIAL_S = float(
+    os.environ.get("FAKE_TRIAL_S", "0")
+)  # of a call, for those who want to kill it
+SIGNAL = os.environ.get(
+    "FAKE_SIGNAL", ""
+)  # "5:SIGKILL": sent to this process in its fifth call
 WALKS_FROM = 0.7  # quality
 WIDTHS = (9, 9, 6, 14, 14, 4, 6, 4, 6, 14, 14, 22, 2, 3)  # of a trajectory's arrays
-EMPTY = Trajectory(0, np.empty(0), *(np.empty((0, n)) for n in WIDTHS))  # that cannot be drawn
+EMPTY = Trajectory(
+    0, np.empty(0), *(np.empty((0, n)) for n in WIDTHS)
+)  # that cannot be drawn
 STORE_ROWS = 150
-KINDS = ("rough", "blocks", "up", "down", "stairs")  # of families, each with one of longer walks
+KINDS = (
+    "rough",
+    "blocks",
+    "up",
+    "down",
+    "stairs",
+)  # of families, each with one of longer walks
 THETA_REF = 7  # of the low-level gains
 
 calls: list[dict[str, Any]] = []  # what the simulator was called with
@@ -48,27 +60,46 @@ def quality(gains: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def simulate(
-    gains: ArrayLike, *, duration_s: float = 5.0, bodies: Bodies | None = None,
-    terrains: Terrain | Sequence[Terrain] | None = None, terrain_index: ArrayLike | None = None,
-    worlds: Worlds | None = None, low_level_gains: ArrayLike | None = None,
-    settings: Settings | None = None, record: Sequence[int] = (),
-    progress: Callable[[float, int], None] | None = None, **options: Any,
-) -> Result:  # fmt: skip
+    gains: ArrayLike,
+    *,
+    duration_s: float = 5.0,
+    bodies: Bodies | None = None,
+    terrains: Terrain | Sequence[Terrain] | None = None,
+    terrain_index: ArrayLike | None = None,
+    worlds: Worlds | None = None,
+    low_level_gains: ArrayLike | None = None,
+    settings: Settings | None = None,
+    record: Sequence[int] = (),
+    progress: Callable[[float, int], None] | None = None,
+    **options: Any,
+) -> Result:
     """What `taichi_nmm.simulate` promises, with empty trajectories."""
     time.sleep(TRIAL_S)
     number, _, name = SIGNAL.partition(":")
     if number == str(len(calls) + 1):
         signal.raise_signal(signal.Signals[name])
     tried = gain_rows(gains)
-    calls.append({
-        "gains": tried, "duration_s": duration_s, "bodies": bodies, "terrains": terrains,
-        "terrain_index": terrain_index, "low_level_gains": low_level_gains, "settings": settings,
-        "record": record, **options,
-    })  # fmt: skip
+    calls.append(
+        {
+            "gains": tried,
+            "duration_s": duration_s,
+            "bodies": bodies,
+            "terrains": terrains,
+            "terrain_index": terrain_index,
+            "low_level_gains": low_level_gains,
+            "settings": settings,
+            "record": record,
+            **options,
+        }
+    )
     bodies = bodies or Bodies.nominal()
     grounds = [terrains] if isinstance(terrains, Terrain) else list(terrains or [])
     rough = np.array([np.std(np.diff(ground.height_m)) for ground in grounds] or [0.0])
-    index = np.zeros(len(tried), int) if terrain_index is None else np.asarray(terrain_index)
+    index = (
+        np.zeros(len(tried), int)
+        if terrain_index is None
+        else np.asarray(terrain_index)
+    )
     mass = np.resize(bodies.mass_kg.sum(axis=1), len(tried))
     good = quality(tried) * np.exp(-10.0 * rough[index] - abs(mass / 80.0 - 1.0) / 5.0)
     if low_level_gains is not None:
@@ -80,7 +111,9 @@ def simulate(
     rows["mean_speed_mps"] = 1.3 * good
     rows["distance_m"] = rows["mean_speed_mps"] * rows["duration_s"]
     rows["step_count"] = np.ceil(rows["duration_s"])
-    rows["phi_printed"] = rows["phi_corrected"] = np.round(50.0 * good)  # with ties, as of real
+    rows["phi_printed"] = rows["phi_corrected"] = np.round(
+        50.0 * good
+    )  # with ties, as of real
     for number in range(1, 5):
         rows[f"m{number}_mean"] = np.sin(number + 7.0 * good)
     rows["m5_mean_mps"] = good
@@ -115,12 +148,17 @@ def write_plain_store(path: Path, samples: int = 200) -> None:
 def write_store(path: Path, **changes: Any) -> None:
     """A store of fake scores with families."""
     settings = {
-        "settings": 1, "min_survival_s": 1.0, "terrain": {"kind": "rough", "amplitude_m": 0.08},
+        "settings": 1,
+        "min_survival_s": 1.0,
+        "terrain": {"kind": "rough", "amplitude_m": 0.08},
         "body": {"disturbance": 0.15},
-    }  # fmt: skip
+    }
     families = {name: settings | {"seed": seed} for seed, name in enumerate(KINDS)}
     for name in KINDS:
-        families[f"{name}_long"] = settings | {"after": name, "min_survived_fraction": 0.5}
+        families[f"{name}_long"] = settings | {
+            "after": name,
+            "min_survived_fraction": 0.5,
+        }
     data = {"samples": STORE_ROWS, "seed": 3, "robust": settings, "families": families}
     fill(path, data | changes)
 

@@ -18,24 +18,36 @@ def walk(duration_s: float = 8.0, rate_hz: float = 100.0) -> Trajectory:
     time_s = np.arange(1, round(duration_s * rate_hz) + 1) / rate_hz
     percents = [100.0 * ((time_s / STRIDE_S + shift) % 1.0) for shift in (0.0, 0.5)]
     legs = [_leg_angles(percent) for percent in percents]
-    x, z, trunk = SPEED_MPS * time_s, np.zeros_like(time_s), np.full_like(time_s, TRUNK_RAD)
+    x, z, trunk = (
+        SPEED_MPS * time_s,
+        np.zeros_like(time_s),
+        np.full_like(time_s, TRUNK_RAD),
+    )
     q = np.column_stack([x, z, trunk, *legs[0], *legs[1]])
-    lowest = [np.minimum(leg(q, side).heel, leg(q, side).ball)[:, 1] for side in range(2)]
+    lowest = [
+        np.minimum(leg(q, side).heel, leg(q, side).ball)[:, 1] for side in range(2)
+    ]
     q[:, 1] = -np.minimum(*lowest)
     stance = np.column_stack([percent < TAKE_OFF_PERCENT for percent in percents])
     joints = [(hip - TRUNK_RAD, knee - hip, foot - knee) for hip, knee, foot in legs]
     return Trajectory(
-        walker=0, time_s=time_s, q=q, qdot=np.gradient(q, time_s, axis=0),
+        walker=0,
+        time_s=time_s,
+        q=q,
+        qdot=np.gradient(q, time_s, axis=0),
         joint_rad=np.column_stack([*joints[0], *joints[1]]),
         activation=np.column_stack([_activations(percent) for percent in percents]),
         muscle_force_n=np.zeros((len(time_s), 14)),
         ground_force_n=np.column_stack([_force(percent) for percent in percents]),
-        joint_torque_nm=np.zeros((len(time_s), 6)), swing_torque_nm=np.zeros((len(time_s), 4)),
+        joint_torque_nm=np.zeros((len(time_s), 6)),
+        swing_torque_nm=np.zeros((len(time_s), 4)),
         device_torque_nm=np.zeros((len(time_s), 6)),
         fibre_length_m=np.full((len(time_s), 14), 0.05),
-        fibre_velocity_mps=np.zeros((len(time_s), 14)), delayed=np.zeros((len(time_s), 22)),
-        stance=stance, events=_events(duration_s),
-    )  # fmt: skip
+        fibre_velocity_mps=np.zeros((len(time_s), 14)),
+        delayed=np.zeros((len(time_s), 22)),
+        stance=stance,
+        events=_events(duration_s),
+    )
 
 
 def _leg_angles(percent: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -64,7 +76,10 @@ def _events(duration_s: float) -> np.ndarray:
     for side, shift in enumerate((0.0, 0.5)):
         for stride in range(-1, round(duration_s / STRIDE_S) + 1):
             strike = (stride - shift) * STRIDE_S
-            events += [(strike, side, 0), (strike + STRIDE_S * TAKE_OFF_PERCENT / 100.0, side, 1)]
+            events += [
+                (strike, side, 0),
+                (strike + STRIDE_S * TAKE_OFF_PERCENT / 100.0, side, 1),
+            ]
     inside = [event for event in events if 0.0 < event[0] <= duration_s]
     return np.sort(np.array(inside, dtype=EVENT_DTYPE), order="time_s")
 

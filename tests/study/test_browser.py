@@ -22,7 +22,9 @@ from tests.study.experiment.fake_results import experiment, results
 
 pytestmark = pytest.mark.slow
 
-SCRIPT = "<img src=x onerror=window.ran=1>"  # whoever writes to a database names its studies
+SCRIPT = (
+    "<img src=x onerror=window.ran=1>"  # whoever writes to a database names its studies
+)
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +34,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tiny, url = experiment(), f"sqlite:///{out}/studies.db"
     walk = synthetic_gait.walk(2.0, 50.0)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(artifacts, "recorded_walk", lambda *_: Result(np.zeros(0), (walk,)))
+        patch.setattr(
+            artifacts, "recorded_walk", lambda *_: Result(np.zeros(0), (walk,))
+        )
         export(tiny, results(tiny), url, dashboard_summary, final=True)
-        draw_best(tiny, 0, optuna.load_study(study_name="tiny/dog/run-000", storage=url), url, out)
+        draw_best(
+            tiny,
+            0,
+            optuna.load_study(study_name="tiny/dog/run-000", storage=url),
+            url,
+            out,
+        )
     optuna.create_study(storage=url, study_name=SCRIPT)
     return out
 
@@ -67,15 +77,23 @@ def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     assert page.get_by_text("tiny/random/run-001").is_visible()
 
 
-def test_a_best_trial_shows_its_picture(page: Any, address: str, studies: dict[str, int]) -> None:
-    page.goto(f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1")
+def test_a_best_trial_shows_its_picture(
+    page: Any, address: str, studies: dict[str, int]
+) -> None:
+    page.goto(
+        f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1"
+    )
     page.get_by_text("Best Trial").first.wait_for()
     page.get_by_text("strip.png").wait_for()
-    page.wait_for_function("document.querySelector('img[src*=artifacts]')?.naturalWidth > 500")
+    page.wait_for_function(
+        "document.querySelector('img[src*=artifacts]')?.naturalWidth > 500"
+    )
     save(page, "trial")
 
 
-def test_the_summary_leads_to_studies(page: Any, address: str, studies: dict[str, int]) -> None:
+def test_the_summary_leads_to_studies(
+    page: Any, address: str, studies: dict[str, int]
+) -> None:
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
     row = page.locator("tr", has_text="dog").first
     row.wait_for()

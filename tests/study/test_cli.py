@@ -10,8 +10,21 @@ from study.cli import main
 from study.options import COMMANDS, Options, config_path, parser_of
 from taichi_nmm.errors import InputError
 
-SLOW_TO_LOAD = ("taichi", "quadrants", "matplotlib", "optuna", "pyarrow", "scipy", "sklearn")
-QUICK = [["--help"], [], *([name, "--help"] for name in COMMANDS), ["walk", "--list-configs"]]
+SLOW_TO_LOAD = (
+    "taichi",
+    "quadrants",
+    "matplotlib",
+    "optuna",
+    "pyarrow",
+    "scipy",
+    "sklearn",
+)
+QUICK = [
+    ["--help"],
+    [],
+    *([name, "--help"] for name in COMMANDS),
+    ["walk", "--list-configs"],
+]
 
 
 @pytest.mark.slow
@@ -30,7 +43,9 @@ for words in {QUICK!r}:
     found = set(sys.modules) & set({SLOW_TO_LOAD!r})
     assert not found, (words, found)
 """
-    done = subprocess.run([sys.executable, "-OO", "-c", code], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-OO", "-c", code], capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("usage: ") == len(QUICK) - 1
 
@@ -44,7 +59,9 @@ def test_every_option_of_a_command_is_described(name: str) -> None:
     assert all(action.help for action in parser._actions)
 
 
-def test_an_unknown_command_is_one_line_that_lists_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_command_is_one_line_that_lists_them(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     with pytest.raises(SystemExit, check=lambda end: end.code == 2):
         main(["wlak"])
     line = f"error: command: 'wlak' cannot be used; allowed: {', '.join(COMMANDS)}\n"
@@ -52,15 +69,21 @@ def test_an_unknown_command_is_one_line_that_lists_them(capsys: pytest.CaptureFi
 
 
 @pytest.mark.parametrize("word", ["a\nb", "\x1b[31m", "\udcff", "a\u2028b", "x" * 9999])
-def test_an_unknown_option_is_one_safe_line(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_option_is_one_safe_line(
+    word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit, check=lambda end: end.code == 2):
         Options(__file__).parse_args([f"--{word}"])
     said = capsys.readouterr().err
-    assert said.startswith("error: unrecognized arguments: --") and said.count("\n") == 1
+    assert (
+        said.startswith("error: unrecognized arguments: --") and said.count("\n") == 1
+    )
     assert said.removesuffix("\n").isprintable() and len(said) < 600
 
 
-def test_two_dashes_are_no_value_and_a_configuration_may_have_a_name_that_no_file_can() -> None:
+def test_two_dashes_are_no_value_and_a_configuration_may_have_a_name_that_no_file_can() -> (
+    None
+):
     options = Options(__file__)
     options.add_argument("--run", type=int)
     with pytest.raises(InputError, match="run: '--' cannot be used"):
@@ -68,9 +91,14 @@ def test_two_dashes_are_no_value_and_a_configuration_may_have_a_name_that_no_fil
     assert str(config_path("x" * 5000)) == "x" * 5000
 
 
-@pytest.mark.parametrize("words", ["--nothing -- next", "--foo --bar next", "--a --a next"])
+@pytest.mark.parametrize(
+    "words", ["--nothing -- next", "--foo --bar next", "--a --a next"]
+)
 def test_names_that_no_bench_has_are_one_line(
-    words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    words: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     """Also where a name stands in the place of another one's number."""
     monkeypatch.chdir(tmp_path)

@@ -65,7 +65,9 @@ def edit(url: str, *commands: str) -> bytes:
 
 
 @cases("unreadable-studies.toml", "command")
-def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], command: str) -> None:
+def test_what_cannot_be_read_is_one_line(
+    url: str, check: Callable[[], None], command: str
+) -> None:
     before = edit(url, command)
     for read in (check, lambda: gains_of_trial("toy/dog/run-000/1", url)):
         with refused(OF_DOG):
@@ -74,14 +76,18 @@ def test_what_cannot_be_read_is_one_line(url: str, check: Callable[[], None], co
 
 
 @cases("unwritten-studies.toml", "command", "message")
-def test_unwritten_parts(url: str, check: Callable[[], None], command: str, message: str) -> None:
+def test_unwritten_parts(
+    url: str, check: Callable[[], None], command: str, message: str
+) -> None:
     before = edit(url, command)
     with refused(f"study toy/dog/run-000{message}"):
         check()
     assert edit(url) == before
 
 
-def test_a_schema_that_is_no_text_is_one_line(url: str, check: Callable[[], None]) -> None:
+def test_a_schema_that_is_no_text_is_one_line(
+    url: str, check: Callable[[], None]
+) -> None:
     file = Path(url.removeprefix("sqlite:///"))
     content = edit(url).replace(b"CREATE TABLE trials", b"CREATE \xc5ABLE trials")
     file.write_bytes(content)
@@ -90,10 +96,14 @@ def test_a_schema_that_is_no_text_is_one_line(url: str, check: Callable[[], None
     assert file.read_bytes() == content
 
 
-def test_a_name_too_long_for_a_lock_is_refused_at_once(toy: Experiment, tmp_path: Path) -> None:
+def test_a_name_too_long_for_a_lock_is_refused_at_once(
+    toy: Experiment, tmp_path: Path
+) -> None:
     long = replace(toy, name="x" * 240)
     with refused(r"^storage: .*File name too long"):
-        check_study(long, find_arm("dog"), 0, f"sqlite:///{tmp_path}/new.db", tmp_path / "out")
+        check_study(
+            long, find_arm("dog"), 0, f"sqlite:///{tmp_path}/new.db", tmp_path / "out"
+        )
     assert not list(tmp_path.glob("new.db*"))
 
 
@@ -125,12 +135,16 @@ OF_SUMMARY = r"^(storage|study toy/summary: note): "
 
 
 @cases("damaged-comparisons.toml", "arm", "command")
-def test_no_table_after_a_refusal(refuses_before_it_works: Refuses, arm: str, command: str) -> None:
+def test_no_table_after_a_refusal(
+    refuses_before_it_works: Refuses, arm: str, command: str
+) -> None:
     message = {"dog": OF_DOG, "random": OF_SUMMARY}[arm]
     refuses_before_it_works(arm, lambda url: edit(url, command), message)
 
 
-def test_a_damaged_page_is_refused_before_the_work(refuses_before_it_works: Refuses) -> None:
+def test_a_damaged_page_is_refused_before_the_work(
+    refuses_before_it_works: Refuses,
+) -> None:
     def damage(url: str) -> bytes:
         content = edit(url)[:-4096] + b"\xff" * 4096  # SQLite's page
         Path(url.removeprefix("sqlite:///")).write_bytes(content)

@@ -16,10 +16,20 @@ from study.loopback import Application, guarded
 from tests.cases import asset
 
 
-def get(application: Application, path: str, **changes: str) -> tuple[int, dict[str, str], bytes]:
+def get(
+    application: Application, path: str, **changes: str
+) -> tuple[int, dict[str, str], bytes]:
     """Status, headers by lower-case name, and body; changes are of the environment."""
-    environment: dict[str, Any] = {"PATH_INFO": path, "SCRIPT_NAME": "", "QUERY_STRING": ""}
-    environment |= {"HTTP_HOST": "127.0.0.1:8080", "wsgi.errors": io.StringIO(), **changes}
+    environment: dict[str, Any] = {
+        "PATH_INFO": path,
+        "SCRIPT_NAME": "",
+        "QUERY_STRING": "",
+    }
+    environment |= {
+        "HTTP_HOST": "127.0.0.1:8080",
+        "wsgi.errors": io.StringIO(),
+        **changes,
+    }
     setup_testing_defaults(environment)
     found: list[tuple[str, list[tuple[str, str]]]] = []
     answer = validator(application)(environment, lambda *given: found.append(given[:2]))
@@ -31,8 +41,13 @@ def get(application: Application, path: str, **changes: str) -> tuple[int, dict[
 
 HTML = b"<script>alert(1)</script>"
 PICTURE, PAGE, LINK, GONE, VECTOR = (f"{number:08d}-0000" for number in range(1, 6))
-TYPES = {PICTURE: "image/png", PAGE: "text/html", LINK: "image/png", GONE: "image/png",
-         VECTOR: "image/svg+xml"}  # fmt: skip
+TYPES = {
+    PICTURE: "image/png",
+    PAGE: "text/html",
+    LINK: "image/png",
+    GONE: "image/png",
+    VECTOR: "image/svg+xml",
+}
 PLACE = "/artifacts/0/0"  # of the files of the one trial
 
 
@@ -42,8 +57,15 @@ def storage() -> InMemoryStorage:
     storage = InMemoryStorage()
     trial = optuna.create_study(storage=storage, study_name="a").ask()
     for name, kind in TYPES.items():
-        meta = {"artifact_id": name, "filename": "a", "mimetype": kind, "encoding": None}
-        storage.set_trial_system_attr(trial._trial_id, f"artifacts:{name}", json.dumps(meta))
+        meta = {
+            "artifact_id": name,
+            "filename": "a",
+            "mimetype": kind,
+            "encoding": None,
+        }
+        storage.set_trial_system_attr(
+            trial._trial_id, f"artifacts:{name}", json.dumps(meta)
+        )
     return storage
 
 
@@ -58,17 +80,25 @@ def dashboard(storage: InMemoryStorage, tmp_path: Path) -> Application:
     return guarded_dashboard(storage, artifacts)
 
 
-@pytest.mark.parametrize(("header", "value", "status"), [
-    (header, value, int(status))
-    for header, answers in asset("callers.toml").items()
-    for status, values in answers.items() for value in values
-])  # fmt: skip
-def test_only_we_are_answered(dashboard: Application, header: str, value: str, status: int) -> None:
+@pytest.mark.parametrize(
+    ("header", "value", "status"),
+    [
+        (header, value, int(status))
+        for header, answers in asset("callers.toml").items()
+        for status, values in answers.items()
+        for value in values
+    ],
+)
+def test_only_we_are_answered(
+    dashboard: Application, header: str, value: str, status: int
+) -> None:
     for path in ("/api/studies", "/dashboard", f"{PLACE}/{PICTURE}"):
         assert get(dashboard, path, **{header: value})[0] == status
 
 
-def test_pictures_are_served_as_such_and_to_our_pages_alone(dashboard: Application) -> None:
+def test_pictures_are_served_as_such_and_to_our_pages_alone(
+    dashboard: Application,
+) -> None:
     status, headers, body = get(dashboard, f"{PLACE}/{PICTURE}")
     assert (status, headers["content-type"], body) == (200, "image/png", HTML)
     assert headers["x-content-type-options"] == "nosniff"  # however it may look
@@ -80,7 +110,10 @@ def test_no_answer_is_for_other_pages_to_read(path: str, tmp_path: Path) -> None
     """Whatever a version of the dashboard says of who may."""
 
     def generous(environment: dict[str, Any], start: Any) -> list[bytes]:
-        start("200 OK", [("Access-Control-Allow-Origin", "*"), ("Content-Type", "image/png")])
+        start(
+            "200 OK",
+            [("Access-Control-Allow-Origin", "*"), ("Content-Type", "image/png")],
+        )
         return [b"{}"]
 
     (tmp_path / PICTURE).write_bytes(HTML)
@@ -90,8 +123,12 @@ def test_no_answer_is_for_other_pages_to_read(path: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("end", ["", "/", "//"])
-@pytest.mark.parametrize(("name", "status"), [(PAGE, 403), (VECTOR, 403), (LINK, 404), (GONE, 404)])
-def test_nothing_else_is_served(dashboard: Application, name: str, status: int, end: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "status"), [(PAGE, 403), (VECTOR, 403), (LINK, 404), (GONE, 404)]
+)
+def test_nothing_else_is_served(
+    dashboard: Application, name: str, status: int, end: str
+) -> None:
     found, headers, body = get(dashboard, f"{PLACE}/{name}{end}")
     assert (found, headers["content-type"]) == (status, "text/plain; charset=utf-8")
     assert b"secret" not in body and HTML not in body

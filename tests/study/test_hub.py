@@ -21,12 +21,16 @@ FOLDER = REGISTRY / "samplers" / "feature_kernel"
 
 @pytest.fixture(scope="module")
 def optunahub():
-    os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")  # nothing is cloned: git may be missing
+    os.environ.setdefault(
+        "GIT_PYTHON_REFRESH", "quiet"
+    )  # nothing is cloned: git may be missing
     return importlib.import_module("optunahub")
 
 
 def load(optunahub: ModuleType) -> ModuleType:
-    module = optunahub.load_local_module("samplers/feature_kernel", registry_root=str(REGISTRY))
+    module = optunahub.load_local_module(
+        "samplers/feature_kernel", registry_root=str(REGISTRY)
+    )
     assert isinstance(module, ModuleType)
     return module
 
@@ -36,7 +40,9 @@ def test_it_loads_the_one_sampler_there_is_which_unpickles_without_the_hub(optun
     assert module.__name__ == "optunahub_registry.package.samplers.feature_kernel"
     for name in module.__all__:
         assert getattr(module, name) is getattr(study, name)
-    table = module.FeatureTable.from_arrays({"x": [0.0, 1.0, 2.0]}, [[0.0], [1.0], [4.0]])
+    table = module.FeatureTable.from_arrays(
+        {"x": [0.0, 1.0, 2.0]}, [[0.0], [1.0], [4.0]]
+    )
     data = pickle.dumps(module.FeatureKernelSampler(table, seed=1))
     assert b"optunahub" not in data
     assert type(pickle.loads(data)) is study.FeatureKernelSampler
@@ -57,7 +63,9 @@ def test_the_readmes_example_runs(optunahub, monkeypatch, capsys):
 
 def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, monkeypatch):
     monkeypatch.setitem(sys.modules, "study", None)  # as if it were not there
-    with pytest.raises(ImportError, match=r"needs taichi-nmm-sampler: install it as its README"):
+    with pytest.raises(
+        ImportError, match=r"needs taichi-nmm-sampler: install it as its README"
+    ):
         load(optunahub)
 
 
@@ -66,8 +74,17 @@ def test_files_and_front_matter_are_what_the_registry_asks_for(optunahub):
     assert files == {"README.md", "LICENSE", "__init__.py"}  # and no data
     assert (FOLDER / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
     readme = (FOLDER / "README.md").read_text()
-    front = yaml.load(readme.split("---\n")[1], Loader=yaml.BaseLoader)  # all must be strings
-    assert set(front) == {"author", "title", "description", "tags", "optuna_versions", "license"}
+    front = yaml.load(
+        readme.split("---\n")[1], Loader=yaml.BaseLoader
+    )  # all must be strings
+    assert set(front) == {
+        "author",
+        "title",
+        "description",
+        "tags",
+        "optuna_versions",
+        "license",
+    }
     assert "sampler" in front["tags"] and all(front.values())
     assert optuna.__version__ in front["optuna_versions"]
     assert front["license"] == "MIT License"

@@ -1,5 +1,5 @@
-"""Live studies from first trial to last: what they record, that interruptions leave no trace, and
-that they are the studies of a comparison."""
+"""Live studies from first trial to last: what they record, that interruptions leave no
+trace, and that they are the studies of a comparison."""
 
 import json
 import pickle
@@ -35,7 +35,12 @@ from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
 
 LIVE = ("dog", "cmaes-cold", "cmaes-warm", "worlds", "random", "tpe")
-RESUMED = ("dog", "cmaes-cold", "cmaes-warm", "tpe")  # each kind of sampler with a memory
+RESUMED = (
+    "dog",
+    "cmaes-cold",
+    "cmaes-warm",
+    "tpe",
+)  # each kind of sampler with a memory
 TRIALS = 16  # beyond a generation of 12
 
 
@@ -53,12 +58,17 @@ def facts(trials: list[FrozenTrial]) -> list[Any]:
 
 
 def interrupted(
-    experiment: Experiment, arm: str, storage: BaseStorage, monkeypatch: pytest.MonkeyPatch,
+    experiment: Experiment,
+    arm: str,
+    storage: BaseStorage,
+    monkeypatch: pytest.MonkeyPatch,
     error: type[BaseException] = KeyboardInterrupt,
-) -> None:  # fmt: skip
+) -> None:
     """Run 1, stopped in trials 1, 5, 6, and 14 of which some were repeated before."""
     for call in (1, 5, 1, 9):
-        monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call, error))
+        monkeypatch.setitem(
+            vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call, error)
+        )
         with pytest.raises(error):
             run(experiment, arm, TRIALS, storage, 1)
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
@@ -85,7 +95,9 @@ def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:
         study.set_metric_names(["mine"])
 
 
-def assert_same(trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[str, ...]) -> None:
+def assert_same(
+    trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[str, ...]
+) -> None:
     """The trials of a study are run 1 of the table, to the bit."""
     rows = frame[(frame.arm == arm) & (frame.run == 1)].to_dict("records")
     assert len(trials) == len(rows)
@@ -99,7 +111,9 @@ def assert_same(trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[st
 
 
 @pytest.mark.slow
-def test_live_study_as_compared(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_live_study_as_compared(
+    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also when it is run in pieces, and stopped in the middle by Ctrl-C or the simulator."""
     toy = comparisons.experiment
     comparisons.run("compared", arms=RESUMED, runs=2, trials=TRIALS)
@@ -112,16 +126,23 @@ def test_live_study_as_compared(comparisons: Comparisons, monkeypatch: pytest.Mo
             found = run(toy, arm, trials, pieces, 1)
             assert len(found) == (TRIALS if trials == 3 else trials)
         assert_same(found, frame, arm, toy.names)
-        for storage, error in ((database, KeyboardInterrupt), (InMemoryStorage(), RuntimeError)):
+        for storage, error in (
+            (database, KeyboardInterrupt),
+            (InMemoryStorage(), RuntimeError),
+        ):
             interrupted(toy, arm, storage, monkeypatch, error)
             trials = run(toy, arm, TRIALS, storage, 1)
             assert_same(trials, frame, arm, toy.names)
-            study = optuna.load_study(study_name=study_name("toy", arm, 1), storage=storage)
+            study = optuna.load_study(
+                study_name=study_name("toy", arm, 1), storage=storage
+            )
             assert len(study.trials) == TRIALS + 4
 
 
 @pytest.mark.slow
-def test_every_arm_of_the_registry_runs_live_as_compared(comparisons: Comparisons) -> None:
+def test_every_arm_of_the_registry_runs_live_as_compared(
+    comparisons: Comparisons,
+) -> None:
     toy = comparisons.experiment
     comparisons.run("compared", arms=tuple(ARMS), runs=2, trials=3)
     frame = comparisons.table("compared").to_pandas()
@@ -131,7 +152,9 @@ def test_every_arm_of_the_registry_runs_live_as_compared(comparisons: Comparison
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", LIVE)
-def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path: Path) -> None:
+def test_a_trial_found_running_is_run_again(
+    toy: Experiment, arm: str, tmp_path: Path
+) -> None:
     """Killed while it was simulated, when it had one of 16 parameters, or none."""
     whole = run(toy, arm, TRIALS, InMemoryStorage())
     storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
@@ -139,7 +162,9 @@ def test_a_trial_found_running_is_run_again(toy: Experiment, arm: str, tmp_path:
     for trials, suggested in ((4, 16), (7, 1), (13, 0)):
         run(toy, arm, trials, storage)
         study = open_study(toy, found, 0, storage)
-        task = Task(toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.feature)
+        task = Task(
+            toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.feature
+        )
         study.sampler = found.new_sampler(task)
         trial = study.ask()
         for name, ends in list(toy.space.items())[:suggested]:
@@ -163,10 +188,14 @@ class Marks:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if arm.replayed])
-def test_nothing_of_a_database_is_unpickled(toy: Experiment, arm: str, tmp_path: Path) -> None:
+def test_nothing_of_a_database_is_unpickled(
+    toy: Experiment, arm: str, tmp_path: Path
+) -> None:
     """Optuna's CMA-ES looks for its state in the latest trial that has one."""
     whole = run(toy, arm, 14, InMemoryStorage())  # beyond a generation
-    assert all(not trial.system_attrs for trial in whole)  # nothing for others to unpickle
+    assert all(
+        not trial.system_attrs for trial in whole
+    )  # nothing for others to unpickle
     storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
     run(toy, arm, 12, storage)
     state = pickle.dumps(Marks(tmp_path / "unpickled")).hex()
@@ -175,7 +204,10 @@ def test_nothing_of_a_database_is_unpickled(toy: Experiment, arm: str, tmp_path:
     with closing(sqlite3.connect(tmp_path / "studies.db")) as connection, connection:
         connection.executemany(
             "INSERT INTO trial_system_attributes (trial_id, key, value_json) VALUES (?, ?, ?)",
-            [(trial._trial_id, "cma:optimizer:0", json.dumps(state)) for trial in study.trials],
+            [
+                (trial._trial_id, "cma:optimizer:0", json.dumps(state))
+                for trial in study.trials
+            ],
         )
     again = open_studies(f"sqlite:///{tmp_path}/studies.db")
     assert facts(run(toy, arm, 14, again)) == facts(whole)
@@ -193,18 +225,24 @@ def test_gains_that_were_not_proposed_are_refused(toy: Experiment) -> None:
         if finished:
             written = study.trials[0].user_attrs  # what any walk comes to
             told: dict[str, Any] = {"value": 1.0, "user_attrs": written}
-            study.add_trial(optuna.create_trial(params=middle, distributions=toy.space, **told))
+            study.add_trial(
+                optuna.create_trial(params=middle, distributions=toy.space, **told)
+            )
         else:
             study.enqueue_trial(middle)
         with refused(message):
             run(toy, "cmaes-cold", 4, storage)
 
 
-def test_a_repetition_is_not_queued_twice(toy: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_repetition_is_not_queued_twice(
+    toy: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
     storage = InMemoryStorage()
     study = open_study(toy, find_arm("random"), 0, storage)
     OneStudy(toy, find_arm("random"), 0, study).ask()
-    monkeypatch.setattr(optuna.Study, "tell", lambda *_, **__: 1 / 0)  # killed in between
+    monkeypatch.setattr(
+        optuna.Study, "tell", lambda *_, **__: 1 / 0
+    )  # killed in between
     with pytest.raises(ZeroDivisionError):
         run(toy, "random", 3, storage)
     monkeypatch.undo()
@@ -215,7 +253,9 @@ def test_a_repetition_is_not_queued_twice(toy: Experiment, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("look", range(1, 9))
-def test_a_trial_of_the_others(toy: Experiment, look: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trial_of_the_others(
+    toy: Experiment, look: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of a crew, another process tells its trial right after some look of ours at the study."""
     storage, get_trials, looks = InMemoryStorage(), optuna.Study.get_trials, count(1)
     arm = find_arm("random")
@@ -230,7 +270,9 @@ def test_a_trial_of_the_others(toy: Experiment, look: int, monkeypatch: pytest.M
 
     monkeypatch.setattr(optuna.Study, "get_trials", looked)
     monkeypatch.setattr(live_study, "WAIT_S", 0.0)
-    crew: Any = SimpleNamespace(turn=nullcontext, dead=list, alive=lambda number: nullcontext())
+    crew: Any = SimpleNamespace(
+        turn=nullcontext, dead=list, alive=lambda number: nullcontext()
+    )
     study = run_study(toy, arm, 0, 1, storage, crew=crew)
     assert [trial.state for trial in study.trials] == [TrialState.COMPLETE]
 
@@ -249,11 +291,20 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None
     assert any(walked)
 
 
-@pytest.mark.parametrize(("change", "message"), [
-    ({"seed": 7}, r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
-    ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
-    ({"flat": "other"}, r"run-000: stores\.flat: '\w+' .* allowed: '\w+', with which it was made"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"seed": 7},
+            r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made",
+        ),
+        ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
+        (
+            {"flat": "other"},
+            r"run-000: stores\.flat: '\w+' .* allowed: '\w+', with which it was made",
+        ),
+    ],
+)
 def test_another_setting_is_named(
     change: dict[str, Any], message: str, toy: Experiment, tmp_path: Path
 ) -> None:
@@ -280,14 +331,20 @@ def test_a_study_of_another_program_is_refused(toy: Experiment) -> None:
 
 
 @pytest.mark.slow
-def test_live_studies_and_comparisons_leave_each_other(toy: Experiment, tmp_path: Path) -> None:
+def test_live_studies_and_comparisons_leave_each_other(
+    toy: Experiment, tmp_path: Path
+) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
     request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2)
     compare(toy, request, lambda progress: None)
-    with refused(r"study: 'toy/dog/run-000' .* another --storage: .* of a comparison") as live:
+    with refused(
+        r"study: 'toy/dog/run-000' .* another --storage: .* of a comparison"
+    ) as live:
         run(toy, "dog", 3, open_studies(url))
     assert len(str(live.value)) < 200
-    assert len(run(toy, "dog", 3, open_studies(url), 1)) == 3  # a run that it does not have
+    assert (
+        len(run(toy, "dog", 3, open_studies(url), 1)) == 3
+    )  # a run that it does not have
     with refused("a database without toy/dog/run-001, .* a live") as other:
         compare(toy, replace(request, runs=2), lambda progress: None)
     assert len(str(other.value)) < 200 + len(url)
@@ -307,7 +364,9 @@ def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
     assert line.endswith("--artifacts out") and "secret" not in line
 
 
-def test_the_lines_name_the_python_in_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_lines_name_the_python_in_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """By a path that is short where it can be, and never one by way of `..`."""
     monkeypatch.setattr("sys.executable", str(tmp_path / "my env" / "bin" / "python"))
     (tmp_path / "elsewhere").mkdir()

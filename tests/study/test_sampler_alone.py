@@ -61,7 +61,13 @@ def test_a_study_without_simulator_pictures_and_dashboard(tmp_path):
     there = packages_of_the_sampler()
     assert there <= dependencies
     missing = dependencies - there - OPTUNA_HAS
-    assert {"taichi", "quadrants", "matplotlib", "imageio-ffmpeg", "optuna-dashboard"} <= missing
+    assert {
+        "taichi",
+        "quadrants",
+        "matplotlib",
+        "imageio-ffmpeg",
+        "optuna-dashboard",
+    } <= missing
     modules = [MODULES.get(name, name.replace("-", "_")) for name in missing]
     done = run_with_accident(tmp_path, ("-c", PROGRAM), missing=modules)
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr

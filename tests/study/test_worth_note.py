@@ -19,11 +19,16 @@ from study.experiment.one_study import worth_of_study
 TITLE = "## Are the features worth anything?"
 
 
-@pytest.mark.parametrize(("arm", "beginning", "words"), [
-    ("dog", TITLE, ("6 trials.", "\n| phi_printed | ")),
-    ("worlds", "## Which worlds is the robot like?", ("By 6 trials,", "rough")),
-    ("random", "", ()), ("bo-euclidean", "", ()), ("ranking", "", ()),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arm", "beginning", "words"),
+    [
+        ("dog", TITLE, ("6 trials.", "\n| phi_printed | ")),
+        ("worlds", "## Which worlds is the robot like?", ("By 6 trials,", "rough")),
+        ("random", "", ()),
+        ("bo-euclidean", "", ()),
+        ("ranking", "", ()),
+    ],
+)
 def test_a_live_study_has_it_at_its_end(toy, arm, beginning, words):
     note = get_note(run_study(toy, find_arm(arm), 0, 6, InMemoryStorage()))
     assert bool(note) == bool(beginning)
@@ -46,7 +51,11 @@ def test_every_arm_over_features_can_tell(toy):
     for arm in ARMS.values():
         study = run_study(toy, find_arm("random"), 0, 1, InMemoryStorage())
         worth = worth_of_study(toy, arm, 0, study)
-        assert worth is None or arm.name.startswith("worlds") or worth.names == (arm.feature,)
+        assert (
+            worth is None
+            or arm.name.startswith("worlds")
+            or worth.names == (arm.feature,)
+        )
         assert (worth is not None) == arm.name.startswith(("dog", "worlds"))
 
 
@@ -54,11 +63,16 @@ def notes(url: str) -> dict[str, str]:
     """Of each study of a database."""
     storage = open_studies(url)
     names = trial_counts(storage)
-    return {name: get_note(optuna.load_study(study_name=name, storage=storage)) for name in names}
+    return {
+        name: get_note(optuna.load_study(study_name=name, storage=storage))
+        for name in names
+    }
 
 
 @pytest.mark.slow
-def test_each_study_of_a_comparison_over_features_has_its_own(toy, tmp_path, monkeypatch):
+def test_each_study_of_a_comparison_over_features_has_its_own(
+    toy, tmp_path, monkeypatch
+):
     def outcome(**changes):
         request = {"runs": 2, "trials": 6} | changes
         return compare(toy, Request(tmp_path / "out", **request), lambda progress: None)
@@ -87,5 +101,7 @@ def test_arms_of_earlier_sessions_need_no_store(toy, tmp_path):
     request = Request(tmp_path / "out", runs=1, trials=3, arms=("dog",))
     compare(toy, request, lambda progress: None)
     without = replace(toy, stores={})
-    outcome = compare(without, replace(request, arms=("random",)), lambda progress: None)
+    outcome = compare(
+        without, replace(request, arms=("random",)), lambda progress: None
+    )
     assert TITLE in notes(outcome.storage)[study_name("toy", "dog", 0)]

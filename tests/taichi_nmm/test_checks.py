@@ -9,14 +9,22 @@ from taichi_nmm import checks
 from taichi_nmm.errors import InputError
 
 
-@pytest.mark.parametrize(("values", "said"), [
-    ([1.0, "0,92"], r"x\[1\]: '0,92'"), (np.array(["1.5", "2"]), r"x\[0\]: '1.5'"),
-    ([[1.0, 2.0], [3.0, "much"]], r"x\[1, 1\]: 'much'"), ("much", "x: 'much'"),
-    (np.array(["2026-05-04"], "M8[s]"), r"x\[0\]: '2026-05-04"),
-    ([1.0, 10**400], r"x\[1\]: 1000"), ([[1.0], [1.0, 2.0]], r"x\[0\]: \[1.0\]"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ([1.0, "0,92"], r"x\[1\]: '0,92'"),
+        (np.array(["1.5", "2"]), r"x\[0\]: '1.5'"),
+        ([[1.0, 2.0], [3.0, "much"]], r"x\[1, 1\]: 'much'"),
+        ("much", "x: 'much'"),
+        (np.array(["2026-05-04"], "M8[s]"), r"x\[0\]: '2026-05-04"),
+        ([1.0, 10**400], r"x\[1\]: 1000"),
+        ([[1.0], [1.0, 2.0]], r"x\[0\]: \[1.0\]"),
+    ],
+)
 def test_what_is_no_number_is_named_by_its_place(values: Any, said: str) -> None:
-    with pytest.raises(InputError, match=f"^{said}.* cannot be used; allowed: an array of numbers"):
+    with pytest.raises(
+        InputError, match=f"^{said}.* cannot be used; allowed: an array of numbers"
+    ):
         checks.numbers("x", values)
 
 

@@ -18,7 +18,9 @@ def refused(call: Callable[[], object]) -> InputError:
 
 
 @pytest.mark.parametrize("content", [b"name = ", b"a = 1\na = 2\n", b"\xff\xfe"])
-def test_a_file_that_is_not_toml_or_is_missing_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_toml_or_is_missing_is_refused(
+    tmp_path: Path, content: bytes
+) -> None:
     path = tmp_path / "bad.toml"
     path.write_bytes(content)
     error = refused(lambda: read_toml(path))
@@ -35,21 +37,31 @@ def test_a_name_that_no_file_has_is_refused(name: str) -> None:
         read_toml(Path(name))
 
 
-@pytest.mark.parametrize(("file", "terrain"), [
-    ("hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
-    ("hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
-    ("hill-rough", {"kind": "rough"}),
-    ("hill-steep-down", {"kind": "ramp", "increment": 0.08, "direction": "down"}),
-])  # fmt: skip
-def test_variants_lie_over_a_file(tmp_path: Path, file: str, terrain: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    ("file", "terrain"),
+    [
+        ("hill", {"kind": "ramp", "increment": 0.04, "direction": "up"}),
+        ("hill-steep", {"kind": "ramp", "increment": 0.08, "direction": "up"}),
+        ("hill-rough", {"kind": "rough"}),
+        ("hill-steep-down", {"kind": "ramp", "increment": 0.08, "direction": "down"}),
+    ],
+)
+def test_variants_lie_over_a_file(
+    tmp_path: Path, file: str, terrain: dict[str, object]
+) -> None:
     (tmp_path / "hill.toml").write_text(HILLS)
-    assert read_toml(tmp_path / f"{file}.toml").unread == {"name": file, "terrain": terrain}
+    assert read_toml(tmp_path / f"{file}.toml").unread == {
+        "name": file,
+        "terrain": terrain,
+    }
     (tmp_path / f"{file}.toml").write_text("seed = 3")
     assert read_toml(tmp_path / f"{file}.toml").unread == {"seed": 3}
 
 
 @cases("refused-variants.toml", "text", "file", "message")
-def test_variants_that_are_refused(tmp_path: Path, text: str, file: str, message: str) -> None:
+def test_variants_that_are_refused(
+    tmp_path: Path, text: str, file: str, message: str
+) -> None:
     (tmp_path / "hill.toml").write_text(text.replace("HILLS", HILLS))
     error = refused(lambda: read_toml(tmp_path / f"{file}.toml"))
     assert re.search(message, str(error))
@@ -58,14 +70,20 @@ def test_variants_that_are_refused(tmp_path: Path, text: str, file: str, message
 def test_values_within_range_are_returned_and_defaults_of_missing_keys() -> None:
     table = Table({"a": 1, "b": 2, "c": "up", "d": False, "e": [1, 2], "f": ["x", "y"]})
     numbers = (table.number("a", low=0, high=1), *table.range("e", (0, 0), 1, 2))
-    assert numbers == (1.0, 1.0, 2.0) and {type(number) for number in numbers} == {float}
+    assert numbers == (1.0, 1.0, 2.0) and {type(number) for number in numbers} == {
+        float
+    }
     assert table.integer("b", low=2, high=2) == 2
     assert table.text("c", choices=("up", "down")) == "up"
     assert table.boolean("d") is False
     assert table.texts("f", ("x", "y", "z")) == ("x", "y")
     table.done()
     table = Table({})
-    assert (table.number("a", 0.5), table.integer("b", 7), table.text("c", "x")) == (0.5, 7, "x")
+    assert (table.number("a", 0.5), table.integer("b", 7), table.text("c", "x")) == (
+        0.5,
+        7,
+        "x",
+    )
     assert table.boolean("d", True) is True
     assert (table.range("e", (1, 2), 0, 9), table.texts("f")) == ((1.0, 2.0), ())
     table.table("g").done()
@@ -79,7 +97,8 @@ BAD_VALUES: list[tuple[list[object], Callable[[Table], object], str]] = [
     ([-0.1, 1.1], lambda t: t.number("key", low=0.0, high=1.0), "a number from 0 to 1"),
     (
         [[1.0], [2, 1], [-1, 1], [0, 10**400], [0, NAN], "12"],
-        lambda t: t.range("key", (0, 1), 0, 9), PAIR,
+        lambda t: t.range("key", (0, 1), 0, 9),
+        PAIR,
     ),
     ([1.0, True], lambda t: t.integer("key"), "a whole number"),
     ([0, 10], lambda t: t.integer("key", low=1, high=9), "a whole number from 1 to 9"),
@@ -88,11 +107,13 @@ BAD_VALUES: list[tuple[list[object], Callable[[Table], object], str]] = [
     ([1], lambda t: t.boolean("key"), "true or false"),
     (["x", ["x", "x"]], lambda t: t.texts("key"), "a list of names, each once"),
     ([1], lambda t: t.table("key"), "a table"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("values", "read", "allowed"), BAD_VALUES)
-def test_wrong_values(values: list[object], read: Callable[[Table], object], allowed: str) -> None:
+def test_wrong_values(
+    values: list[object], read: Callable[[Table], object], allowed: str
+) -> None:
     for value in values:
         error = refused(lambda value=value: read(Table({"key": value}, "outer")))  # type: ignore[misc]
         assert error.field == "outer.key"
@@ -100,8 +121,12 @@ def test_wrong_values(values: list[object], read: Callable[[Table], object], all
         assert error.allowed.startswith(allowed)
 
 
-@pytest.mark.parametrize("read", [Table.number, Table.integer, Table.text, Table.boolean])
-def test_a_required_key_that_is_missing_is_named(read: Callable[[Table, str], object]) -> None:
+@pytest.mark.parametrize(
+    "read", [Table.number, Table.integer, Table.text, Table.boolean]
+)
+def test_a_required_key_that_is_missing_is_named(
+    read: Callable[[Table, str], object],
+) -> None:
     error = refused(lambda: read(Table({}, "outer"), "key"))
     assert (error.field, error.value) == ("outer.key", "missing")
 

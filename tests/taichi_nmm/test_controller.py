@@ -30,18 +30,23 @@ def states() -> list[Observation]:
         Observation(
             joint_rad=rng.uniform(-0.1, 0.4, (COUNT, 6)),
             joint_rate_radps=rng.uniform(-1, 1, (COUNT, 6)),
-            trunk_rad=rng.uniform(-0.1, 0.1, COUNT), trunk_rate_radps=rng.uniform(-0.5, 0.5, COUNT),
-            contact=rng.random((COUNT, 2)) < 0.7, load_n=rng.uniform(0, 900, (COUNT, 2)),
+            trunk_rad=rng.uniform(-0.1, 0.1, COUNT),
+            trunk_rate_radps=rng.uniform(-0.5, 0.5, COUNT),
+            contact=rng.random((COUNT, 2)) < 0.7,
+            load_n=rng.uniform(0, 900, (COUNT, 2)),
             leg_length_m=rng.uniform(0.8, 1.0, (COUNT, 2)),
             leg_angle_rad=rng.uniform(1.2, 1.9, (COUNT, 2)),
             com_ahead_m=rng.uniform(-0.3, 0.3, (COUNT, 2)),
             com_speed_mps=rng.uniform(0.5, 1.5, COUNT),
-        ) for _ in range(STEPS)
-    ]  # fmt: skip
+        )
+        for _ in range(STEPS)
+    ]
 
 
 def part(observation: Observation, rows: Any) -> Observation:
-    return Observation(*(np.asarray(getattr(observation, name))[rows] for name in NAMES))
+    return Observation(
+        *(np.asarray(getattr(observation, name))[rows] for name in NAMES)
+    )
 
 
 def torques(controller: Controller, observation: list[Observation]) -> np.ndarray:
@@ -54,12 +59,18 @@ def undisturbed() -> np.ndarray:
     return torques(Controller(gains(), settings=FLOAT32), states())
 
 
-@pytest.mark.parametrize(("arguments", "field"), [
-    ({"gains": np.zeros((2, 15))}, "gains"),
-    ({"gains": np.full((2, 16), np.nan)}, r"gains\[0\]\.K_GAS"),
-    ({"gains": np.tile(PUBLISHED_GAINS, (2, 1)), "bodies": Bodies.nominal(3)}, "bodies"),
-    ({"gains": PUBLISHED_GAINS, "low_level_gains": [1.0]}, "low_level_gains"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"gains": np.zeros((2, 15))}, "gains"),
+        ({"gains": np.full((2, 16), np.nan)}, r"gains\[0\]\.K_GAS"),
+        (
+            {"gains": np.tile(PUBLISHED_GAINS, (2, 1)), "bodies": Bodies.nominal(3)},
+            "bodies",
+        ),
+        ({"gains": PUBLISHED_GAINS, "low_level_gains": [1.0]}, "low_level_gains"),
+    ],
+)
 def test_arguments_that_cannot_be_used(arguments: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError, match=field):
         Controller(arguments.pop("gains"), **arguments)
@@ -69,7 +80,16 @@ def test_muscles_before_the_first_step_and_rows_that_are_not_there() -> None:
     with pytest.raises(InputError, match=r"controller\.muscles: .* a first step"):
         _ = Controller(PUBLISHED_GAINS).muscles
     controller = Controller(gains())
-    bad: list[Any] = [[-1], [COUNT], [[0]], [0.5], [True] * COUNT, 3, ["a"], [[0], [1, 2]]]
+    bad: list[Any] = [
+        [-1],
+        [COUNT],
+        [[0]],
+        [0.5],
+        [True] * COUNT,
+        3,
+        ["a"],
+        [[0], [1, 2]],
+    ]
     for rows in bad:
         with pytest.raises(InputError, match=r"^rows: "):
             controller.keep(rows)
@@ -107,7 +127,9 @@ def test_torques_do_not_depend_on_the_others(undisturbed: np.ndarray) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("after", [STEPS // 2, 0])
 @pytest.mark.parametrize("rows", [[10, 3, 3, 0], [4], np.arange(9), np.zeros(0, int)])
-def test_those_who_are_kept_go_on(undisturbed: np.ndarray, rows: Any, after: int) -> None:
+def test_those_who_are_kept_go_on(
+    undisturbed: np.ndarray, rows: Any, after: int
+) -> None:
     """After some steps, or before the first."""
     controller = Controller(gains(), settings=FLOAT32)
     torques(controller, states()[:after])
@@ -122,9 +144,14 @@ def test_those_who_are_kept_go_on(undisturbed: np.ndarray, rows: Any, after: int
 
 
 @pytest.mark.slow
-def test_another_controller_and_simulation_between_change_nothing(undisturbed: np.ndarray) -> None:
+def test_another_controller_and_simulation_between_change_nothing(
+    undisturbed: np.ndarray,
+) -> None:
     """A simulation with other settings starts Taichi again: bound kernels are gone."""
-    (controller, other_one), found = (Controller(gains(), settings=FLOAT32) for _ in range(2)), []
+    (controller, other_one), found = (
+        (Controller(gains(), settings=FLOAT32) for _ in range(2)),
+        [],
+    )
     for number, state in enumerate(states()):
         found.append(controller.step(state))
         np.testing.assert_array_equal(other_one.step(state), undisturbed[number])

@@ -31,9 +31,13 @@ def rows(index: NDArray[np.int64], settings: Settings = CPU) -> NDArray[np.void]
     """Results of these walkers of the batch, in this order."""
     gains, bodies, grounds, ground = batch()
     return simulate(
-        gains[index], duration_s=DURATION_S, bodies=bodies.take(index), terrains=grounds,
-        terrain_index=ground[index], settings=settings,
-    ).rows  # fmt: skip
+        gains[index],
+        duration_s=DURATION_S,
+        bodies=bodies.take(index),
+        terrains=grounds,
+        terrain_index=ground[index],
+        settings=settings,
+    ).rows
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +45,9 @@ def whole() -> NDArray[np.void]:
     return rows(np.arange(WALKERS))
 
 
-def test_walkers_differ_and_a_permuted_batch_permutes_its_rows(whole: NDArray[np.void]) -> None:
+def test_walkers_differ_and_a_permuted_batch_permutes_its_rows(
+    whole: NDArray[np.void],
+) -> None:
     assert len(np.unique(whole["duration_s"])) > WALKERS / 4
     assert 0.02 < (whole["end_reason"] == 0).mean() < 0.9
     order = np.random.default_rng(1).permutation(WALKERS)
@@ -61,7 +67,9 @@ def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
         assert backend.lanes() == (width if wide and width else backend.LANES_CPU)
 
 
-def test_a_lane_a_turn_as_on_gpus(whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lane_a_turn_as_on_gpus(
+    whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert backend.lanes_a_turn() == backend.lanes() > 1
     monkeypatch.setattr(backend, "lanes_a_turn", lambda: 1)
     assert rows(np.arange(200)).tobytes() == whole[:200].tobytes()
@@ -69,7 +77,9 @@ def test_a_lane_a_turn_as_on_gpus(whole: NDArray[np.void], monkeypatch: pytest.M
 
 def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
     file = tmp_path / "rows.npy"
-    code = "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "
+    code = (
+        "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "
+    )
     code += "np.save(sys.argv[1], rows(np.arange(64)))"
     printed("-c", code, file)
     assert np.load(file).tobytes() == whole[:64].tobytes()

@@ -23,7 +23,14 @@ def test_it_is_one_printable_line_of_bounded_length() -> None:
     nested: list[object] = []
     for _ in range(100_000):
         nested = [nested]
-    values = [10**5000, Unspeakable(), np.zeros((3, 3)), "x" * 10_000, "\udcff\x1b[31m\n", nested]
+    values = [
+        10**5000,
+        Unspeakable(),
+        np.zeros((3, 3)),
+        "x" * 10_000,
+        "\udcff\x1b[31m\n",
+        nested,
+    ]
     for value in values:
         line = str(InputError("a\nb\x1b", value, "c\r\nd\u2028"))
         assert line.isprintable(), line
@@ -39,7 +46,9 @@ def test_of_many_names_the_nearest_are_listed_and_the_others_counted() -> None:
     few = names[:MOST_LISTED]
     assert listed(few, "world7") == ", ".join(few)
     line = listed([*names, "Torque"], "torqe")
-    assert line.startswith("Torque, ") and line.endswith(f" and {301 - MOST_LISTED} more")
+    assert line.startswith("Torque, ") and line.endswith(
+        f" and {301 - MOST_LISTED} more"
+    )
     assert line.count(",") == MOST_LISTED - 1
     assert listed(names, "world29").startswith("world29, ")
     assert listed(names).startswith("world0, world1, ") and len(listed(names)) < 200

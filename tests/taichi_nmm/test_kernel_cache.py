@@ -6,19 +6,33 @@ from pathlib import Path
 import pytest
 
 from taichi_nmm import InputError, kernel_cache
-from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER, PREFIX, require_kernel_cache
+from taichi_nmm.kernel_cache import (
+    CACHE_VARIABLE,
+    COMPILER,
+    PREFIX,
+    require_kernel_cache,
+)
 from tests.processes import ROOT, python
 
 WALK = ROOT / "tools" / "walk.py"
-SIMULATE = "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
+SIMULATE = (
+    "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
+)
 WALKED = "import taichi_nmm as t; "
 WALKED += "print(t.simulate(t.PUBLISHED_GAINS, duration_s=0.5).rows.tobytes().hex())"
 NOTEBOOK = "import io, sys; sys.stdout = io.StringIO(); import taichi_nmm.simulator"
-ODD = {"LC_ALL": "xx", "LANG": "xx", f"{PREFIX}ARCH": "zzz", f"{PREFIX}LOG_LEVEL": "zzz"}
+ODD = {
+    "LC_ALL": "xx",
+    "LANG": "xx",
+    f"{PREFIX}ARCH": "zzz",
+    f"{PREFIX}LOG_LEVEL": "zzz",
+}
 ODD |= {f"{PREFIX}FAST_MATH": "maybe", f"{PREFIX}DEFAULT_FP": "7"}
 
 
-def test_a_cache_must_be_writable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_must_be_writable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "new" / "cache"))
     require_kernel_cache()
     assert list((tmp_path / "new" / "cache").iterdir()) == []
@@ -40,7 +54,9 @@ def test_without_a_home_a_command_and_a_simulation_say_one_line(tmp_path: Path) 
     homeless = {name: value for name, value in os.environ.items() if name != "HOME"}
     out = tmp_path / "out"
     done = python(WALK, "--out", out, env=homeless)
-    assert done.stderr.startswith("error: HOME: 'unset'") and done.stderr.count("\n") == 1
+    assert (
+        done.stderr.startswith("error: HOME: 'unset'") and done.stderr.count("\n") == 1
+    )
     assert done.returncode == 2 and not out.exists()
     done = python("-c", SIMULATE, env=homeless)
     assert done.returncode == 1 and "InputError: HOME: 'unset'" in done.stderr
@@ -61,7 +77,12 @@ def test_variables_are_as_they_were_afterwards(monkeypatch: pytest.MonkeyPatch) 
 def test_a_walk_is_the_same_in_an_odd_environment_and_without_docstrings() -> None:
     """And nothing else is printed."""
     plain, odd = python("-c", WALKED), python("-OO", "-c", WALKED, env=os.environ | ODD)
-    assert (plain.returncode, plain.stderr, odd.returncode, odd.stderr) == (0, "", 0, "")
+    assert (plain.returncode, plain.stderr, odd.returncode, odd.stderr) == (
+        0,
+        "",
+        0,
+        "",
+    )
     assert odd.stdout == plain.stdout and plain.stdout.strip().isalnum()
 
 

@@ -20,8 +20,15 @@ def bad_values() -> list[tuple[str, object]]:
         good = np.zeros((2, width) if width else 2)
         spoilt = [good.copy(), good.copy()]
         spoilt[0].flat[-1], spoilt[1].flat[0] = np.nan, np.inf
-        bad += [(name, value) for value in (*spoilt, good[:1], good[None], 0.0, "much", None)]
-        bad += [(name, good.astype(str)), (name, good.astype(complex)), (name, [[1.0], [1.0, 2.0]])]
+        bad += [
+            (name, value)
+            for value in (*spoilt, good[:1], good[None], 0.0, "much", None)
+        ]
+        bad += [
+            (name, good.astype(str)),
+            (name, good.astype(complex)),
+            (name, [[1.0], [1.0, 2.0]]),
+        ]
     return bad
 
 
@@ -29,21 +36,33 @@ def bad_values() -> list[tuple[str, object]]:
 def test_an_array_that_cannot_be_used_is_named(name: str, value: object) -> None:
     good = two_bodies()
     good.checked(2)
-    with pytest.raises(InputError, match=rf"^observation\.{name}(\.shape|\[[0-9, ]+\])?: "):
+    with pytest.raises(
+        InputError, match=rf"^observation\.{name}(\.shape|\[[0-9, ]+\])?: "
+    ):
         replace(good, **{name: value}).checked(2)
 
 
 @pytest.mark.parametrize("value", [2, -1, 0.5])
-def test_a_contact_says_whether_not_how_many_and_bodies_are_counted(value: float) -> None:
+def test_a_contact_says_whether_not_how_many_and_bodies_are_counted(
+    value: float,
+) -> None:
     contacts = np.array([[0.0, 1.0], [1.0, value]])
-    with pytest.raises(InputError, match=rf"^observation\.contact: {value}.* 0 or 1: whether"):
+    with pytest.raises(
+        InputError, match=rf"^observation\.contact: {value}.* 0 or 1: whether"
+    ):
         replace(two_bodies(), contact=contacts).checked(2)
-    with pytest.raises(InputError, match=r"^observation\.joint_rad\.shape: \(2, 6\) .* \[3, 6\]$"):
+    with pytest.raises(
+        InputError, match=r"^observation\.joint_rad\.shape: \(2, 6\) .* \[3, 6\]$"
+    ):
         two_bodies().checked(3)
 
 
-@pytest.mark.parametrize(("name", "value"), [("trunk_rad", 1e8), ("com_speed_mps", -1e300)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("trunk_rad", 1e8), ("com_speed_mps", -1e300)]
+)
 def test_a_number_of_no_body_is_refused(name: str, value: float) -> None:
     """A sine of 1e8 is noise in float32, and 1e300 is infinity there: torques were NaN."""
-    with pytest.raises(InputError, match=rf"^observation\.{name}: .*finite numbers, from -1"):
+    with pytest.raises(
+        InputError, match=rf"^observation\.{name}: .*finite numbers, from -1"
+    ):
         replace(two_bodies(), **{name: [0.0, value]}).checked(2)  # type: ignore[arg-type]

@@ -7,7 +7,13 @@ from taichi_nmm.kernel.layout import WALKER_ROWS, Const, State
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 
-FALLS = ([3], [28, 0, 9, 27, 26, 5], [*range(10, 22)], [1, 2, 4, 6, 7, 8], [22, 23, 24, 25])
+FALLS = (
+    [3],
+    [28, 0, 9, 27, 26, 5],
+    [*range(10, 22)],
+    [1, 2, 4, 6, 7, 8],
+    [22, 23, 24, 25],
+)
 
 
 def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended() -> None:
@@ -25,7 +31,9 @@ def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended() -> 
         up -= set(walkers)
         assert set(packs.walkers[packs.up()]) == up
         assert len(packs.rows) == -(-len(up) // packs.lanes)
-        assert np.array_equal(packs.terrains.ravel()[: len(packs.walkers)], packs.walkers)
+        assert np.array_equal(
+            packs.terrains.ravel()[: len(packs.walkers)], packs.walkers
+        )
         assert np.array_equal(packs.constants[:, 0], packs.terrains)
         assert np.isin(packs.terrains, packs.walkers).all()  # idle lanes are copies
     assert not packs.collect()[0][:, State.active].any()

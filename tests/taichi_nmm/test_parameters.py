@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import PUBLISHED_GAINS, InputError, load_all_gains, load_gains, parameters
+from taichi_nmm import (
+    PUBLISHED_GAINS,
+    InputError,
+    load_all_gains,
+    load_gains,
+    parameters,
+)
 from taichi_nmm.parameters import (
     DEVICE,
     GAIN_NAMES,
@@ -27,7 +33,10 @@ IN_THE_PAPERS_ORDER = (
 
 def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification() -> None:
     assert " ".join(GAIN_NAMES) == IN_THE_PAPERS_ORDER
-    assert LOW_LEVEL_NAMES[7] == "theta_ref" and len(LOW_LEVEL_NAMES) == 8 + len(DEVICE) + 16
+    assert (
+        LOW_LEVEL_NAMES[7] == "theta_ref"
+        and len(LOW_LEVEL_NAMES) == 8 + len(DEVICE) + 16
+    )
     assert LOW_LEVEL_NAMES[-16:] == tuple(f"{name}_asymmetry" for name in GAIN_NAMES)
     assert DEVICE[0].default == DEVICE[0].low == 0.0  # no torque
     assert not set(LOW_LEVEL_NAMES) & set(GAIN_NAMES)
@@ -43,7 +52,9 @@ def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification() -
 
 
 def test_gains_become_rows_even_outside_the_bounds() -> None:
-    np.testing.assert_array_equal(parameters.gain_rows(PUBLISHED_GAINS), PUBLISHED_GAINS[None])
+    np.testing.assert_array_equal(
+        parameters.gain_rows(PUBLISHED_GAINS), PUBLISHED_GAINS[None]
+    )
     single = np.tile(PUBLISHED_GAINS, (5, 1)).astype(np.float32)
     assert parameters.gain_rows(single).dtype == np.float64
     large = 10.0 * PUBLISHED_GAINS
@@ -56,14 +67,23 @@ def spoilt(value: float) -> NDArray[np.float64]:
     return rows
 
 
-@pytest.mark.parametrize(("values", "message"), [
-    *((np.ones(shape), r"gains\.shape") for shape in ((15,), (3, 17), (2, 2, 16), ())),
-    *(
-        (spoilt(value), r"gains\[2\]\.alpha_0: .*a finite number")
-        for value in (np.nan, np.inf, -np.inf)
-    ),
-    *((values, "gains") for values in ("published", [["x"] * 16], [[1.0] * 16, [1.0]], None)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        *(
+            (np.ones(shape), r"gains\.shape")
+            for shape in ((15,), (3, 17), (2, 2, 16), ())
+        ),
+        *(
+            (spoilt(value), r"gains\[2\]\.alpha_0: .*a finite number")
+            for value in (np.nan, np.inf, -np.inf)
+        ),
+        *(
+            (values, "gains")
+            for values in ("published", [["x"] * 16], [[1.0] * 16, [1.0]], None)
+        ),
+    ],
+)
 def test_rows_that_cannot_be_used_are_named(values: Any, message: str) -> None:
     with pytest.raises(InputError, match=f"^{message}"):
         parameters.gain_rows(values)
@@ -83,12 +103,19 @@ def test_shipped_gains_lie_inside_the_bounds() -> None:
     assert files
     for file in files:
         loaded = load_gains(file.stem)
-        assert np.all((parameters.lower_bounds() <= loaded) & (loaded <= parameters.upper_bounds()))
+        assert np.all(
+            (parameters.lower_bounds() <= loaded)
+            & (loaded <= parameters.upper_bounds())
+        )
 
 
 def test_gains_come_back_in_any_order(tmp_path: Path) -> None:
     path = tmp_path / "mine.json"
-    for gains in (PUBLISHED_GAINS, parameters.lower_bounds(), parameters.upper_bounds()):
+    for gains in (
+        PUBLISHED_GAINS,
+        parameters.lower_bounds(),
+        parameters.upper_bounds(),
+    ):
         named = list(zip(GAIN_NAMES, gains.tolist(), strict=True))
         path.write_text(json.dumps(dict(reversed(named))))
         np.testing.assert_array_equal(load_gains(str(path)), gains)
@@ -97,21 +124,43 @@ def test_gains_come_back_in_any_order(tmp_path: Path) -> None:
 def gains_text(**changes: object) -> str:
     """A file of the published gains with some values changed; None leaves the name out."""
     data = {**dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)), **changes}
-    return json.dumps({name: value for name, value in data.items() if value is not None})
+    return json.dumps(
+        {name: value for name, value in data.items() if value is not None}
+    )
 
 
-@pytest.mark.parametrize(("load", "text", "message"), [
-    *((load_gains, row.get("text") or gains_text(**row["changes"]), row["message"])
-      for row in asset("bad-gains.toml").values()),
-    (load_gains, gains_text(C_d=None), r"gains\.C_d: None"),
-    (load_gains, gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
-    (load_gains, "", r"gains: 'nobody'.*one of published.*or a JSON file"),
-    (load_all_gains, gains_text(theta_ref=2),
-     r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$"),
-    (load_all_gains, gains_text(theta_ref="much"), r"gains\.theta_ref: 'much' .*0\.523599"),
-    (load_all_gains, gains_text(theta=0.1), r"gains: 'theta'.*only the names theta_ref, .* more"),
-    (load_all_gains, gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("load", "text", "message"),
+    [
+        *(
+            (
+                load_gains,
+                row.get("text") or gains_text(**row["changes"]),
+                row["message"],
+            )
+            for row in asset("bad-gains.toml").values()
+        ),
+        (load_gains, gains_text(C_d=None), r"gains\.C_d: None"),
+        (load_gains, gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
+        (load_gains, "", r"gains: 'nobody'.*one of published.*or a JSON file"),
+        (
+            load_all_gains,
+            gains_text(theta_ref=2),
+            r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$",
+        ),
+        (
+            load_all_gains,
+            gains_text(theta_ref="much"),
+            r"gains\.theta_ref: 'much' .*0\.523599",
+        ),
+        (
+            load_all_gains,
+            gains_text(theta=0.1),
+            r"gains: 'theta'.*only the names theta_ref, .* more",
+        ),
+        (load_all_gains, gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
+    ],
+)
 def test_files_and_names_of_no_gains_are_refused(
     load: Any, text: str, message: str, tmp_path: Path
 ) -> None:
@@ -133,7 +182,9 @@ def test_low_level_gains_have_defaults_and_a_file_may_name_them(tmp_path: Path) 
     path.write_text(gains_text(theta_ref=0.2, k_ext=0))
     gains, low_level = load_all_gains(str(path))
     np.testing.assert_array_equal(gains, PUBLISHED_GAINS)
-    changed = {LOW_LEVEL_NAMES[i]: low_level[i] for i in np.flatnonzero(low_level != DEFAULTS)}
+    changed = {
+        LOW_LEVEL_NAMES[i]: low_level[i] for i in np.flatnonzero(low_level != DEFAULTS)
+    }
     assert changed == {"theta_ref": 0.2, "k_ext": 0.0}
 
 

@@ -25,11 +25,14 @@ GAINS = json.dumps(dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))
 TABLE = FeatureTable.from_parquet
 DOORS: dict[str, Door] = {
     "gains": lambda path: load_gains(str(path)),
-    "all gains": lambda path: load_all_gains(str(path)), "toml": read_toml,
-    "terrain": terrain.from_file, "store": open_store, "row": lambda path: gains_of_row(path, 0),
+    "all gains": lambda path: load_all_gains(str(path)),
+    "toml": read_toml,
+    "terrain": terrain.from_file,
+    "store": open_store,
+    "row": lambda path: gains_of_row(path, 0),
     "table": lambda path: TABLE(path, parameters=["x"], features=["y"]),
     "table of a store": lambda path: TABLE(path, features=["y"]),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(autouse=True)
@@ -53,7 +56,9 @@ def refused(read: Door, path: Path) -> str:
 
 
 @pytest.mark.parametrize("door", DOORS)
-@pytest.mark.parametrize("name", ["x" * 300, "x/" * 3000, "nul\0.json", "new\nline", "\udcff", "."])
+@pytest.mark.parametrize(
+    "name", ["x" * 300, "x/" * 3000, "nul\0.json", "new\nline", "\udcff", "."]
+)
 def test_names_that_no_file_can_have(tmp_path: Path, door: str, name: str) -> None:
     refused(DOORS[door], tmp_path / name)
 
@@ -66,11 +71,22 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, door: str) -> None:
 
 
 @pytest.mark.parametrize("door", DOORS)
-@pytest.mark.parametrize("content", [
-    b"[" * 100_000, b'{"a":' * 100_000, b"[" * 200 + b"1" + b"]" * 200,
-    b"a = " + b"[" * 3000 + b"]" * 3000, b"\xff\xfe\x00", b"PAR1" * 3, b"PAR1\xff\xff\xff\x7fPAR1",
-    b"9" * 5000, b'{"K_GAS": ' + b"9" * 5000 + b"}", b"K_GAS = " + b"9" * 5000, b"",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"[" * 100_000,
+        b'{"a":' * 100_000,
+        b"[" * 200 + b"1" + b"]" * 200,
+        b"a = " + b"[" * 3000 + b"]" * 3000,
+        b"\xff\xfe\x00",
+        b"PAR1" * 3,
+        b"PAR1\xff\xff\xff\x7fPAR1",
+        b"9" * 5000,
+        b'{"K_GAS": ' + b"9" * 5000 + b"}",
+        b"K_GAS = " + b"9" * 5000,
+        b"",
+    ],
+)
 def test_content_that_breaks_parsers(tmp_path: Path, door: str, content: bytes) -> None:
     path = tmp_path / "file"
     path.write_bytes(content)
@@ -100,21 +116,43 @@ def test_keys_that_come_twice_and_shapes(tmp_path: Path) -> None:
     # A mark at the beginning is no fault, but JSON of another shape is.
     path.write_text("\ufeffa = 1")
     assert read_toml(path).integer("a") == 1
-    for content in ("5", "[]", "null", '"K_GAS"', '{"gains": []}', '{"gains": 5}', "true", "NaN"):
+    for content in (
+        "5",
+        "[]",
+        "null",
+        '"K_GAS"',
+        '{"gains": []}',
+        '{"gains": 5}',
+        "true",
+        "NaN",
+    ):
         path.write_text(content)
         refused(DOORS["gains"], path)
 
 
-PACK: dict[str, Any] = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
+PACK: dict[str, Any] = {
+    ".gz": gzip.compress,
+    ".bz2": bz2.compress,
+    ".xz": lzma.compress,
+}
 
 
 @pytest.mark.parametrize("suffix", PACK)
-def test_no_bomb_is_unpacked(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_bomb_is_unpacked(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / f"hill.csv{suffix}"
     whole = PACK[suffix](b"0,0\n10,1\n")
     path.write_bytes(whole)
     assert terrain.from_file(path).height(5.0) == 0.5
-    for damaged in (whole[:-5], whole[:9], whole[:1], b"", b"0,0\n1,1\n", whole[:-9] + b"\0" * 9):
+    for damaged in (
+        whole[:-5],
+        whole[:9],
+        whole[:1],
+        b"",
+        b"0,0\n1,1\n",
+        whole[:-9] + b"\0" * 9,
+    ):
         path.write_bytes(damaged)
         refused(terrain.from_file, path)
     monkeypatch.setattr(reading, "MOST_BYTES", 1 << 20)
@@ -125,6 +163,8 @@ def test_no_bomb_is_unpacked(tmp_path: Path, suffix: str, monkeypatch: pytest.Mo
 def test_a_file_that_is_too_long(tmp_path: Path) -> None:
     path = tmp_path / "long"
     with path.open("wb") as file:
-        file.truncate(reading.MOST_BYTES + 1)  # of zeros, and takes no place on the disk
+        file.truncate(
+            reading.MOST_BYTES + 1
+        )  # of zeros, and takes no place on the disk
     for door in ("gains", "toml", "terrain"):
         assert "MiB" in refused(DOORS[door], path)

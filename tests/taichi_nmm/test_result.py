@@ -16,7 +16,9 @@ from tests.cases import cases
 
 
 @cases("costs.toml", "cost", "ended", "values", "expected")
-def test_costs(cost: str, ended: str, values: dict[str, float], expected: float) -> None:
+def test_costs(
+    cost: str, ended: str, values: dict[str, float], expected: float
+) -> None:
     rows = np.zeros(1, RESULT_DTYPE)
     rows["end_reason"] = END_REASONS.index(ended)
     for name, value in values.items():
@@ -32,10 +34,19 @@ def test_what_was_not_measured_is_unknown_and_never_zero() -> None:
     rows["duration_s"], rows["step_duration_mean_s"] = (0.4, 5.0, 5.0), (0.0, 0.6, 0.6)
     rows["mean_speed_mps"], rows["step_count"] = (-0.25, 1.2, 1.2), (0, 1, 8)
     rows["step_length_mean_m"] = (0.0, 0.7, 0.7)
-    rows["step_length_asymmetry"] = (0.0, 1.0, 0.02)  # of the second, only the left leg stepped
+    rows["step_length_asymmetry"] = (
+        0.0,
+        1.0,
+        0.02,
+    )  # of the second, only the left leg stepped
     rows["trunk_mean_rad"], rows["human_deviation"] = 0.0, (9.0, 2.0, 1.0)
-    measured = ("knee_peak_swing_rad", "human_deviation", "cost_of_transport_powered_jpkgpm",
-                "hip_torque_peak_nm", "step_duration_mean_s")  # fmt: skip
+    measured = (
+        "knee_peak_swing_rad",
+        "human_deviation",
+        "cost_of_transport_powered_jpkgpm",
+        "hip_torque_peak_nm",
+        "step_duration_mean_s",
+    )
     for name in measured:
         assert unknown(name, rows).tolist() == [True, False, False]
     assert unknown("step_length_asymmetry", rows).tolist() == [True, True, False]

@@ -46,17 +46,31 @@ def refused_on_mujoco(field: str, **simulation: Any) -> str:
 
 def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> None:
     assert vars(Settings()) == {
-        "physics_step_s": 1e-3, "contact_relaxation_speed_mps": 0.10, "precision": "float32",
-        "arch": "auto", "threads": None, "engine": "taichi",
-        "mujoco": MujocoSettings(0.02, 1.0, "stops"), "wide_registers": True,
-    }  # fmt: skip
+        "physics_step_s": 1e-3,
+        "contact_relaxation_speed_mps": 0.10,
+        "precision": "float32",
+        "arch": "auto",
+        "threads": None,
+        "engine": "taichi",
+        "mujoco": MujocoSettings(0.02, 1.0, "stops"),
+        "wide_registers": True,
+    }
     assert Settings(contact_relaxation_speed_mps=0.03)  # the published one is allowed
-    assert [Settings(physics_step_s=step_s).substeps for step_s in PHYSICS_STEPS_S] == [1, 2, 4]
+    assert [Settings(physics_step_s=step_s).substeps for step_s in PHYSICS_STEPS_S] == [
+        1,
+        2,
+        4,
+    ]
 
 
-@pytest.mark.parametrize(("field", "value"), [
-    (field, value) for field, values in asset("bad-settings.toml").items() for value in values
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        (field, value)
+        for field, values in asset("bad-settings.toml").items()
+        for value in values
+    ],
+)
 def test_settings_out_of_range_are_named(field: str, value: object) -> None:
     with pytest.raises(InputError) as caught:
         Settings(**{field: value})  # type: ignore[arg-type]
@@ -66,24 +80,33 @@ def test_settings_out_of_range_are_named(field: str, value: object) -> None:
 
 def test_tables_become_conditions_and_missing_ones_nominal() -> None:
     settings = Settings(0.5e-3, 0.03, "float64", "cpu")
-    expected = Conditions(20.0, settings, Build(0.15), Ground("rough", {"amplitude_m": 0.03}))
+    expected = Conditions(
+        20.0, settings, Build(0.15), Ground("rough", {"amplitude_m": 0.03})
+    )
     assert read(ALL) == expected
     assert pickle.loads(pickle.dumps(expected)) == expected
     assert hash(read(ALL)) == hash(expected)
     assert read({}) == Conditions(100.0, Settings(), Build(), Ground())
 
 
-def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file() -> None:
+def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file() -> (
+    None
+):
     for arch in ("auto", "cpu"):
         assert read({"simulation": ON_MUJOCO | {"arch": arch}}).settings.arch == arch
     assert read({"simulation": {"arch": "cuda"}}, arch="cpu").settings.arch == "cpu"
     assert read_settings(Table({"arch": "cuda"}), arch="cpu").arch == "cpu"
 
 
-@pytest.mark.parametrize(("table", "key", "value"), [
-    (table, key, value) for table, keys in asset("bad-conditions.toml").items()
-    for key, values in keys.items() for value in values
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("table", "key", "value"),
+    [
+        (table, key, value)
+        for table, keys in asset("bad-conditions.toml").items()
+        for key, values in keys.items()
+        for value in values
+    ],
+)
 def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
     refused(f"{table}.{key}", {table: {key: value}})
 
@@ -101,19 +124,28 @@ def test_contact_numbers_that_mean_something_else(name: str, value: Any) -> None
 def test_a_time_constant_of_some_steps_only(step_s: float) -> None:
     shortest_s = 5 * step_s
     own = {"time_constant_s": shortest_s * 0.99}
-    line = refused_on_mujoco("mujoco.time_constant_s", physics_step_s=step_s, mujoco=own)
+    line = refused_on_mujoco(
+        "mujoco.time_constant_s", physics_step_s=step_s, mujoco=own
+    )
     assert f"{shortest_s:g} or more" in line and "physics_step_s smaller" in line
     shortest = MujocoSettings(time_constant_s=shortest_s)
-    assert Settings(engine="mujoco", physics_step_s=step_s, mujoco=shortest).mujoco == shortest
+    assert (
+        Settings(engine="mujoco", physics_step_s=step_s, mujoco=shortest).mujoco
+        == shortest
+    )
 
 
 @cases("bad-mujoco.toml", "field", "simulation", "allowed")
-def test_bad_settings_of_mujoco(field: str, simulation: dict[str, Any], allowed: str) -> None:
+def test_bad_settings_of_mujoco(
+    field: str, simulation: dict[str, Any], allowed: str
+) -> None:
     assert allowed in refused_on_mujoco(field, **simulation)
 
 
 @pytest.mark.parametrize("missing", ["mujoco", "mujoco.batch"])
-def test_mujoco_is_not_installed_or_too_old(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+def test_mujoco_is_not_installed_or_too_old(
+    monkeypatch: pytest.MonkeyPatch, missing: str
+) -> None:
     def find_spec(name: str, *_: Any) -> Any:
         return None if name == missing else importlib.util.find_spec(name)
 
@@ -139,8 +171,15 @@ def test_configurations_with_three_contacts() -> None:
             simulation = dict(data.pop("simulation"))
             assert simulation.pop("mujoco") == {"time_constant_s": time_constant_s}
             assert simulation.pop("physics_step_s") == step_s
-            assert simulation["engine"] == "mujoco" and data.pop("name") == f"{ground}-{contact}"
-            assert data["runs"] == 50 and data["trials"] == 40 and data["until_walker"] is True
+            assert (
+                simulation["engine"] == "mujoco"
+                and data.pop("name") == f"{ground}-{contact}"
+            )
+            assert (
+                data["runs"] == 50
+                and data["trials"] == 40
+                and data["until_walker"] is True
+            )
             others.append((data, simulation))
         assert others[0] == others[1] == others[2]
 
@@ -148,14 +187,20 @@ def test_configurations_with_three_contacts() -> None:
 # Stores hash the keys of documents in this order.
 def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
     assert list(read(ALL).as_written()["simulation"].items()) == [
-        ("duration_s", 20.0), ("physics_step_s", 0.5e-3),
-        ("contact_relaxation_speed_mps", 0.03), ("precision", "float64"),
-    ]  # fmt: skip
+        ("duration_s", 20.0),
+        ("physics_step_s", 0.5e-3),
+        ("contact_relaxation_speed_mps", 0.03),
+        ("precision", "float64"),
+    ]
     for simulation in ({}, {"engine": "taichi"}):
-        assert list(read({"simulation": simulation}).as_written()["simulation"].items()) == [
-            ("duration_s", 100.0), ("physics_step_s", 1e-3),
-            ("contact_relaxation_speed_mps", 0.1), ("precision", "float32"),
-        ]  # fmt: skip
+        assert list(
+            read({"simulation": simulation}).as_written()["simulation"].items()
+        ) == [
+            ("duration_s", 100.0),
+            ("physics_step_s", 1e-3),
+            ("contact_relaxation_speed_mps", 0.1),
+            ("precision", "float32"),
+        ]
 
     # Every setting but the machine's is in one of the documents.
     documents = (Settings(threads=1).document(), Settings(engine="mujoco").document())
@@ -170,9 +215,12 @@ def test_the_document_of_mujoco_comes_back() -> None:
     conditions = read({"simulation": simulation})
     document = conditions.as_written()["simulation"]
     assert document == {
-        "duration_s": 20.0, "physics_step_s": 0.5e-3, "precision": "float32",
-        "engine": "mujoco", "mujoco": own,
-    }  # fmt: skip
+        "duration_s": 20.0,
+        "physics_step_s": 0.5e-3,
+        "precision": "float32",
+        "engine": "mujoco",
+        "mujoco": own,
+    }
     again = read({"simulation": document})
     assert again.as_written()["simulation"] == document
     assert again.settings.mujoco == conditions.settings.mujoco

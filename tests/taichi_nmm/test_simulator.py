@@ -9,7 +9,12 @@ import taichi_nmm
 from taichi_nmm import Bodies, InputError, Settings, Switch, load_gains, terrain
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import Const, State
-from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES, PUBLISHED_GAINS
+from taichi_nmm.parameters import (
+    GAIN_NAMES,
+    LOW_LEVEL_GAINS,
+    LOW_LEVEL_NAMES,
+    PUBLISHED_GAINS,
+)
 from taichi_nmm.result import COMPLETED, DIVERGED, FELL, Result
 from taichi_nmm.simulator import start_packs
 from taichi_nmm.walkers import Schedule, check_batch
@@ -19,12 +24,18 @@ pytestmark = pytest.mark.slow
 
 CPU = Settings(arch="cpu")
 # The published gains without push-off and balance: falls within the first steps.
-FALLING = PUBLISHED_GAINS * np.where(np.isin(GAIN_NAMES, ["K_SOL", "Kp_stance"]), 0.0, 1.0)
+FALLING = PUBLISHED_GAINS * np.where(
+    np.isin(GAIN_NAMES, ["K_SOL", "Kp_stance"]), 0.0, 1.0
+)
 MASKED = np.ma.masked_array(PUBLISHED_GAINS, mask=np.arange(len(PUBLISHED_GAINS)) == 3)
 
 
-def walked(gains: Any = PUBLISHED_GAINS, duration_s: float = 2.0, **options: Any) -> Result:
-    return taichi_nmm.simulate(gains, duration_s=duration_s, **{"settings": CPU, **options})
+def walked(
+    gains: Any = PUBLISHED_GAINS, duration_s: float = 2.0, **options: Any
+) -> Result:
+    return taichi_nmm.simulate(
+        gains, duration_s=duration_s, **{"settings": CPU, **options}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +49,14 @@ def test_walker_completes_and_faller_falls(walk: Result) -> None:
     assert walk["duration_s"][0] == 20.0
     assert 0.3 < walk["duration_s"][1] < 10.0
     assert walk["survived_fraction"] == pytest.approx(walk["duration_s"] / 20.0)
-    assert walk["mean_speed_mps"] == pytest.approx(walk["distance_m"] / walk["duration_s"])
+    assert walk["mean_speed_mps"] == pytest.approx(
+        walk["distance_m"] / walk["duration_s"]
+    )
 
 
-def test_reference_gait_is_humanlike_and_its_score_the_sum_of_its_components(walk: Result) -> None:
+def test_reference_gait_is_humanlike_and_its_score_the_sum_of_its_components(
+    walk: Result,
+) -> None:
     row = walk.rows[0]
     assert row["mean_speed_mps"] == pytest.approx(1.395, abs=0.05)
     assert row["grf_vertical_mean_bw"] == pytest.approx(1.0, abs=0.01)
@@ -58,10 +73,14 @@ def test_reference_gait_is_humanlike_and_its_score_the_sum_of_its_components(wal
     for name in ("m1", "m2", "m3", "m4"):
         assert 0 <= row[f"{name}_sum"] <= row["step_count"]
         assert row[f"{name}_sum"] == round(row[f"{name}_sum"])
-        assert row[f"{name}_mean"] == pytest.approx(row[f"{name}_sum"] / row["step_count"])
+        assert row[f"{name}_mean"] == pytest.approx(
+            row[f"{name}_sum"] / row["step_count"]
+        )
 
 
-def test_trajectory_agrees_with_the_result_and_recording_changes_no_bit(walk: Result) -> None:
+def test_trajectory_agrees_with_the_result_and_recording_changes_no_bit(
+    walk: Result,
+) -> None:
     faller, walker = walk.trajectories
     assert (faller.walker, walker.walker) == (1, 0)
     assert len(walker.time_s) == 4000
@@ -73,7 +92,9 @@ def test_trajectory_agrees_with_the_result_and_recording_changes_no_bit(walk: Re
     weight = 80.0 * 9.81  # kg, m/s2
     vertical = walker.ground_force_n[:, [1, 3]].sum(axis=1)
     assert vertical[400:].mean() == pytest.approx(weight, rel=0.02)
-    assert vertical.mean() == pytest.approx(walk["grf_vertical_mean_bw"][0] * weight, rel=1e-4)
+    assert vertical.mean() == pytest.approx(
+        walk["grf_vertical_mean_bw"][0] * weight, rel=1e-4
+    )
     airborne = ~walker.stance.any(axis=1)
     assert np.abs(vertical[airborne]).max(initial=0.0) < 0.5 * weight
     assert walker.muscle_force_n.min() >= 0 and walker.activation.min() > 0
@@ -83,7 +104,8 @@ def test_trajectory_agrees_with_the_result_and_recording_changes_no_bit(walk: Re
     for side in (0, 1):
         kinds = events[(events["side"] == side)]["kind"]
         assert (np.diff(kinds.astype(int)) != 0).all()  # strike, take-off, strike, ...
-    # A step needs a whole swing and its stance's end: both legs' first strikes and take-offs less.
+    # A step needs a whole swing and its stance's end: both legs' first strikes and
+    # take-offs less.
     takeoffs = int((events["kind"] == 1).sum())
     assert walk["step_count"][0] == takeoffs - 2
     # Recording changes no bit.
@@ -110,7 +132,9 @@ def test_divergence_is_a_code_and_touches_no_neighbour() -> None:
     gains[4, GAIN_NAMES.index("Kp_swing")] = 1e30
     result = walked(gains)
     assert result["end_reason"][4] == DIVERGED
-    assert all(np.isfinite(result[name]).all() for name in result.rows.dtype.names or ())
+    assert all(
+        np.isfinite(result[name]).all() for name in result.rows.dtype.names or ()
+    )
     others = np.delete(result.rows, 4)
     assert len({row.tobytes() for row in others}) == 1
     assert others[0].tobytes() == walked().rows[0].tobytes()
@@ -122,8 +146,16 @@ def test_divergence_in_the_first_tick_is_a_code_while_recorded(gain: float) -> N
     result = walked(gains, 0.5, record=[1, 0])
     first, second = result.trajectories
     assert result.end_reason.tolist() == ["completed", "diverged"]
-    assert (first.walker, len(first.time_s), first.ground_force_n.shape) == (1, 0, (0, 4))
-    assert first.q.shape == (0, 9) and first.stance.shape == (0, 2) and not len(first.events)
+    assert (first.walker, len(first.time_s), first.ground_force_n.shape) == (
+        1,
+        0,
+        (0, 4),
+    )
+    assert (
+        first.q.shape == (0, 9)
+        and first.stance.shape == (0, 2)
+        and not len(first.events)
+    )
     assert len(second.time_s) == 50
     np.testing.assert_array_equal(result.rows[:1], walked(duration_s=0.5).rows)
 
@@ -139,12 +171,17 @@ def test_a_walker_that_is_recorded_twice_has_two_equal_trajectories() -> None:
 def test_grounds_at_the_bounds_end_walks_with_a_code(engine: str) -> None:
     high = terrain.HIGHEST_M
     cliffs = [
-        terrain.Terrain("comb", np.where(np.arange(terrain.GRID_NODES) % 2, high, -high)),
+        terrain.Terrain(
+            "comb", np.where(np.arange(terrain.GRID_NODES) % 2, high, -high)
+        ),
         terrain.Terrain("wall", np.where(terrain.GRID_X_M > 0.1, high, -high)),
         terrain.Terrain("high", np.full(terrain.GRID_NODES, high)),
         terrain.stairs(1.0, 0.1, 0.0),
     ]
-    settings, gains = Settings(engine=engine, arch="cpu"), [PUBLISHED_GAINS] * len(cliffs)
+    settings, gains = (
+        Settings(engine=engine, arch="cpu"),
+        [PUBLISHED_GAINS] * len(cliffs),
+    )
     result = walked(gains, 0.5, settings=settings, terrains=cliffs, record=[0, 1])
     assert set(result.end_reason) <= {"completed", "fell", "diverged"}
     ended = result["end_reason"] != DIVERGED
@@ -159,11 +196,17 @@ def test_every_kind_of_input_reaches_the_walker() -> None:
     low_level[3, LOW_LEVEL_NAMES.index("theta_ref")] += 0.05
     grounds = [terrain.flat(), terrain.ramp(increment=0.05, segment_m=0.5)]
     result = walked(
-        [PUBLISHED_GAINS] * 4, 3.0, bodies=bodies, low_level_gains=low_level, terrains=grounds,
+        [PUBLISHED_GAINS] * 4,
+        3.0,
+        bodies=bodies,
+        low_level_gains=low_level,
+        terrains=grounds,
         terrain_index=[0, 0, 1, 0],
-    )  # fmt: skip
+    )
     assert len(set(result["hip_x_m"].tolist())) == 4
-    assert result.rows[:1].tobytes() == walked(duration_s=3.0).rows.tobytes()  # alone on the flat
+    assert (
+        result.rows[:1].tobytes() == walked(duration_s=3.0).rows.tobytes()
+    )  # alone on the flat
 
 
 def test_gains_go_over_to_others_on_a_straight_line() -> None:
@@ -172,16 +215,29 @@ def test_gains_go_over_to_others_on_a_straight_line() -> None:
     backend.start(settings)
     last = backend.lanes()  # alone in the second pack
     gains = np.outer(np.arange(1.0, last + 2.0), PUBLISHED_GAINS)
-    switches = [Switch(1.0, 3.0 * gains, over_s=0.5), Switch(2.0, PUBLISHED_GAINS, over_s=0.001)]
+    switches = [
+        Switch(1.0, 3.0 * gains, over_s=0.5),
+        Switch(2.0, PUBLISHED_GAINS, over_s=0.001),
+    ]
     batch = check_batch(gains)
     schedule, packs = Schedule(batch, settings, switches), start_packs(batch, settings)
     for tick, factor, ticks in (
-        (0, 1.0, 250), (900, 1.0, 100), (1000, 1.0, 10), (1240, 1.96, 10), (1495, 2.98, 5),
-        (1500, 3.0, 250), (1999, 3.0, 1), (2000, 3.0, 1), (2001, 0.0, 250), (9000, 0.0, 250),
-    ):  # fmt: skip
+        (0, 1.0, 250),
+        (900, 1.0, 100),
+        (1000, 1.0, 10),
+        (1240, 1.96, 10),
+        (1495, 2.98, 5),
+        (1500, 3.0, 250),
+        (1999, 3.0, 1),
+        (2000, 3.0, 1),
+        (2001, 0.0, 250),
+        (9000, 0.0, 250),
+    ):
         assert schedule.set_constants(packs, tick) == ticks
         pack, lane = packs.lane_of(last) or (-1, -1)
-        k_sol, total_mass = packs.constants[pack, [Const.K_SOL + 1, Const.total_mass], lane]
+        k_sol, total_mass = packs.constants[
+            pack, [Const.K_SOL + 1, Const.total_mass], lane
+        ]
         expected = gains[last, 3] * factor or PUBLISHED_GAINS[3]
         assert k_sol == pytest.approx(expected, rel=1e-6) and total_mass == 80.0
         assert (pack, lane) == ((1, 0) if tick == 0 else (0, 5))
@@ -190,11 +246,17 @@ def test_gains_go_over_to_others_on_a_straight_line() -> None:
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
-def test_a_walk_with_a_switch_is_that_of_the_first_gains_until_then(engine: str) -> None:
+def test_a_walk_with_a_switch_is_that_of_the_first_gains_until_then(
+    engine: str,
+) -> None:
     settings, reference = Settings(arch="cpu", engine=engine), load_gains("reference")
     plain, same, other = (
         walked(duration_s=1.5, settings=settings, record=[0], switches=switches)
-        for switches in ((), [Switch(0.3, PUBLISHED_GAINS)], [Switch(0.7, reference, over_s=0.2)])
+        for switches in (
+            (),
+            [Switch(0.3, PUBLISHED_GAINS)],
+            [Switch(0.7, reference, over_s=0.2)],
+        )
     )
     np.testing.assert_array_equal(same.trajectories[0].q, plain.trajectories[0].q)
     moved = (other.trajectories[0].q != plain.trajectories[0].q).any(axis=1)
@@ -210,27 +272,50 @@ def test_settings_change_the_walk() -> None:
         assert x == pytest.approx(base, abs=0.15)
 
 
-@pytest.mark.parametrize(("arguments", "message"), [
-    ({"gains": np.zeros(15)}, r"gains\.shape"),
-    ({"gains": np.zeros((0, 16))}, r"gains\.shape: \(0, 16\) .*one row at least"),
-    ({"gains": np.full(16, np.nan)}, r"gains\[0\]\.K_GAS: nan"), ({"gains": "much"}, "gains"),
-    ({"duration_s": 0.0}, "duration_s: 0.0"), ({"duration_s": float("nan")}, "duration_s"),
-    ({"bodies": Bodies.nominal(3)}, "bodies: 3"), ({"terrains": []}, "terrains"),
-    ({"terrains": [terrain.flat()] * 3}, "terrains: 3"),
-    ({"terrain_index": [1, 0]}, "terrain_index"), ({"terrain_index": [0.0, 0.0]}, "terrain_index"),
-    ({"low_level_gains": np.zeros(7)}, r"low_level_gains\.shape"), ({"record": [2]}, "record: 2"),
-    ({"record": [0], "record_rate_hz": 300.0}, "record_rate_hz: 300"),
-    ({"switches": [Switch(1.0, np.ones((3, 16)))]}, r"switches\[0\]\.gains\.shape: \(3, 16\)"),
-    ({"switches": [Switch(1.0, PUBLISHED_GAINS), Switch(2.0, PUBLISHED_GAINS)]},
-     r"switches\[1\]\.at_s: 2\.0 cannot be used; allowed: a finite number from 3\.0"),
-    ({"gains": MASKED}, "gains.*nan"), ({"gains": [PUBLISHED_GAINS, MASKED]}, r"gains\[1\].*nan"),
-    (
-        {"terrains": [terrain.flat()], "terrain_index": np.ma.masked_array([0, 0], [0, 1])},
-        "terrain_index.*whole numbers",
-    ),
-])  # fmt: skip
-def test_bad_input_names_what_is_allowed(arguments: dict[str, object], message: str) -> None:
-    full: dict[str, Any] = {"gains": [PUBLISHED_GAINS] * 2, "settings": CPU, **arguments}
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"gains": np.zeros(15)}, r"gains\.shape"),
+        ({"gains": np.zeros((0, 16))}, r"gains\.shape: \(0, 16\) .*one row at least"),
+        ({"gains": np.full(16, np.nan)}, r"gains\[0\]\.K_GAS: nan"),
+        ({"gains": "much"}, "gains"),
+        ({"duration_s": 0.0}, "duration_s: 0.0"),
+        ({"duration_s": float("nan")}, "duration_s"),
+        ({"bodies": Bodies.nominal(3)}, "bodies: 3"),
+        ({"terrains": []}, "terrains"),
+        ({"terrains": [terrain.flat()] * 3}, "terrains: 3"),
+        ({"terrain_index": [1, 0]}, "terrain_index"),
+        ({"terrain_index": [0.0, 0.0]}, "terrain_index"),
+        ({"low_level_gains": np.zeros(7)}, r"low_level_gains\.shape"),
+        ({"record": [2]}, "record: 2"),
+        ({"record": [0], "record_rate_hz": 300.0}, "record_rate_hz: 300"),
+        (
+            {"switches": [Switch(1.0, np.ones((3, 16)))]},
+            r"switches\[0\]\.gains\.shape: \(3, 16\)",
+        ),
+        (
+            {"switches": [Switch(1.0, PUBLISHED_GAINS), Switch(2.0, PUBLISHED_GAINS)]},
+            r"switches\[1\]\.at_s: 2\.0 cannot be used; allowed: a finite number from 3\.0",
+        ),
+        ({"gains": MASKED}, "gains.*nan"),
+        ({"gains": [PUBLISHED_GAINS, MASKED]}, r"gains\[1\].*nan"),
+        (
+            {
+                "terrains": [terrain.flat()],
+                "terrain_index": np.ma.masked_array([0, 0], [0, 1]),
+            },
+            "terrain_index.*whole numbers",
+        ),
+    ],
+)
+def test_bad_input_names_what_is_allowed(
+    arguments: dict[str, object], message: str
+) -> None:
+    full: dict[str, Any] = {
+        "gains": [PUBLISHED_GAINS] * 2,
+        "settings": CPU,
+        **arguments,
+    }
     with pytest.raises(InputError, match=message) as caught:
         taichi_nmm.simulate(**full)
     assert "allowed:" in str(caught.value)
@@ -272,4 +357,6 @@ def test_first_simulation_off_the_main_thread_is_refused_and_later_ones_run() ->
 def test_simulation_in_a_fork_of_a_process_that_simulated_is_refused() -> None:
     """Taichi's threads do not survive a fork: the child would wait for them without end."""
     (line,) = printed("-c", ATTEMPT + FORK).splitlines()
-    assert line.startswith("process: ") and "multiprocessing.get_context('spawn')" in line
+    assert (
+        line.startswith("process: ") and "multiprocessing.get_context('spawn')" in line
+    )

@@ -10,13 +10,24 @@ import pytest
 from study.pictures.stick_figure import leg
 from taichi_nmm import PUBLISHED_GAINS, InputError, Settings, Worlds, simulate, terrain
 from taichi_nmm.config import Table
-from taichi_nmm.kernel.muscle_table import FMAX_N, MUSCLE_DATA, REFERENCE_STRAIN, unit_lengths
+from taichi_nmm.kernel.muscle_table import (
+    FMAX_N,
+    MUSCLE_DATA,
+    REFERENCE_STRAIN,
+    unit_lengths,
+)
 from taichi_nmm.result import DELAYED
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 from tests.cases import cases
 
 ALL = WorldRanges(
-    (0.3, 10.0), (0.5, 8.0), (0.6, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.02), catch_ns=(0.0, 2.0)
+    (0.3, 10.0),
+    (0.5, 8.0),
+    (0.6, 1.0),
+    (0.8, 1.1),
+    (0.0, 0.01),
+    (0.0, 0.02),
+    catch_ns=(0.0, 2.0),
 )
 CPU = Settings(arch="cpu", threads=1)
 
@@ -24,7 +35,9 @@ CPU = Settings(arch="cpu", threads=1)
 def test_the_nominal_world_is_the_published_one() -> None:
     worlds = Worlds.nominal(3)
     assert len(worlds) == 3
-    assert np.all(worlds.contact_stiffness == 1.0) and np.all(worlds.relaxation_speed == 1.0)
+    assert np.all(worlds.contact_stiffness == 1.0) and np.all(
+        worlds.relaxation_speed == 1.0
+    )
     assert np.all(worlds.friction == 0.9)  # Geyer & Herr 2010
     assert worlds.strength.shape == (3, 14) and np.all(worlds.strength == 1.0)
     assert not np.any(worlds.nerve_lag_s) and not np.any(worlds.sensing_noise)
@@ -37,7 +50,9 @@ def assert_uniform(share: Any) -> None:
     """Of 4,000 draws, from 0 to 1."""
     assert share.min() >= 0.0 and share.max() <= 1.0
     quarters = np.quantile(share, [0.25, 0.5, 0.75])
-    np.testing.assert_allclose(quarters, [0.25, 0.5, 0.75], atol=5 * 0.5 / np.sqrt(4000))
+    np.testing.assert_allclose(
+        quarters, [0.25, 0.5, 0.75], atol=5 * 0.5 / np.sqrt(4000)
+    )
 
 
 def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
@@ -45,10 +60,13 @@ def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
     for values, (low, high) in (
         (np.log(worlds.contact_stiffness), np.log((0.3, 10.0))),
         (np.log(worlds.relaxation_speed), np.log((0.5, 8.0))),
-        (worlds.friction, (0.6, 1.0)), (worlds.strength[:, 3], (0.8, 1.1)),
-        (worlds.nerve_lag_s, (0.0, 0.01)), (worlds.sensing_noise, (0.0, 0.02)),
-        (worlds.noise_seed, (0, 2**24)), (worlds.catch_ns, (0.0, 2.0)),
-    ):  # fmt: skip
+        (worlds.friction, (0.6, 1.0)),
+        (worlds.strength[:, 3], (0.8, 1.1)),
+        (worlds.nerve_lag_s, (0.0, 0.01)),
+        (worlds.sensing_noise, (0.0, 0.02)),
+        (worlds.noise_seed, (0, 2**24)),
+        (worlds.catch_ns, (0.0, 2.0)),
+    ):
         assert_uniform((values - low) / (high - low))
     columns = np.column_stack([*list(vars(worlds).values())[:3], worlds.strength])
     related = np.abs(np.corrcoef(columns.T) - np.eye(columns.shape[1]))
@@ -67,11 +85,15 @@ def test_a_strength_that_all_muscles_share_multiplies_each_of_them() -> None:
     assert_uniform((shared[:, 0] - 0.7) / 0.6)
     assert abs(np.corrcoef(shared[:, 0], own.strength[:, 3])[0, 1]) < 5 / np.sqrt(4000)
     for overall in ((0.1, 1.0), (1.0, 9.0)):
-        with pytest.raises(InputError, match=r"^world\.overall_strength: .*product of 0\.1 to 10$"):
+        with pytest.raises(
+            InputError, match=r"^world\.overall_strength: .*product of 0\.1 to 10$"
+        ):
             replace(ALL, strength=(0.5, 2.0), overall_strength=overall)
 
 
-def test_a_seed_is_a_world_whatever_else_is_drawn_and_rows_are_taken_and_stacked() -> None:
+def test_a_seed_is_a_world_whatever_else_is_drawn_and_rows_are_taken_and_stacked() -> (
+    None
+):
     one, both = ALL.draw([5]), ALL.draw([4, 5])
     wider = replace(ALL, contact_stiffness=(0.3, 20.0)).draw([5])
     for name, values in vars(one).items():
@@ -94,37 +116,63 @@ def test_the_table_reads_back_what_was_written() -> None:
 
 @cases("bad-worlds.toml", "key", "value", "allowed")
 def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
-    with pytest.raises(InputError, match=rf"^world\.{key}[.\w]*: .* allowed: .*{allowed}"):
+    with pytest.raises(
+        InputError, match=rf"^world\.{key}[.\w]*: .* allowed: .*{allowed}"
+    ):
         read_world(Table({key: value}, "world"))
 
 
 def test_single_muscles_are_weak_or_missing() -> None:
-    limp = read_world(Table({"strength": [0.5, 2.0], "muscles": {"SOL": 0.5, "GAS_right": 0}}))
-    drawn, healthy = (each.draw([3, 4]) for each in (limp, WorldRanges(strength=(0.5, 2.0))))
+    limp = read_world(
+        Table({"strength": [0.5, 2.0], "muscles": {"SOL": 0.5, "GAS_right": 0}})
+    )
+    drawn, healthy = (
+        each.draw([3, 4]) for each in (limp, WorldRanges(strength=(0.5, 2.0)))
+    )
     factors = np.ones(14)
     factors[[0, 7, 9]] = 0.5, 0.5, 0.0
     assert np.array_equal(drawn.strength, healthy.strength * factors)
-    assert limp.document()["muscles"] == {"SOL_left": 0.5, "SOL_right": 0.5, "GAS_right": 0.0}
-    assert read_world(Table(limp.document())) == limp == pickle.loads(pickle.dumps(limp))
+    assert limp.document()["muscles"] == {
+        "SOL_left": 0.5,
+        "SOL_right": 0.5,
+        "GAS_right": 0.0,
+    }
+    assert (
+        read_world(Table(limp.document())) == limp == pickle.loads(pickle.dumps(limp))
+    )
     with pytest.raises(InputError, match=r"world\.muscles\.HFL_right: .*0 to 5$"):
-        read_world(Table({"strength": [0.5, 2.0], "muscles": {"HFL_right": 6.0}}, "world"))
+        read_world(
+            Table({"strength": [0.5, 2.0], "muscles": {"HFL_right": 6.0}}, "world")
+        )
     with pytest.raises(InputError, match=r"^world\.muscles: .* 14 numbers"):
         WorldRanges(muscles=(1.0, 0.5))
 
 
 def test_a_prosthesis_takes_the_muscles_of_its_ankle() -> None:
-    table = {"muscles": {"SOL": 0.5}, "prosthesis": {
-        "side": "left", "stiffness_nmprad": 350, "damping_nmsprad": 1.0}}  # fmt: skip
+    table = {
+        "muscles": {"SOL": 0.5},
+        "prosthesis": {"side": "left", "stiffness_nmprad": 350, "damping_nmsprad": 1.0},
+    }
     ranges = read_world(Table(table))
-    assert read_world(Table(ranges.document())) == ranges == pickle.loads(pickle.dumps(ranges))
+    assert (
+        read_world(Table(ranges.document()))
+        == ranges
+        == pickle.loads(pickle.dumps(ranges))
+    )
     drawn = ranges.draw([3, 4])
     assert drawn.prosthesis.tolist() == [[[350.0, 1.0, 0.0], [0.0] * 3]] * 2
     assert drawn.strength[0].tolist() == [0, 0, 0, 1, 1, 1, 1, 0.5, 1, 1, 1, 1, 1, 1]
 
 
 def test_an_exoskeleton_helps_where_its_table_says() -> None:
-    ranges = read_world(Table({"exoskeleton": {"motion": "hip_flexion", "side": "right"}}))
-    assert read_world(Table(ranges.document())) == ranges == pickle.loads(pickle.dumps(ranges))
+    ranges = read_world(
+        Table({"exoskeleton": {"motion": "hip_flexion", "side": "right"}})
+    )
+    assert (
+        read_world(Table(ranges.document()))
+        == ranges
+        == pickle.loads(pickle.dumps(ranges))
+    )
     worn, none = [-1.0, 0.0, 0.0, 1e6], [0.0, 0.0, 0.0, 1e6]
     assert ranges.draw([3]).exoskeleton.tolist() == [[none, worn]]
 
@@ -138,12 +186,19 @@ def test_a_missing_muscle_pulls_at_nothing(engine: Settings) -> None:
         for w in (worlds, None)
     ]
     limp, healthy = (result.trajectories[0] for result in both)
-    assert not limp.muscle_force_n[:, 0].any() and healthy.muscle_force_n[:, 0].max() > 100.0
+    assert (
+        not limp.muscle_force_n[:, 0].any()
+        and healthy.muscle_force_n[:, 0].max() > 100.0
+    )
     assert limp.muscle_force_n[:, 7].max() > 100.0 and np.isfinite(limp.q).all()
 
 
 def test_muscles_have_lengths_and_times_of_their_own() -> None:
-    table = {"slack_length": {"SOL": 1.05}, "activation_time": {"TA_left": 2.0}, "VAS": 0.5}
+    table = {
+        "slack_length": {"SOL": 1.05},
+        "activation_time": {"TA_left": 2.0},
+        "VAS": 0.5,
+    }
     ranges = read_world(Table({"muscles": table}))
     assert read_world(Table(ranges.document())) == ranges
     drawn = ranges.draw([3])
@@ -154,10 +209,19 @@ def test_muscles_have_lengths_and_times_of_their_own() -> None:
 @pytest.mark.slow
 def test_recorded_fibres_leave_the_tendons_what_they_pull_with() -> None:
     """The force of a step is that of the pose before it, and of the fibre after it."""
-    table = {"optimal_length": {"SOL": 1.2, "GLU_left": 0.9}, "slack_length": {"TA": 1.02}}
+    table = {
+        "optimal_length": {"SOL": 1.2, "GLU_left": 0.9},
+        "slack_length": {"TA": 1.02},
+    }
     worlds = read_world(Table({"muscles": {"HAM_right": 0.5} | table})).draw([1])
-    result = simulate(PUBLISHED_GAINS, duration_s=0.5, worlds=worlds, record=[0],
-                      record_rate_hz=1000.0, settings=CPU)  # fmt: skip
+    result = simulate(
+        PUBLISHED_GAINS,
+        duration_s=0.5,
+        worlds=worlds,
+        record=[0],
+        record_rate_hz=1000.0,
+        settings=CPU,
+    )
     walk = result.trajectories[0]
     pose = walk.q - CPU.physics_step_s * walk.qdot
     joints = (pose[:, 3:] - pose[:, [2, 3, 4, 2, 6, 7]]).reshape(-1, 2, 3)
@@ -167,22 +231,31 @@ def test_recorded_fibres_leave_the_tendons_what_they_pull_with() -> None:
     tendon_m = lengths_m.reshape(-1, 14) - walk.fibre_length_m
     strain = np.maximum(tendon_m / slack_m - 1.0, 0.0) / REFERENCE_STRAIN
     fmax_n = np.tile(FMAX_N, 2) * worlds.strength[0]
-    np.testing.assert_allclose(fmax_n * strain**2, walk.muscle_force_n, atol=1e-3 * fmax_n.max())
+    np.testing.assert_allclose(
+        fmax_n * strain**2, walk.muscle_force_n, atol=1e-3 * fmax_n.max()
+    )
     speed = np.gradient(walk.fibre_length_m, walk.time_s, axis=0)
-    assert np.abs(np.median(speed[5:] / walk.fibre_velocity_mps[5:], axis=0) - 1.0).max() < 0.1
+    assert (
+        np.abs(np.median(speed[5:] / walk.fibre_velocity_mps[5:], axis=0) - 1.0).max()
+        < 0.1
+    )
 
 
-@pytest.mark.parametrize(("change", "field"), [
-    ({"friction": np.full((2, 1), 0.9)}, "worlds.friction.shape"),
-    ({"strength": np.ones((2, 7))}, "worlds.strength.shape"),
-    ({"friction": [0.9, -1.0]}, "worlds.friction"),
-    ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
-    ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"), ({"friction": [0.9]}, "worlds"),
-    ({"catch_ns": [0.0, 50.1]}, "worlds.catch_ns"),
-    ({"prosthesis": np.full((2, 2, 3), 3.0)}, "worlds.prosthesis.rest_rad"),
-    ({"exoskeleton": np.full((2, 2, 4), 3.0)}, "worlds.exoskeleton.share"),
-    ({"exoskeleton": np.zeros((2, 2, 4))}, "worlds.exoskeleton.power_w"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"friction": np.full((2, 1), 0.9)}, "worlds.friction.shape"),
+        ({"strength": np.ones((2, 7))}, "worlds.strength.shape"),
+        ({"friction": [0.9, -1.0]}, "worlds.friction"),
+        ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
+        ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"),
+        ({"friction": [0.9]}, "worlds"),
+        ({"catch_ns": [0.0, 50.1]}, "worlds.catch_ns"),
+        ({"prosthesis": np.full((2, 2, 3), 3.0)}, "worlds.prosthesis.rest_rad"),
+        ({"exoskeleton": np.full((2, 2, 4), 3.0)}, "worlds.exoskeleton.share"),
+        ({"exoskeleton": np.zeros((2, 2, 4))}, "worlds.exoskeleton.power_w"),
+    ],
+)
 def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError, match=f"^{field}: "):
         Worlds(**(vars(Worlds.nominal(2)) | change))
@@ -204,7 +277,9 @@ def test_each_walker_walks_in_its_own_world() -> None:
     assert together[8].tobytes() == alone[1].tobytes()
     assert len(np.unique(together["mean_speed_mps"])) == 9
     assert walk(Worlds.nominal(), 9).tobytes() == walk(None, 9).tobytes()
-    with pytest.raises(InputError, match=r"^worlds: 2 cannot be used; allowed: one world, or 3"):
+    with pytest.raises(
+        InputError, match=r"^worlds: 2 cannot be used; allowed: one world, or 3"
+    ):
         walk(Worlds.nominal(2), 3)
 
 
@@ -222,15 +297,21 @@ def test_every_number_reaches_the_walker(name: str) -> None:
 
 def one_of(**changes: Any) -> Worlds:
     """A world that is nominal but for these changes."""
-    return Worlds(**(vars(Worlds.nominal()) | {k: np.array([v]) for k, v in changes.items()}))
+    return Worlds(
+        **(vars(Worlds.nominal()) | {k: np.array([v]) for k, v in changes.items()})
+    )
 
 
 def recorded(duration_s: float = 3.0, **changes: Any) -> tuple[Any, Any]:
     """Trajectory, of every tick, and row of the published gains on level ground in `one_of`."""
     result = simulate(
-        PUBLISHED_GAINS, duration_s=duration_s, worlds=one_of(**changes), settings=CPU,
-        record=[0], record_rate_hz=1000,
-    )  # fmt: skip
+        PUBLISHED_GAINS,
+        duration_s=duration_s,
+        worlds=one_of(**changes),
+        settings=CPU,
+        record=[0],
+        record_rate_hz=1000,
+    )
     return result.trajectories[0], result.rows[0]
 
 
@@ -243,13 +324,20 @@ def test_friction_caps_the_horizontal_force() -> None:
     assert np.mean(ratio > coefficient * 0.999) > 0.05  # it does slip
 
 
-@pytest.mark.parametrize(("stiffness", "relaxation"), [(1, 1), (0.4, 1), (4, 1), (1, 5)])
-def test_the_ground_pushes_by_the_published_law(stiffness: float, relaxation: float) -> None:
+@pytest.mark.parametrize(
+    ("stiffness", "relaxation"), [(1, 1), (0.4, 1), (4, 1), (1, 5)]
+)
+def test_the_ground_pushes_by_the_published_law(
+    stiffness: float, relaxation: float
+) -> None:
     """Geyer & Herr 2010: k d (1 - u/vmax)+ a point, u outwards; k = M g / 1 cm, vmax 0.1 m/s."""
     walked, _ = recorded(contact_stiffness=stiffness, relaxation_speed=relaxation)
     left = leg(walked.q, 0)
     height_m = np.stack([left.heel[:, 1], left.ball[:, 1]])
-    depth_m, speed_mps = np.maximum(-height_m, 0.0), np.diff(height_m, axis=1, prepend=np.nan) * 1e3
+    depth_m, speed_mps = (
+        np.maximum(-height_m, 0.0),
+        np.diff(height_m, axis=1, prepend=np.nan) * 1e3,
+    )
     law = stiffness * 80.0 * 9.81 / 0.01 * depth_m
     law *= np.maximum(1.0 - speed_mps / (0.1 * relaxation), 0.0)
     up_n, law_n = walked.ground_force_n[:, 1], law.sum(axis=0)
@@ -261,7 +349,9 @@ def test_the_ground_pushes_by_the_published_law(stiffness: float, relaxation: fl
 
 def test_half_the_muscle_pulls_and_burns_half() -> None:
     """In the first tick, before the body could move by it."""
-    full, half = (recorded(1e-3, strength=np.full(14, strength)) for strength in (1.0, 0.5))
+    full, half = (
+        recorded(1e-3, strength=np.full(14, strength)) for strength in (1.0, 0.5)
+    )
     forces = [trajectory.muscle_force_n[-1] for trajectory, _ in (full, half)]
     assert forces[0].max() > 1.0
     np.testing.assert_allclose(forces[1], 0.5 * forces[0], rtol=1e-5)
@@ -276,15 +366,22 @@ def test_delayed_signals_were_recorded_earlier() -> None:
     for ms, name, earlier in (
         (20, "r_delayed_SOL_force_fmax", forces[:, 7]),
         (10, "r_delayed_knee_flexion_rad", walked.joint_rad[:, 4]),
-        (9, "l_delayed_stance", walked.stance[:, 0]),  # found a tick after its pose is recorded
-        (5, "l_delayed_GLU_force_fmax", forces[:, 5]), (5, "delayed_hat_rad", walked.q[:, 2]),
-    ):  # fmt: skip
+        (
+            9,
+            "l_delayed_stance",
+            walked.stance[:, 0],
+        ),  # found a tick after its pose is recorded
+        (5, "l_delayed_GLU_force_fmax", forces[:, 5]),
+        (5, "delayed_hat_rad", walked.q[:, 2]),
+    ):
         assert earlier.max() > earlier.min()
         np.testing.assert_allclose(delayed[name][ms:], earlier[:-ms], atol=1e-6)
 
 
 @pytest.mark.parametrize("change", [{"sensing_noise": 0.01}, {"catch_ns": 4.0}])
-def test_noise_and_catches_are_of_their_walker_and_its_seed(change: dict[str, float]) -> None:
+def test_noise_and_catches_are_of_their_walker_and_its_seed(
+    change: dict[str, float],
+) -> None:
     own = [one_of(), *(one_of(**change, noise_seed=seed) for seed in (1.0, 1.0, 2.0))]
     alone = [walk(world, 1).tobytes() for world in own]
     assert len(set(alone)) == 3 and alone[1] == alone[2]
@@ -293,6 +390,8 @@ def test_noise_and_catches_are_of_their_walker_and_its_seed(change: dict[str, fl
 
 def test_nerves_feel_the_force_itself() -> None:
     """Positive force feedback of a muscle of half the strength starts from half the force."""
-    weak, strong = (recorded(strength=np.full(14, strength))[0] for strength in (0.5, 1.0))
+    weak, strong = (
+        recorded(strength=np.full(14, strength))[0] for strength in (0.5, 1.0)
+    )
     sol = [walked.activation[40:120, 0].mean() for walked in (weak, strong)]
     assert sol[0] < sol[1]

@@ -20,7 +20,9 @@ from tests.tools.running import run_tool
 class Tool:
     """Runs commands; `out` and `err` are what the last one printed."""
 
-    def __init__(self, patch: pytest.MonkeyPatch, capture: pytest.CaptureFixture[str]) -> None:
+    def __init__(
+        self, patch: pytest.MonkeyPatch, capture: pytest.CaptureFixture[str]
+    ) -> None:
         self._patch, self._capture = patch, capture
         self.out = self.err = ""
 
@@ -46,14 +48,22 @@ class Tool:
 class Command:
     """One command with its options, which a call may change, or leave out by ""."""
 
-    def __init__(self, tool: Tool, folder: Path, *words: str, **options: object) -> None:
+    def __init__(
+        self, tool: Tool, folder: Path, *words: str, **options: object
+    ) -> None:
         self.tool, self.folder, self.out = tool, folder, folder / "out"
         self.url = f"sqlite:///{folder / 'studies.db'}"
         self._words, self._options = words, {"out": self.out} | options
 
     def words(self, **changes: object) -> list[str]:
-        options = {key: value for key, value in (self._options | changes).items() if value != ""}
-        pairs = ((f"--{key.replace('_', '-')}", str(value)) for key, value in options.items())
+        options = {
+            key: value
+            for key, value in (self._options | changes).items()
+            if value != ""
+        }
+        pairs = (
+            (f"--{key.replace('_', '-')}", str(value)) for key, value in options.items()
+        )
         return [*self._words, *chain.from_iterable(pairs)]
 
     def run(self, **changes: object) -> int:
@@ -89,7 +99,9 @@ def simulator(monkeypatch: pytest.MonkeyPatch) -> Simulator:
 
 
 @pytest.fixture
-def database(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[sqlite3.Connection]:
+def database(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[sqlite3.Connection]:
     """Another program's connection to studies.db, for which nobody waits long."""
     monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
     file = tmp_path / "studies.db"

@@ -2,9 +2,10 @@
 
     FAKE_SIGNAL=5:SIGINT python tests/tools/fake_command.py precompute --config FILE --out DIR
 
-The environment asks for accidents. FAKE_TRIAL_S: seconds that a simulation takes. FAKE_SIGNAL: a
-signal in the n-th simulation. FAKE_STRETCH: trials between two checkpoints of a comparison. Spawned
-processes import this file, which stays the main module, and so have the same simulator.
+The environment asks for accidents. FAKE_TRIAL_S: seconds that a simulation takes.
+FAKE_SIGNAL: a signal in the n-th simulation. FAKE_STRETCH: trials between two
+checkpoints of a comparison. Spawned processes import this file, which stays the main
+module, and so have the same simulator.
 """
 
 import os
@@ -21,7 +22,11 @@ from tests.study import fake_walker
 vars(taichi_nmm)["simulate"] = fake_walker.simulate
 
 if stretch := os.environ.get("FAKE_STRETCH"):
-    compare.CHECKPOINT_S, compare.EXPORT_S, compare.STRETCH_TRIALS = 0.0, 1e9, int(stretch)
+    compare.CHECKPOINT_S, compare.EXPORT_S, compare.STRETCH_TRIALS = (
+        0.0,
+        1e9,
+        int(stretch),
+    )
 
 if __name__ == "__main__":
     main()

@@ -2,13 +2,15 @@
 
     python -m tests.tools.kills --kills 100 --seed 1
 
-In every folder a command is killed at a commit, just before it or just after, and then, resumed, at
-any moment. Resumed once more it ends, and its folder must hold the same bits as that of a run that
-was not killed. The simulator is replaced by a formula. Exit code 1 where a folder differs.
+In every folder a command is killed at a commit, just before it or just after, and then,
+resumed, at any moment. Resumed once more it ends, and its folder must hold the same
+bits as that of a run that was not killed. The simulator is replaced by a formula. Exit
+code 1 where a folder differs.
 
-A commit is a file that gets its name, or a transaction of a database. Python's audit events and
-SQLAlchemy's report them: the commands know nothing of this. Processes are forked from one that has
-imported the commands and has done nothing else, since an import takes longer than a command.
+A commit is a file that gets its name, or a transaction of a database. Python's audit
+events and SQLAlchemy's report them: the commands know nothing of this. Processes are
+forked from one that has imported the commands and has done nothing else, since an
+import takes longer than a command.
 """
 
 import atexit
@@ -52,14 +54,18 @@ DATABASE = "a transaction"  # in place of a file's name
 REPERTOIRE = "repertoire = {evaluations = 300, settings = 1, candidates = 6}"
 ONE = "--workers 1"
 COMPARE = f"compare --config {{base}}/rough.toml {ONE} --out"
-# The commands that write, run in a folder of their own; {base} is the folder of what they need.
+# The commands that write, run in a folder of their own; {base} is the folder of what
+# they need.
 SCENES = {
     "precompute": f"precompute --config {{base}}/bred.toml --out out {ONE}",
     "study": "study --config {base}/rough.toml --arm dog --storage sqlite:///out/s.db --out out",
     "compare": f"{COMPARE} out",
     "report": "report compared",
 }
-PREPARATIONS = (f"precompute --config {{base}}/store.toml --out store {ONE}", f"{COMPARE} compared")
+PREPARATIONS = (
+    f"precompute --config {{base}}/store.toml --out store {ONE}",
+    f"{COMPARE} compared",
+)
 
 
 class Death(NamedTuple):
@@ -88,7 +94,9 @@ class Watch:
     def __init__(self, death: Death, report: int) -> None:
         self._death, self._report = death, report
         self._count = 0
-        self._dying: tuple[str, int] | None = None  # kind of event, and thread, that dies next
+        self._dying: tuple[str, int] | None = (
+            None  # kind of event, and thread, that dies next
+        )
 
     def begin(self) -> None:
         """Watch from here on."""
@@ -118,7 +126,9 @@ class Watch:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def in_process(work: Callable[[], object], folder: Path, log: Path, death: Death = NEVER) -> Ended:
+def in_process(
+    work: Callable[[], object], folder: Path, log: Path, death: Death = NEVER
+) -> Ended:
     """Do some work in a fork of this process, in a folder; what it prints goes to the log."""
     ours, theirs = os.pipe()  # which holds all names of commits
     process = FORK.Process(target=be, args=(work, folder, log, Watch(death, theirs)))
@@ -163,10 +173,14 @@ class Theatre:
         self._log, self._stage = folder / "log.txt", folder / "stage"
         self._base.mkdir(parents=True)
         files = ASSETS / "kills"
-        store, rough = ((files / f"{name}.toml").read_text() for name in ("store", "rough"))
+        store, rough = (
+            (files / f"{name}.toml").read_text() for name in ("store", "rough")
+        )
         texts = {"store": store, "bred": store + REPERTOIRE, "rough": rough}
         for name, text in texts.items():
-            (self._base / f"{name}.toml").write_text(text.replace("BASE", str(self._base)))
+            (self._base / f"{name}.toml").write_text(
+                text.replace("BASE", str(self._base))
+            )
         for line in PREPARATIONS:
             self._play(line, self._base, NEVER)
 
@@ -176,7 +190,9 @@ class Theatre:
         self._stage.mkdir()
         if command == "report":
             shutil.copytree(self._base / "compared", self._stage / "compared")
-        ended = [self._play(SCENES[command], self._stage, each) for each in (*deaths, NEVER)]
+        ended = [
+            self._play(SCENES[command], self._stage, each) for each in (*deaths, NEVER)
+        ]
         return ended, self._digest()
 
     def _play(self, line: str, folder: Path, death: Death) -> Ended:
@@ -184,30 +200,44 @@ class Theatre:
         words = line.format(base=self._base).split()
         ended = in_process(lambda: command_line(words), folder, self._log, death)
         if ended.code not in (0, -signal.SIGKILL):
-            raise RuntimeError(f"{line} ended with {ended.code}: {self._log.read_text()}")
+            raise RuntimeError(
+                f"{line} ended with {ended.code}: {self._log.read_text()}"
+            )
         return ended
 
     def _digest(self) -> dict[str, str]:
         """In a process of its own: this one opens no database, and so forks none that is open."""
         file, stage = self._folder / "digest.json", self._stage
-        in_process(lambda: file.write_text(json.dumps(digest(stage))), self._folder, self._log)
+        in_process(
+            lambda: file.write_text(json.dumps(digest(stage))), self._folder, self._log
+        )
         found: dict[str, str] = json.loads(file.read_text())
         file.unlink()
         return found
 
 
 OF_THE_DATABASE = (".db-wal", ".db-shm")  # read with it
-OF_REPEATS = {"failed_trial", "retry_history", "fixed_params"}  # of a trial that was cut short
+OF_REPEATS = {
+    "failed_trial",
+    "retry_history",
+    "fixed_params",
+}  # of a trial that was cut short
 VERSION = re.compile("note_ver")  # counts how often a note was written
-TRIAL_NOTE = re.compile(r"dashboard:(\d+):")  # by the trial's identity, in the order of writing
-IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")  # of study and trial, in the order of writing
+TRIAL_NOTE = re.compile(
+    r"dashboard:(\d+):"
+)  # by the trial's identity, in the order of writing
+IDENTITIES = re.compile(
+    r"/artifacts/\d+/\d+/"
+)  # of study and trial, in the order of writing
 
 
 def digest(folder: Path) -> dict[str, str]:
     """SHA-256 of each file, also of what a killed process left, less times and interruptions."""
     files = (file for file in sorted(folder.rglob("*")) if file.is_file())
     kept = [file for file in files if not file.name.endswith(OF_THE_DATABASE)]
-    return {str(f.relative_to(folder)): hashlib.sha256(content(f)).hexdigest() for f in kept}
+    return {
+        str(f.relative_to(folder)): hashlib.sha256(content(f)).hexdigest() for f in kept
+    }
 
 
 def content(file: Path) -> bytes:
@@ -215,11 +245,15 @@ def content(file: Path) -> bytes:
     if file.name == RUN_NAME:
         return b""
     if file.name == TIMES_NAME or file.parent.name == "arms":
-        return repr(pq.read_table(file).drop_columns(PROPOSAL_TIME).to_pylist()).encode()
+        return repr(
+            pq.read_table(file).drop_columns(PROPOSAL_TIME).to_pylist()
+        ).encode()
     if file.suffix == ".db":
         storage = optuna.storages.RDBStorage(file_url(file))
         names = optuna.get_all_study_names(storage)
-        found = {n: of_study(optuna.load_study(study_name=n, storage=storage)) for n in names}
+        found = {
+            n: of_study(optuna.load_study(study_name=n, storage=storage)) for n in names
+        }
         storage.engine.dispose()
         return json.dumps(found, sort_keys=True).encode()
     return file.read_bytes()
@@ -234,19 +268,27 @@ def of_study(study: optuna.Study) -> dict[str, Any]:
         return TRIAL_NOTE.sub(lambda found: f"trial {places.get(int(found[1]))}:", key)
 
     system = study._storage.get_study_system_attrs(study._study_id)
-    kept = {renamed(key): text for key, text in system.items() if not VERSION.search(key)}
+    kept = {
+        renamed(key): text for key, text in system.items() if not VERSION.search(key)
+    }
     trials = [
         {
-            "params": trial.params, "values": trial.values, "user": trial.user_attrs,
-            "system": {k: v for k, v in trial.system_attrs.items() if k not in OF_REPEATS},
+            "params": trial.params,
+            "values": trial.values,
+            "user": trial.user_attrs,
+            "system": {
+                k: v for k, v in trial.system_attrs.items() if k not in OF_REPEATS
+            },
         }
         for trial in finished
-    ]  # fmt: skip
+    ]
     text = json.dumps({"user": study.user_attrs, "system": kept})
     return json.loads(IDENTITIES.sub("/artifacts/", text)) | {"trials": trials}
 
 
-def kill(theatre: Theatre, commands: list[str], kills: int, seed: int) -> dict[str, list[int]]:
+def kill(
+    theatre: Theatre, commands: list[str], kills: int, seed: int
+) -> dict[str, list[int]]:
     """Of each command: kills, those at a commit, folders, and folders that are bit-equal."""
     dice = random.Random(seed)
     wholes = {command: theatre.run(command) for command in commands}
@@ -272,8 +314,12 @@ def main() -> None:
     """Kill, and print a table."""
     parser = Options(__file__)
     parser.whole("--kills", 1, 100_000, default=100, help="in total (%(default)s)")
-    parser.whole("--seed", 0, LARGEST_SEED, default=1, help="of the moments (%(default)s)")
-    parser.add_argument("--commands", metavar="A,B,C", default=",".join(SCENES), help="%(default)s")
+    parser.whole(
+        "--seed", 0, LARGEST_SEED, default=1, help="of the moments (%(default)s)"
+    )
+    parser.add_argument(
+        "--commands", metavar="A,B,C", default=",".join(SCENES), help="%(default)s"
+    )
     args = parser.parse_args()
     vars(taichi_nmm)["simulate"] = fake_walker.simulate
     compare.CHECKPOINT_S = compare.EXPORT_S = 0.0  # often, not every 20 s
@@ -282,12 +328,16 @@ def main() -> None:
         import_module(f"study.commands.{name.replace('-', '_')}")
     for late in ("ribs.archives", "optuna_dashboard"):
         import_module(late)
-    folder = Path(tempfile.mkdtemp())  # TemporaryDirectory's would go with the first process
+    folder = Path(
+        tempfile.mkdtemp()
+    )  # TemporaryDirectory's would go with the first process
     try:
         counts = kill(Theatre(folder), args.commands.split(","), args.kills, args.seed)
     finally:
         shutil.rmtree(folder)
-    print("| command | kills | at a commit | folders | bit-equal |\n|---|--:|--:|--:|--:|")
+    print(
+        "| command | kills | at a commit | folders | bit-equal |\n|---|--:|--:|--:|--:|"
+    )
     for command, count in counts.items():
         print(f"| {command} | {' | '.join(map(str, count))} |")
     if any(folders != equal for _, _, folders, equal in counts.values()):

@@ -48,20 +48,26 @@ FAKE = (ROOT / "tests" / "tools" / "fake_command.py",)
 
 
 def start(
-    *words: object, program: Iterable[object] = FAKE, shell: str = "", **accidents: object
+    *words: object,
+    program: Iterable[object] = FAKE,
+    shell: str = "",
+    **accidents: object,
 ) -> subprocess.Popen[str]:
     """A command in a process of its own, by default with the fake simulator.
 
-    `shell` has redirections or a limit, in Bash; accidents are those of fake_command.py, in small
-    letters, such as trial_s=0.1.
+    `shell` has redirections or a limit, in Bash; accidents are those of
+    fake_command.py, in small letters, such as trial_s=0.1.
     """
     line = [sys.executable, *map(str, (*program, *words))]
     return subprocess.Popen(
         ["bash", "-c", shell, "bash", *line] if shell else line,
-        env=os.environ | {f"FAKE_{key.upper()}": str(value) for key, value in accidents.items()},
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=os.environ
+        | {f"FAKE_{key.upper()}": str(value) for key, value in accidents.items()},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         start_new_session=True,  # a terminal's Ctrl-C reaches all of it
-    )  # fmt: skip
+    )
 
 
 class Done(NamedTuple):
@@ -128,11 +134,16 @@ for name in os.environ.get("MISSING", "").split(","):
 
 
 def run_with_accident(
-    folder: Path, words: Iterable[object], missing: Iterable[str] = (), interrupted: str = ""
+    folder: Path,
+    words: Iterable[object],
+    missing: Iterable[str] = (),
+    interrupted: str = "",
 ) -> "subprocess.CompletedProcess[str]":
     """Python on these words in `folder`; `interrupted` is the import at which Ctrl-C comes."""
     (folder / "site").mkdir(exist_ok=True)
     (folder / "site" / "sitecustomize.py").write_text(SITE)
     accident = {"MISSING": ",".join(missing), "INTERRUPTED": interrupted}
     path = os.pathsep.join((str(folder / "site"), str(ROOT)))
-    return python(*words, cwd=folder, env={**os.environ, **accident, "PYTHONPATH": path})
+    return python(
+        *words, cwd=folder, env={**os.environ, **accident, "PYTHONPATH": path}
+    )

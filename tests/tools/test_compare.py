@@ -52,13 +52,18 @@ def test_json_is_one_object(command: Comparison) -> None:
     assert "studies with a walker" in command.tool.err
     assert "toy/dog/run-002" in optuna.get_all_study_names(found["storage"])
     # Without it a table for people.
-    assert command.run(trials=3, arms="dog,random", runs=1, out=command.folder / "table") == 0
+    assert (
+        command.run(trials=3, arms="dog,random", runs=1, out=command.folder / "table")
+        == 0
+    )
     lines = command.tool.out.splitlines()
     assert [line.split()[0] for line in lines[1:3]] == ["dog", "random"]
     assert lines[3].startswith("6 trials (6 now")
 
 
-def test_a_seed_has_its_own_folder(command: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_seed_has_its_own_folder(
+    command: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(command.folder)
     assert command.run(out="", seed=7, trials=1, arms="random") == 0
     out = Path("out") / "compare" / "toy-seed-7"
@@ -74,10 +79,14 @@ def test_a_store_in_place_of_the_configs(command: Comparison) -> None:
     facts = json.loads((command.out / "experiment.json").read_text())
     assert facts["stores"] == {"flat": store_digest(store)}
     command.refuses(".*flat", trials=4, arms="dog")
-    command.refuses(f"store: '{store}' ", trials=3, store=store)  # its arms read two stores
+    command.refuses(
+        f"store: '{store}' ", trials=3, store=store
+    )  # its arms read two stores
 
 
-def test_sessions_that_cannot_be_read_are_refused_before_the_work(command: Comparison) -> None:
+def test_sessions_that_cannot_be_read_are_refused_before_the_work(
+    command: Comparison,
+) -> None:
     """The table at the end is made of them, too."""
     one = {"trials": 1, "arms": "random", "runs": 1}
     assert command.run(**one) == 0
@@ -87,10 +96,16 @@ def test_sessions_that_cannot_be_read_are_refused_before_the_work(command: Compa
     assert {path: path.read_bytes() for path in command.out.glob("*.*")} == before
 
 
-def test_a_password_is_not_printed(command: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_password_is_not_printed(
+    command: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compare, "check_database", lambda *_: None)
     monkeypatch.setattr(compare, "export", lambda *_, **__: None)
-    one = {"trials": 1, "arms": "random", "storage": "postgresql+psycopg://me:secret@host/walker"}
+    one = {
+        "trials": 1,
+        "arms": "random",
+        "storage": "postgresql+psycopg://me:secret@host/walker",
+    }
     for more in ((), ("--json",)):
         assert command.tool(*command.words(**one), *more) == 0
         said = command.tool.out + command.tool.err
@@ -98,9 +113,15 @@ def test_a_password_is_not_printed(command: Comparison, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("kind", ["foreign", "configuration", "locked", "place"])
-def test_a_refused_database(kind: str, command: Comparison, database: sqlite3.Connection) -> None:
+def test_a_refused_database(
+    kind: str, command: Comparison, database: sqlite3.Connection
+) -> None:
     place = command.folder / "toy.toml" if kind == "place" else command.folder
-    one = {"arms": "random", "trials": 1, "storage": f"sqlite:///{place / 'studies.db'}"}
+    one = {
+        "arms": "random",
+        "trials": 1,
+        "storage": f"sqlite:///{place / 'studies.db'}",
+    }
     if kind in ("configuration", "locked"):
         seed = {"seed": 8} if kind == "configuration" else {}
         assert command.run(**one, **seed, out=command.folder / "first") == 0
@@ -117,7 +138,11 @@ def test_a_refused_database(kind: str, command: Comparison, database: sqlite3.Co
 # Whom which signal ends, and the exit code and the line that the command ends with.
 ENDS: dict[str, tuple[signal.Signals, int, str]] = {
     "all": (signal.SIGINT, 130, INTERRUPTED),  # as a terminal does
-    "a worker": (signal.SIGKILL, 2, "error: workers: 'one was killed' cannot be used; allowed: "),
+    "a worker": (
+        signal.SIGKILL,
+        2,
+        "error: workers: 'one was killed' cannot be used; allowed: ",
+    ),
     "it": (signal.SIGKILL, -signal.SIGKILL, ""),
 }
 
@@ -126,7 +151,9 @@ ENDS: dict[str, tuple[signal.Signals, int, str]] = {
 @pytest.mark.parametrize(
     "victim", ["all", "a worker", pytest.param("it", marks=pytest.mark.campaign)]
 )
-def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Comparison) -> None:
+def test_all_processes_end_and_the_table_is_the_same(
+    victim: str, command: Comparison
+) -> None:
     arms = {"arms": "random,dog,ranking,cmaes-cold,cmaes-warm", "trials": 20}
     process = command.start(**arms, workers=2)
     command.wait_for_more(process)
@@ -137,7 +164,8 @@ def test_all_processes_end_and_the_table_is_the_same(victim: str, command: Compa
         worker, _ = children(process.pid)
         os.kill(process.pid if victim == "it" else worker, number)
     done = finish(process)
-    # Workers end with the main process; Python's own tracker does a moment after the last of us.
+    # Workers end with the main process; Python's own tracker does a moment after the
+    # last of us.
     until(lambda: left_over(process.pid) == [], 10.0)
     assert done.code == code and done.last.startswith(line)
     assert "Traceback" not in done.error and 0 < command.rows() < 20 * 15

@@ -29,9 +29,17 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("made") / "out" / "compare" / "tiny"
     storage = open_studies(f"sqlite:///{folder}/studies.db")
-    others = [FinishedStudy("tiny/random/run-000", TRIALS[:1]), FinishedStudy("tiny/summary", [])]
+    others = [
+        FinishedStudy("tiny/random/run-000", TRIALS[:1]),
+        FinishedStudy("tiny/summary", []),
+    ]
     write_studies(storage, [STUDY, *others])
-    meta = {"artifact_id": PICTURE, "filename": "a.png", "mimetype": "image/png", "encoding": None}
+    meta = {
+        "artifact_id": PICTURE,
+        "filename": "a.png",
+        "mimetype": "image/png",
+        "encoding": None,
+    }
     attach(storage, STUDY.name, 0, f"artifacts:{PICTURE}", json.dumps(meta))
     storage.engine.dispose()
     (folder / "artifacts").mkdir()
@@ -58,7 +66,9 @@ def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> No
     with serving(DASHBOARD, "--port", 0) as said:
         lines = dict(said.readline().split(maxsplit=1) for _ in range(4))
         address = lines["dashboard"].split()[0]
-        assert address.startswith("http://127.0.0.1:") and address.endswith("/dashboard")
+        assert address.startswith("http://127.0.0.1:") and address.endswith(
+            "/dashboard"
+        )
         assert lines["studies"].strip().endswith("out/compare/tiny/studies.db")
         assert lines["artifacts"].strip().endswith("out/compare/tiny/artifacts")
         server = address.removesuffix("/dashboard")
@@ -74,7 +84,9 @@ def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> No
         assert get(picture) == b"a picture"
 
 
-def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder: Path) -> None:
+def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(
+    folder: Path,
+) -> None:
     command = load_command("dashboard")
     older = folder.parent / "older"
     shutil.copytree(folder, older)
@@ -82,7 +94,10 @@ def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder:
     assert command.find_database(None, None) == "sqlite:///out/compare/tiny/studies.db"
     os.utime(folder / "studies.db", (0.0, 0.0))
     assert command.find_database(None, None) == "sqlite:///out/compare/older/studies.db"
-    url, postgres = f"sqlite:///{folder}/studies.db", "postgresql+psycopg://me@host/walker"
+    url, postgres = (
+        f"sqlite:///{folder}/studies.db",
+        "postgresql+psycopg://me@host/walker",
+    )
     assert command.find_database(None, url) == url
     assert command.find_database(folder, postgres) == postgres
     assert command.find_artifacts(None, url, None) == folder / "artifacts"
@@ -94,12 +109,16 @@ def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder:
 
 
 @pytest.mark.parametrize(("words", "message"), asset("refused-pages.toml").items())
-def test_bad_input_makes_nothing(words: str, message: str, folder: Path, tool: Tool) -> None:
+def test_bad_input_makes_nothing(
+    words: str, message: str, folder: Path, tool: Tool
+) -> None:
     tool.refuses(message, "dashboard", *words.replace("LONG", "x" * 300).split())
     assert sorted(path.name for path in Path().iterdir()) == ["out"]
 
 
-def test_a_file_that_is_no_database_and_no_experiment_at_all(folder: Path, tool: Tool) -> None:
+def test_a_file_that_is_no_database_and_no_experiment_at_all(
+    folder: Path, tool: Tool
+) -> None:
     (folder / "studies.db").write_text("dear diary\n" * 100)
     tool.refuses("storage: .*file is not a database", "dashboard", folder)
     shutil.rmtree("out")

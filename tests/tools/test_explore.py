@@ -30,11 +30,20 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("name", "message"), [
-    ("nowhere", "store: "), ("empty", "store: "), ("file", "store: "), ("compared", INSTEAD),
-    ("newer", "store: .*of format 99"), ("walk.toml", INSTEAD),
-])  # fmt: skip
-def test_bad_input(name: str, message: str, store: Path, tmp_path: Path, tool: Tool) -> None:
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere", "store: "),
+        ("empty", "store: "),
+        ("file", "store: "),
+        ("compared", INSTEAD),
+        ("newer", "store: .*of format 99"),
+        ("walk.toml", INSTEAD),
+    ],
+)
+def test_bad_input(
+    name: str, message: str, store: Path, tmp_path: Path, tool: Tool
+) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("no store")
     (tmp_path / "compared").mkdir()
@@ -44,7 +53,9 @@ def test_bad_input(name: str, message: str, store: Path, tmp_path: Path, tool: T
     tool.refuses(message, "explore", tmp_path / name, "--no-browser")
 
 
-def test_without_bokeh_it_says_so(store: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_bokeh_it_says_so(
+    store: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in [name for name in sys.modules if name.startswith("study.explore")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bokeh", None)

@@ -23,7 +23,9 @@ FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_ctrl_c_during_imports_is_one_line(tool: str, tmp_path: Path) -> None:
-    done = run_with_accident(tmp_path, [ROOT / "tools" / f"{tool}.py"], interrupted=FIRST[tool])
+    done = run_with_accident(
+        tmp_path, [ROOT / "tools" / f"{tool}.py"], interrupted=FIRST[tool]
+    )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{INTERRUPTED}\n")
 
 
@@ -40,18 +42,29 @@ def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -
     assert last_line(done, 130) == f"{INTERRUPTED}\n"
 
 
-@pytest.mark.parametrize(("words", "package"), [
-    (("walk",), COMPILER), (WALK, "matplotlib"), (("walk",), "imageio_ffmpeg"),
-    (("dashboard",), "optuna_dashboard"),
-])  # fmt: skip
-def test_a_missing_package_is_said(words: tuple[object, ...], package: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("walk",), COMPILER),
+        (WALK, "matplotlib"),
+        (("walk",), "imageio_ffmpeg"),
+        (("dashboard",), "optuna_dashboard"),
+    ],
+)
+def test_a_missing_package_is_said(
+    words: tuple[object, ...], package: str, tmp_path: Path
+) -> None:
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *words), missing=[package])
     line = last_line(done, 2)
     assert line.startswith("error: ") and package in line.replace("-", "_")
 
 
-@pytest.mark.parametrize("words", [("-m", "taichi_nmm"), ("-m", "taichi_nmm", "walk"), *TOOLS])
-def test_a_system_without_posix_is_one_line(words: Sequence[str] | str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "words", [("-m", "taichi_nmm"), ("-m", "taichi_nmm", "walk"), *TOOLS]
+)
+def test_a_system_without_posix_is_one_line(
+    words: Sequence[str] | str, tmp_path: Path
+) -> None:
     """As Windows, where files are locked otherwise."""
     called = [ROOT / "tools" / f"{words}.py"] if isinstance(words, str) else words
     done = run_with_accident(tmp_path, called, missing=("fcntl", "resource"))
@@ -63,7 +76,9 @@ def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path: Path) ->
     """As Taichi without libX11."""
     package = tmp_path / "site" / COMPILER
     package.mkdir(parents=True)
-    (package / "__init__.py").write_text(f"print('advice')\nfrom {COMPILER} import core\n")
+    (package / "__init__.py").write_text(
+        f"print('advice')\nfrom {COMPILER} import core\n"
+    )
     (package / "core.abi3.so").write_bytes(b"")
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *WALK))
     assert last_line(done, 2) == (
@@ -73,7 +88,9 @@ def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("hidden", ["study.py", "storage.py", "study/__init__.py"])
-def test_a_file_that_hides_a_package_of_ours_is_named(hidden: str, tmp_path: Path) -> None:
+def test_a_file_that_hides_a_package_of_ours_is_named(
+    hidden: str, tmp_path: Path
+) -> None:
     file = tmp_path / hidden
     file.parent.mkdir(exist_ok=True)
     file.write_text("raise RuntimeError('a file of the user was run')\n")
@@ -87,7 +104,9 @@ def test_a_file_that_hides_a_package_of_ours_is_named(hidden: str, tmp_path: Pat
 
 
 def test_a_hidden_package_is_named_where_ours_is_imported(tmp_path: Path) -> None:
-    (tmp_path / "storage.py").write_text("raise RuntimeError('a file of the user was run')\n")
+    (tmp_path / "storage.py").write_text(
+        "raise RuntimeError('a file of the user was run')\n"
+    )
     done = run_with_accident(tmp_path, ("-c", "from study import FeatureTable"))
     line = f"storage: '{tmp_path / 'storage.py'}' cannot be used; allowed: another name"
     assert done.returncode == 1 and line in done.stderr.splitlines()[-1]

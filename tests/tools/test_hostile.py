@@ -20,10 +20,34 @@ from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 pytestmark = pytest.mark.slow
 
 Trials, Words = list[dict[str, float]], tuple[object, ...]
-STUDY = ("study", "--config", "toy.toml", "--arm", "dog", "--storage", "sqlite:///studies.db",
-         "--out", "out", "--trials", 4)  # fmt: skip
-COMPARE = ("compare", "--config", "toy.toml", "--arms", "random,dog", "--runs", 1, "--trials", 2,
-           "--workers", 1, "--out", "out")  # fmt: skip
+STUDY = (
+    "study",
+    "--config",
+    "toy.toml",
+    "--arm",
+    "dog",
+    "--storage",
+    "sqlite:///studies.db",
+    "--out",
+    "out",
+    "--trials",
+    4,
+)
+COMPARE = (
+    "compare",
+    "--config",
+    "toy.toml",
+    "--arms",
+    "random,dog",
+    "--runs",
+    1,
+    "--trials",
+    2,
+    "--workers",
+    1,
+    "--out",
+    "out",
+)
 LIST = ("walk", "--list-configs")
 FULL = "error: machine: 'No space left on device' cannot be used; allowed: space for files and for "
 REDIRECTED = 'exec "$@" {}'
@@ -68,7 +92,9 @@ def undisturbed(made: Path) -> Trials:
 
 
 @pytest.mark.parametrize("closed", ["<&- >&-", "<&- >&- 2>&-"])
-def test_closed_files_are_like_null_devices(folder: Path, closed: str, undisturbed: Trials) -> None:
+def test_closed_files_are_like_null_devices(
+    folder: Path, closed: str, undisturbed: Trials
+) -> None:
     """What is printed does not get into the database, whose number would be that of stdout."""
     done = run(STUDY, REDIRECTED.format(closed))
     assert done.code == 0 and "Traceback" not in done.error
@@ -76,20 +102,28 @@ def test_closed_files_are_like_null_devices(folder: Path, closed: str, undisturb
     json.loads((folder / "out" / "dog-run-000-best.json").read_text())
 
 
-def test_a_full_disk_for_output_is_one_line_and_no_loss(folder: Path, undisturbed: Trials) -> None:
+def test_a_full_disk_for_output_is_one_line_and_no_loss(
+    folder: Path, undisturbed: Trials
+) -> None:
     done = run(LIST, REDIRECTED.format(">/dev/full"))
     assert done.code == 2 and len(done.lines) == 1 and done.last.startswith(FULL)
     done = run(STUDY, REDIRECTED.format(">/dev/full"))
     assert done.code == 2 and done.last.startswith(FULL)
     assert trials(folder) == undisturbed
-    bad = ("walk", "--gains", "nowhere.json")  # where nothing can be said, the exit code says it
+    bad = (
+        "walk",
+        "--gains",
+        "nowhere.json",
+    )  # where nothing can be said, the exit code says it
     assert run(bad, REDIRECTED.format("2>/dev/full")) == Done(2, "", "")
 
 
 def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) -> None:
     """As `2>&1 | head -1`, of standard output and standard error."""
     for command in (STUDY, LIST):
-        assert run(command, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}') == Done(141, "", "")
+        assert run(command, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}') == Done(
+            141, "", ""
+        )
     assert run(STUDY).code == 0
 
 
@@ -103,7 +137,9 @@ def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> N
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("command", [STUDY, COMPARE])
-def test_files_that_may_not_grow_are_one_line_and_it_resumes(folder: Path, command: Words) -> None:
+def test_files_that_may_not_grow_are_one_line_and_it_resumes(
+    folder: Path, command: Words
+) -> None:
     done = run(command, 'ulimit -f 8; exec "$@"')
     assert done.code == 2 and "Traceback" not in done.error
     assert done.last.startswith("error: ")
@@ -121,7 +157,9 @@ def without_the_rights_of_root() -> str:
 
 
 @pytest.mark.parametrize("command", [STUDY, COMPARE, ("walk", "--out", "out")])
-def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path, command: Words) -> None:
+def test_a_read_only_folder_is_one_line_and_nothing_is_left(
+    folder: Path, command: Words
+) -> None:
     folder.chmod(0o555)
     try:
         done = run(command, without_the_rights_of_root())
@@ -132,12 +170,20 @@ def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path, comman
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 
-@pytest.mark.parametrize("command", [
-    ("explore", "store", "--no-browser", "--port", 0), ("report", "store"),
-    ("walk", "--store", "store", "--row", 0), ("walk", "--gains", "store/manifest.json"),
-    ("precompute", "--config", "store/toy.toml"), (*COMPARE[:-1], "store/out"),
-])  # fmt: skip
-def test_a_folder_of_somebody_else_is_one_line(made: Path, folder: Path, command: Words) -> None:
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("explore", "store", "--no-browser", "--port", 0),
+        ("report", "store"),
+        ("walk", "--store", "store", "--row", 0),
+        ("walk", "--gains", "store/manifest.json"),
+        ("precompute", "--config", "store/toy.toml"),
+        (*COMPARE[:-1], "store/out"),
+    ],
+)
+def test_a_folder_of_somebody_else_is_one_line(
+    made: Path, folder: Path, command: Words
+) -> None:
     shutil.copytree(made / "store", folder / "store")
     (folder / "store").chmod(0o000)
     done = run(command, without_the_rights_of_root())
@@ -158,7 +204,9 @@ def stopped(command: Iterable[object]) -> Iterator[None]:
     assert process.returncode == 0
 
 
-def test_a_stopped_process_keeps_its_study_and_goes_on(folder: Path, undisturbed: Trials) -> None:
+def test_a_stopped_process_keeps_its_study_and_goes_on(
+    folder: Path, undisturbed: Trials
+) -> None:
     with stopped(STUDY):
         second = run(STUDY)
     assert second.code == 2 and len(second.lines) == 1
@@ -166,18 +214,24 @@ def test_a_stopped_process_keeps_its_study_and_goes_on(folder: Path, undisturbed
     assert trials(folder) == undisturbed
 
 
-def test_a_umask_is_obeyed_and_few_open_files_are_enough(folder: Path, undisturbed: Trials) -> None:
+def test_a_umask_is_obeyed_and_few_open_files_are_enough(
+    folder: Path, undisturbed: Trials
+) -> None:
     assert run(STUDY, 'umask 077; ulimit -n 16; exec "$@"').code == 0
     assert trials(folder) == undisturbed
     made = [path for path in folder.rglob("*") if path.name != "toy.toml"]
     assert made and not any(path.stat().st_mode & 0o077 for path in made)
 
 
-def test_a_folder_being_filled_and_its_copy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_being_filled_and_its_copy(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with stopped(COMPARE):
         shutil.copytree(folder, folder / "copy")
         second = run(COMPARE)
-    assert second.code == 2 and "a folder that no other process is filling" in second.error
+    assert (
+        second.code == 2 and "a folder that no other process is filling" in second.error
+    )
     monkeypatch.chdir(folder / "copy")
     assert run(COMPARE).code == 0
     first, copied = (place / "out" / "trials.parquet" for place in (folder, Path()))
@@ -185,14 +239,21 @@ def test_a_folder_being_filled_and_its_copy(folder: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.campaign
-def test_no_time_left_is_the_shells_signal_and_resumes(folder: Path, undisturbed: Trials) -> None:
+def test_no_time_left_is_the_shells_signal_and_resumes(
+    folder: Path, undisturbed: Trials
+) -> None:
     """A second is gone with the imports, or soon after them."""
-    assert run(STUDY, 'ulimit -t 1; exec "$@"').code in (-signal.SIGXCPU, -signal.SIGKILL)
+    assert run(STUDY, 'ulimit -t 1; exec "$@"').code in (
+        -signal.SIGXCPU,
+        -signal.SIGKILL,
+    )
     assert run(STUDY).code == 0
     assert trials(folder) == undisturbed
 
 
-def test_a_clock_that_was_set_back_changes_no_trial(folder: Path, undisturbed: Trials) -> None:
+def test_a_clock_that_was_set_back_changes_no_trial(
+    folder: Path, undisturbed: Trials
+) -> None:
     if shutil.which("faketime") is None:
         pytest.skip("no faketime here: apt-get install faketime")
     assert run((*STUDY[:-1], 2)).code == 0
@@ -203,14 +264,23 @@ def test_a_clock_that_was_set_back_changes_no_trial(folder: Path, undisturbed: T
 READ_ONLY = 'mount -t tmpfs -o ro none /dev/shm && exec "$@"'
 
 
-@pytest.mark.parametrize(("work", "line"), [
-    (("--workers", 2), ""),
-    (("--cluster", "local:1"), "error: cluster: 'local:1' cannot be used; allowed: a machine "
-                               "with shared memory (/dev/shm) that can be written"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("work", "line"),
+    [
+        (("--workers", 2), ""),
+        (
+            ("--cluster", "local:1"),
+            "error: cluster: 'local:1' cannot be used; allowed: a machine "
+            "with shared memory (/dev/shm) that can be written",
+        ),
+    ],
+)
 def test_without_shared_memory(folder: Path, work: Words, line: str) -> None:
     """As in some containers. Our own processes need none; those of Dask do."""
-    if subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode != 0:
+    if (
+        subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode
+        != 0
+    ):
         pytest.skip("mounting needs root's rights")
     done = run(
         (*COMPARE[:-4], *work, "--out", "out"),

@@ -9,13 +9,25 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 from taichi_nmm.errors import InputError
 from tests.cases import asset
 from tests.tools.running import load_tool, run_tool
 from tools import outside
-from tools.outside import ARMS, PROBLEMS, Batches, Feature, Run, outside_problem, rows_by_ranking
+from tools.outside import (
+    ARMS,
+    PROBLEMS,
+    Batches,
+    Feature,
+    Run,
+    outside_problem,
+    rows_by_ranking,
+)
 
 DIGESTS = asset("outside-digests.toml")
 
@@ -28,7 +40,9 @@ def test_a_file_has_the_pool_that_figures_were_made_with(name: str) -> None:
     (purpose,) = (each for each in purposes if name in outside.GROUPS[each])
     assert problem.purpose == purpose
     assert outside.file_of(name).stat().st_size < 150_000
-    found = hashlib.sha256(repr((name, [*problem.columns], (*problem.feature_meanings,))).encode())
+    found = hashlib.sha256(
+        repr((name, [*problem.columns], (*problem.feature_meanings,))).encode()
+    )
     for column in problem.columns.values():
         found.update(repr(column.tolist()).encode())
     found.update(np.ascontiguousarray(problem.features).tobytes())
@@ -42,38 +56,55 @@ SPACE = {
     "kind": CategoricalDistribution(("plain", "fancy")),
 }
 COLUMNS = {
-    "rate": np.array([1e-4, 1e-2, 1.0, 1.0]), "depth": np.array([1, 5, 9, 9]),
+    "rate": np.array([1e-4, 1e-2, 1.0, 1.0]),
+    "depth": np.array([1, 5, 9, 9]),
     "kind": np.array(["plain", "fancy", "plain", "fancy"]),
-}  # fmt: skip
+}
 
 
 def made(*names: str) -> outside.OutsideProblem:
     """A problem of four rows, with some of the parameters."""
     features = np.array([[1.0, np.nan], [5.0, -5.0], [np.inf, -9.0], [np.inf, -9.0]])
     return outside.OutsideProblem(
-        name="made", purpose="tuning", field="testing", cost_meaning="a sum",
+        name="made",
+        purpose="tuning",
+        field="testing",
+        cost_meaning="a sum",
         space={name: SPACE[name] for name in names},
         columns={name: COLUMNS[name] for name in names},
-        feature_meanings={"depth": Feature("low", "itself"), "minus": Feature("high", "opposite")},
-        features=features, cost=np.array([1.0, 2.0, 4.0, 3.0]),
-    )  # fmt: skip
+        feature_meanings={
+            "depth": Feature("low", "itself"),
+            "minus": Feature("high", "opposite"),
+        },
+        features=features,
+        cost=np.array([1.0, 2.0, 4.0, 3.0]),
+    )
 
 
 WHOLE = made(*SPACE)
 
 
-@pytest.mark.parametrize(("settings", "row"), [
-    # 3e-3 is nearer to 1e-2 than to 1e-4 by its logarithm alone; integers count by their steps.
-    *(({"rate": rate}, row) for rate, row in ((5e-4, 0), (3e-3, 1), (0.05, 1), (0.2, 2))),
-    *(({"depth": depth}, row) for depth, row in ((2, 0), (3, 0), (4, 1), (8, 2))),
-    # Another choice is sqrt 2 away, the ends of both numbers together as much.
-    ({"rate": 1e-4, "depth": 5, "kind": "fancy"}, 1),
-    ({"rate": 1.0, "depth": 9, "kind": "fancy"}, 3),
-    ({"rate": 1.0, "depth": 9, "kind": "plain"}, 2),
-    ({"rate": 1e-4, "depth": 2, "kind": "fancy"}, 1),
-    *((WHOLE.settings(row), row) for row in range(4)),
-])  # fmt: skip
-def test_the_nearest_row_is_on_each_parameters_scale(settings: dict[str, Any], row: int) -> None:
+@pytest.mark.parametrize(
+    ("settings", "row"),
+    [
+        # 3e-3 is nearer to 1e-2 than to 1e-4 by its logarithm alone; integers count by
+        # their steps.
+        *(
+            ({"rate": rate}, row)
+            for rate, row in ((5e-4, 0), (3e-3, 1), (0.05, 1), (0.2, 2))
+        ),
+        *(({"depth": depth}, row) for depth, row in ((2, 0), (3, 0), (4, 1), (8, 2))),
+        # Another choice is sqrt 2 away, the ends of both numbers together as much.
+        ({"rate": 1e-4, "depth": 5, "kind": "fancy"}, 1),
+        ({"rate": 1.0, "depth": 9, "kind": "fancy"}, 3),
+        ({"rate": 1.0, "depth": 9, "kind": "plain"}, 2),
+        ({"rate": 1e-4, "depth": 2, "kind": "fancy"}, 1),
+        *((WHOLE.settings(row), row) for row in range(4)),
+    ],
+)
+def test_the_nearest_row_is_on_each_parameters_scale(
+    settings: dict[str, Any], row: int
+) -> None:
     assert made(*settings).row_nearest_to(settings) == row
 
 
@@ -85,7 +116,8 @@ def test_a_trial_costs_as_much_as_the_nearest_row_and_rows_are_ranked() -> None:
     free = [study.ask(WHOLE.space).params for _ in range(4)]
     expected = [WHOLE.cost[WHOLE.row_nearest_to(settings)] for settings in free]
     assert list(found[1:]) == expected == [WHOLE.cost_at(settings) for settings in free]
-    # The ranking is the mean rank: equal values share that of their ranks; what failed ranks last.
+    # The ranking is the mean rank: equal values share that of their ranks; what failed
+    # ranks last.
     np.testing.assert_array_equal(WHOLE.ranks, [[1, 4], [2, 1], [3.5, 2.5], [3.5, 2.5]])
     np.testing.assert_array_equal(WHOLE.ranking, [2.5, 1.5, 3, 3])
 
@@ -95,15 +127,22 @@ def test_a_batch_is_told_after_all_of_it_was_proposed() -> None:
     half, seen = outside_problem("suzuki").drawn(1), list[int]()
 
     class Watched(optuna.samplers.RandomSampler):
-        def before_trial(self, study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
-            seen.append(len(study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))))
+        def before_trial(
+            self, study: optuna.Study, trial: optuna.trial.FrozenTrial
+        ) -> None:
+            seen.append(
+                len(study.get_trials(states=(optuna.trial.TrialState.COMPLETE,)))
+            )
 
     assert len(outside.study_costs(half, Watched(seed=1), Batches(7, 3))) == 7
     assert seen == [0, 0, 0, 3, 3, 3, 6]
 
 
 def test_formulas_are_alike_as_far_as_they_have_common_words() -> None:
-    columns = {"one": np.array(["CCO", "CCO", "CCN"]), "two": np.array(["Br", "Cl", "Br"])}
+    columns = {
+        "one": np.array(["CCO", "CCO", "CCN"]),
+        "two": np.array(["Br", "Cl", "Br"]),
+    }
     # ^CCO, CCO$ against ^CCN, CCN$: none of four; ^Br$ is one word, as is ^Cl$.
     expected = [[1, 0.5, 0.5], [0.5, 1, 0], [0.5, 0, 1]]
     np.testing.assert_allclose(outside.formula_similarity(columns), expected)
@@ -115,7 +154,9 @@ def test_formulas_are_alike_as_far_as_they_have_common_words() -> None:
     assert apart[near].mean() < apart[~near].mean()  # formulas tell something of yields
 
 
-def test_a_bad_file_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bad_file_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(outside, "DATA", tmp_path)
     (tmp_path / "broken.parquet").write_text("PAR1")
     for name in ("broken", "missing"):
@@ -130,7 +171,9 @@ RUN_ARMS = [arm for arm in ARMS if not ARMS[arm].needs and ARMS[arm].knows(PROBL
 
 
 @pytest.mark.slow
-def test_the_page_keeps_what_people_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_keeps_what_people_wrote(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cache, page = tmp_path / "cache", tmp_path / "docs" / "sampler-outside.md"
 
     def compare() -> dict[Path, int]:
@@ -152,19 +195,28 @@ def test_the_page_keeps_what_people_wrote(tmp_path: Path, monkeypatch: pytest.Mo
         assert set(found) <= set(outside_problem(PROBLEM).drawn(seed).cost.tolist())
     problem = outside_problem(PROBLEM).drawn(1)
     first = problem.cost[rows_by_ranking(problem, 1)].tolist()
-    assert costs["ranking", 1] == first[:TRIALS] and costs["tpe-ranking", 1][:3] == first[:3]
+    assert (
+        costs["ranking", 1] == first[:TRIALS]
+        and costs["tpe-ranking", 1][:3] == first[:3]
+    )
     text = page.read_text()
-    best = np.median([np.minimum.accumulate(costs["ours", seed]) for seed in range(SEEDS)], 0)
+    best = np.median(
+        [np.minimum.accumulate(costs["ours", seed]) for seed in range(SEEDS)], 0
+    )
     wanted = [
-        "# Samplers on problems from outside\n", f"## {PROBLEM} (tuning)",
+        "# Samplers on problems from outside\n",
+        f"## {PROBLEM} (tuning)",
         "| ours: never behind a sampler without features (p < 0.05) | yes |",
         "| ours against | after 5: won | lost | p | after 7: won | lost | p |",
-        f"| ours | {ARMS['ours'].sees} | {SEEDS} | ", f" | {best[4]:.4g} | {best[6]:.4g} |",
+        f"| ours | {ARMS['ours'].sees} | {SEEDS} | ",
+        f" | {best[4]:.4g} | {best[6]:.4g} |",
         *(f"| {ARMS[arm].label} | {ARMS[arm].sees} |" for arm in RUN_ARMS),
         *(f"| {name} |" for name in problem.feature_meanings),
-    ]  # fmt: skip
+    ]
     assert [line for line in wanted if line not in text] == []
-    changed = text.replace("# Samplers on", "# People on").replace("Written by", "Written by X")
+    changed = text.replace("# Samplers on", "# People on").replace(
+        "Written by", "Written by X"
+    )
     page.write_text(changed.replace("| yes |", "| yse |"))
     assert compare() == written
     assert page.read_text() == text.replace("# Samplers on", "# People on")
@@ -177,7 +229,9 @@ def test_the_page_keeps_what_people_wrote(tmp_path: Path, monkeypatch: pytest.Mo
     assert run.kept(tmp_path) is None
 
 
-def test_left_out_arms(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_left_out_arms(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     absent = outside.Arm("A Peer", "nothing", ARMS["random"].costs, needs="absent")
     monkeypatch.setitem(ARMS, "gp", absent)
     left_out = "A Peer is left out: it needs absent (pip install absent)\n"
@@ -190,7 +244,11 @@ def test_left_out_arms(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
 def test_a_seed_draws_half_of_the_pool_and_breaks_the_rankings_ties() -> None:
     whole = outside_problem(PROBLEM)
     one, again, other = whole.drawn(1), whole.drawn(1), whole.drawn(2)
-    sizes = {len(one), len(one.features), *(len(column) for column in one.columns.values())}
+    sizes = {
+        len(one),
+        len(one.features),
+        *(len(column) for column in one.columns.values()),
+    }
     assert sizes == {len(whole) // 2}
     np.testing.assert_array_equal(one.cost, again.cost)
     assert set(one.cost) <= set(whole.cost) and set(one.cost) != set(other.cost)
@@ -240,10 +298,20 @@ def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     assert "| TPESampler | nothing | 1 | 0.25 | 2 |" in made.figures()
 
 
-def test_nobody_knows_the_good_end_of_a_descriptor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_knows_the_good_end_of_a_descriptor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     which = ("--problems", "suzuki", "--arms")
     assert run_tool(monkeypatch, "compare_outside", *which, "ranking") == 2
-    assert run_tool(monkeypatch, "compare_outside", "--problems", "suzuki,cart-pole") == 2
-    section = TOOL.Comparison({("suzuki", "ours"): np.ones((2, 3))}, {("suzuki", "ours"): 1.0})
-    rows = [line for line in section.figures() if line.startswith("| ligand_1 | unknown | ")]
-    assert len(rows) == 1 and not any(line.startswith("| ranking") for line in section.figures())
+    assert (
+        run_tool(monkeypatch, "compare_outside", "--problems", "suzuki,cart-pole") == 2
+    )
+    section = TOOL.Comparison(
+        {("suzuki", "ours"): np.ones((2, 3))}, {("suzuki", "ours"): 1.0}
+    )
+    rows = [
+        line for line in section.figures() if line.startswith("| ligand_1 | unknown | ")
+    ]
+    assert len(rows) == 1 and not any(
+        line.startswith("| ranking") for line in section.figures()
+    )

@@ -41,7 +41,11 @@ def uninterrupted(command: Command) -> dict[str, bytes]:
 
 def test_json_is_one_object(command: Command) -> None:
     summary = command.json(samples=20)
-    assert (summary["points"], summary["points_computed"], summary["shards"]) == (20, 20, 3)
+    assert (summary["points"], summary["points_computed"], summary["shards"]) == (
+        20,
+        20,
+        3,
+    )
     assert summary["path"] == str(command.out)
     assert summary["walkers_per_s"] > 0
     ends = open_store(command.out, verify=True).numpy(["end_reason"])["end_reason"]
@@ -53,19 +57,25 @@ def test_json_is_one_object(command: Command) -> None:
     assert (again["points_computed"], again["walkers_per_s"]) == (0, 0.0)
 
 
-def test_text_says_what_was_done_where(command: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_says_what_was_done_where(
+    command: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     robust = "[robust]\nsettings = 2\nbody.disturbance = 0.1\n"
     (command.folder / "store.toml").write_text(CONFIG + robust)
     monkeypatch.chdir(command.folder)
     assert command.run(out="") == 0
     assert "96 in 12 shards (96 computed now)" in command.tool.out
     assert "points in its worlds" in command.tool.out and "runs/s" in command.tool.out
-    assert str(Path("out", "store")) in command.tool.out  # named after the configuration
+    assert (
+        str(Path("out", "store")) in command.tool.out
+    )  # named after the configuration
     assert "run/s" in command.tool.err and "96/96" in command.tool.err
     assert (command.folder / "out" / "store" / "manifest.json").is_file()
 
 
-def test_interrupt_exits_130_and_resumes(command: Command, uninterrupted: dict[str, bytes]) -> None:
+def test_interrupt_exits_130_and_resumes(
+    command: Command, uninterrupted: dict[str, bytes]
+) -> None:
     done = run(command, signal="5:SIGINT")  # a shard takes two, for its family
     assert (done.code, done.last) == (130, INTERRUPTED) and shards(command.out) == 2
     assert json.loads(run(command, "--json").out)["points_computed"] == 8 * (SHARDS - 2)

@@ -36,7 +36,9 @@ def lines(folder: Path) -> list[str]:
         # First where a name is imported to: else it would keep the fake.
         strips = "experiment.artifacts.write_strip", "pictures.write_strip"
         for name in (*strips, "pictures.write_gait_cycle"):
-            patch.setattr(f"study.{name}", lambda path, *_: path.write_bytes(b"drawn") and path)
+            patch.setattr(
+                f"study.{name}", lambda path, *_: path.write_bytes(b"drawn") and path
+            )
         for _ in range(2):
             assert run_tool(patch, "quickstart", "--out", folder) == 0
     return said.getvalue().splitlines()
@@ -51,27 +53,45 @@ def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -
         assert storage is not None
         found = optuna.get_all_study_summaries(storage)
         assert [study.n_trials for study in found] == [30, 30, 30]  # none was run again
-        costs = {study.study_name.split("/")[1]: study.best_trial.value for study in found}
+        costs = {
+            study.study_name.split("/")[1]: study.best_trial.value for study in found
+        }
     best = folder / f"{min(costs, key=lambda arm: costs[arm] or 0.0)}-run-000-best.json"
     assert tuple(json.loads(best.read_text())) == GAIN_NAMES and str(best) in lines[-5]
     drawn = {str(path.relative_to(folder)) for path in folder.glob("*/*.png")}
     kinds = ("strip", "gait_cycle")
-    assert drawn == {f"{name}/{kind}.png" for name in ("found", "reference") for kind in kinds}
+    assert drawn == {
+        f"{name}/{kind}.png" for name in ("found", "reference") for kind in kinds
+    }
 
 
 def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> None:
     """The very line, as a user pastes it; only shorter, and to another folder."""
     title, _, command = lines[-3].partition(": ")
     assert title == "A film of it"
-    short = ("--duration", "2", "--movie-seconds", "0.3", "--out", str(tmp_path), "--json")
+    short = (
+        "--duration",
+        "2",
+        "--movie-seconds",
+        "0.3",
+        "--out",
+        str(tmp_path),
+        "--json",
+    )
     done = subprocess.run(
-        f"{command} {shlex.join(short)}", shell=True, cwd=ROOT, capture_output=True, text=True
+        f"{command} {shlex.join(short)}",
+        shell=True,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     assert Path(json.loads(done.stdout)["pictures"]["movie"]).stat().st_size > 1000
 
 
-def test_a_store_of_something_else(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
+def test_a_store_of_something_else(
+    tmp_path: Path, tool: Tool, simulator: Simulator
+) -> None:
     fake_walker.write_plain_store(tmp_path / "store", samples=20)
     assert tool("quickstart", "--out", tmp_path) == 2
     assert tool.err.startswith("error: samples: 4000 ") and tool.err.count("\n") == 1
@@ -79,7 +99,11 @@ def test_a_store_of_something_else(tmp_path: Path, tool: Tool, simulator: Simula
 
 @pytest.mark.parametrize("field", ["study", "storage"])
 def test_studies_that_cannot_go_on_are_refused_before_the_store_is_made(
-    field: str, database: sqlite3.Connection, tmp_path: Path, tool: Tool, simulator: Simulator
+    field: str,
+    database: sqlite3.Connection,
+    tmp_path: Path,
+    tool: Tool,
+    simulator: Simulator,
 ) -> None:
     """Another process runs one of them; the database is another program's."""
     database.execute("CREATE TABLE studies (title TEXT)")

@@ -17,13 +17,15 @@ from tests.tools.conftest import Tool
 
 GAINS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 
-# Commands, their words and the beginning of the line; they are run in a folder with the files.
+# Commands, their words and the beginning of the line; they are run in a folder with the
+# files.
 REFUSED: dict[str, dict[str, str]] = asset("refusals.toml")
 BASE, TEXTS = REFUSED.pop("base"), REFUSED.pop("files")
 FILES: dict[str, Any] = TEXTS | {
-    "low-level.json": GAINS | {"theta_ref": 3.0}, "result.json": {"gains": GAINS | {"K_SOL": 99}},
+    "low-level.json": GAINS | {"theta_ref": 3.0},
+    "result.json": {"gains": GAINS | {"K_SOL": 99}},
     "missing.json": {name: value for name, value in GAINS.items() if name != "l_clr"},
-}  # fmt: skip
+}
 REFUSED["compare"][f"--runs {'9' * 5000}"] = "runs: '999"
 
 
@@ -32,7 +34,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the files, and a store of 20 rows."""
     folder = tmp_path_factory.mktemp("refusals")
     for name, content in FILES.items():
-        (folder / name).write_text(content if isinstance(content, str) else json.dumps(content))
+        (folder / name).write_text(
+            content if isinstance(content, str) else json.dumps(content)
+        )
     fake_walker.write_plain_store(folder / "store", 20)
     return folder
 
@@ -47,37 +51,80 @@ def untouched(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def words_of(name: str, words: str) -> list[str]:
-    return [name.partition(" of ")[0], *shlex.split(BASE.get(name, "")), *shlex.split(words)]
+    return [
+        name.partition(" of ")[0],
+        *shlex.split(BASE.get(name, "")),
+        *shlex.split(words),
+    ]
 
 
-@pytest.mark.parametrize(("name", "words", "line"), [
-    pytest.param(name, words, line, id=f"{name} {words[:40]}")
-    for name, lines in REFUSED.items() for words, line in lines.items()
-])  # fmt: skip
-def test_refused_in_one_line(name: str, words: str, line: str, untouched: Path, tool: Tool) -> None:
+@pytest.mark.parametrize(
+    ("name", "words", "line"),
+    [
+        pytest.param(name, words, line, id=f"{name} {words[:40]}")
+        for name, lines in REFUSED.items()
+        for words, line in lines.items()
+    ],
+)
+def test_refused_in_one_line(
+    name: str, words: str, line: str, untouched: Path, tool: Tool
+) -> None:
     anywhere = ".*" if line.startswith("... ") else ""
-    tool.refuses(anywhere + re.escape(line.removeprefix("... ")), *words_of(name, words))
+    tool.refuses(
+        anywhere + re.escape(line.removeprefix("... ")), *words_of(name, words)
+    )
     assert "secret" not in tool.err
 
 
 def no_gpu(settings: Settings) -> None:
-    raise InputError("simulation.arch", settings.arch, "an architecture of this machine")
+    raise InputError(
+        "simulation.arch", settings.arch, "an architecture of this machine"
+    )
 
 
-@pytest.mark.parametrize(("patched", "value", "name", "words", "line"), [
-    *(("taichi_nmm.kernel.backend", SimpleNamespace(start=no_gpu), name, "--arch cuda",
-       "simulation.arch: 'cuda'") for name in ("compare", "precompute", "study")),
-    *(("taichi_nmm.mujoco_engine.find_spec", lambda name: None, "walk of published", words,
-       r".*pip install 'taichi-nmm\[mujoco\]'") for words in ("--engine mujoco", "--mjcf x")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("patched", "value", "name", "words", "line"),
+    [
+        *(
+            (
+                "taichi_nmm.kernel.backend",
+                SimpleNamespace(start=no_gpu),
+                name,
+                "--arch cuda",
+                "simulation.arch: 'cuda'",
+            )
+            for name in ("compare", "precompute", "study")
+        ),
+        *(
+            (
+                "taichi_nmm.mujoco_engine.find_spec",
+                lambda name: None,
+                "walk of published",
+                words,
+                r".*pip install 'taichi-nmm\[mujoco\]'",
+            )
+            for words in ("--engine mujoco", "--mjcf x")
+        ),
+    ],
+)
 def test_what_a_machine_lacks_is_said(
-    patched: str, value: object, name: str, words: str, line: str,
-    untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    patched: str,
+    value: object,
+    name: str,
+    words: str,
+    line: str,
+    untouched: Path,
+    tool: Tool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(patched, value, raising=False)
     tool.refuses(line, *words_of(name, words))
 
 
-def test_without_ffmpeg(untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ffmpeg(
+    untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
-    tool.refuses("ffmpeg: .*allowed: a working ffmpeg", *words_of("walk of published", ""))
+    tool.refuses(
+        "ffmpeg: .*allowed: a working ffmpeg", *words_of("walk of published", "")
+    )

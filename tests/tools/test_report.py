@@ -29,12 +29,18 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write(root / "one")
     begun = write(root / "two", "walking")
     table = pq.read_table(begun / "trials.parquet")
-    behind = pc.and_(pc.equal(table["arm"], "worlds-stairs"), pc.greater(table["trial"], 3))
+    behind = pc.and_(
+        pc.equal(table["arm"], "worlds-stairs"), pc.greater(table["trial"], 3)
+    )
     (begun / "arms").mkdir()
     pq.write_table(table.filter(pc.invert(behind)), begun / "arms" / "all.parquet")
     (begun / "trials.parquet").unlink()
     out, err = StringIO(), StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
         words = root / "one", begun, "--out", root / "all"
         assert run_tool(patch, "report", *words) == 0
     (root / "out.txt").write_text(out.getvalue())
@@ -55,7 +61,10 @@ def test_a_report_has_its_figures_and_its_numbers(reported: Path) -> None:
 
 def test_an_unfinished_folder_is_reported_as_far_as_it_is(reported: Path) -> None:
     assert "two (140 of 180 trials)" in (reported / "out.txt").read_text()
-    assert "Unfinished: 140 of 180" in (reported / "two" / "report" / "report.md").read_text()
+    assert (
+        "Unfinished: 140 of 180"
+        in (reported / "two" / "report" / "report.md").read_text()
+    )
     assert (reported / "err.txt").read_text() == ""
 
 
@@ -74,9 +83,11 @@ def test_bad_input_is_one_line(tmp_path: Path, tool: Tool) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")
     for field, *arguments in (
-        ("folder", tmp_path / "nowhere"), ("folder", tmp_path / "empty"),
+        ("folder", tmp_path / "nowhere"),
+        ("folder", tmp_path / "empty"),
         ("out", folder, "--out", tmp_path / "all"),
-        ("folder", folder, tmp_path / "empty"), ("out", folder, folder, "--out", "/"),
-    ):  # fmt: skip
+        ("folder", folder, tmp_path / "empty"),
+        ("out", folder, folder, "--out", "/"),
+    ):
         tool.refuses(f"{field}: ", "report", *arguments)
     assert not (tmp_path / "all").exists() and not (folder / "report").exists()

@@ -43,7 +43,10 @@ class Study(Command):
 @pytest.fixture
 def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Study:
     fake_walker.write_plain_store(tmp_path / "store")
-    places = {"storage": f"sqlite:///{tmp_path / 'studies.db'}", "store": tmp_path / "store"}
+    places = {
+        "storage": f"sqlite:///{tmp_path / 'studies.db'}",
+        "store": tmp_path / "store",
+    }
     return Study(tool, tmp_path, "study", config=ROUGH8, arm="dog", trials=4, **places)
 
 
@@ -77,11 +80,15 @@ def walks(simulator: Simulator) -> list[int]:
     return recorded
 
 
-def test_the_best_trial_has_its_picture_in_the_dashboard(command: Study, walks: list[int]) -> None:
+def test_the_best_trial_has_its_picture_in_the_dashboard(
+    command: Study, walks: list[int]
+) -> None:
     """Beside the database, where our dashboard looks; and once."""
     best = command.json()["best_trial"]
     study = command.study()
-    artifacts = [get_all_artifact_meta(each, storage=study._storage) for each in study.trials]
+    artifacts = [
+        get_all_artifact_meta(each, storage=study._storage) for each in study.trials
+    ]
     (picture,) = artifacts.pop(best)
     assert artifacts == [[]] * 3
     file = command.folder / "artifacts" / picture.artifact_id
@@ -105,7 +112,9 @@ def test_fixed_gains_stand_beside_the_best(command: Study, walks: list[int]) -> 
 
 
 @pytest.mark.slow
-def test_lines_are_taken(command: Study, walks: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lines_are_taken(
+    command: Study, walks: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Film and dashboard, as a user pastes them."""
     config = fake_walker.write_config(command.folder)
     found = command.json(config=config, store="", arm="random", run=2, seed=7)
@@ -122,27 +131,37 @@ def test_lines_are_taken(command: Study, walks: list[int], monkeypatch: pytest.M
     terrain = read_experiment(config, None, 7).terrain(2)
     np.testing.assert_array_equal(ground.height_m, terrain.height_m)
     served: list[None] = []
-    monkeypatch.setattr("socketserver.BaseServer.serve_forever", lambda *_: served.append(None))
+    monkeypatch.setattr(
+        "socketserver.BaseServer.serve_forever", lambda *_: served.append(None)
+    )
     assert command.tool(*dashboard[3:], "--port", 0) == 0
     assert served and "artifacts" in command.tool.out
 
 
 @pytest.mark.slow
-def test_what_is_not_said_is_the_configs(command: Study, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_said_is_the_configs(
+    command: Study, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Trials, store and folder; and the study of another run and seed is another one."""
     config = fake_walker.write_config(command.folder / "out")
     monkeypatch.chdir(command.folder)
     words = ("--config", config, "--arm", "dog", "--storage", command.url)
     other = ("--run", 2, "--seed", 7, "--storage", "sqlite:///7.db")
-    found = [command.tool.json("study", *words, *more) for more in ((), ("--run", 2), other)]
-    assert [each["study"] for each in found] == [f"toy/dog/run-00{run}" for run in (0, 2, 2)]
+    found = [
+        command.tool.json("study", *words, *more) for more in ((), ("--run", 2), other)
+    ]
+    assert [each["study"] for each in found] == [
+        f"toy/dog/run-00{run}" for run in (0, 2, 2)
+    ]
     assert {each["trials"] for each in found} == {8}
     assert len({each["row"] for each in found}) > 1
     assert (Path("out") / "toy" / "dog-run-000-best.json").is_file()
     assert (Path("out") / "toy" / "dog-run-002-best.json").is_file()
 
 
-def test_locked_midway(command: Study, database: sqlite3.Connection, simulator: Simulator) -> None:
+def test_locked_midway(
+    command: Study, database: sqlite3.Connection, simulator: Simulator
+) -> None:
     calls = count()
 
     def simulate_and_lock(*args: Any, **options: Any) -> Result:
@@ -160,7 +179,9 @@ def test_locked_midway(command: Study, database: sqlite3.Connection, simulator: 
 
 
 @pytest.mark.parametrize("writing", [False, True])
-def test_no_study_runs_twice(writing: bool, command: Study, database: sqlite3.Connection) -> None:
+def test_no_study_runs_twice(
+    writing: bool, command: Study, database: sqlite3.Connection
+) -> None:
     assert command.run(trials=1) == 0
     with only_run(command.url, NAME):
         if writing:  # as a process that was stopped in the middle of it

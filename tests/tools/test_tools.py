@@ -48,7 +48,9 @@ def test_a_proposal_passes_few_files_and_classes() -> None:
             called.add((file, frame.f_code.co_qualname.partition(".<locals>")[0]))
 
     def objective(trial: optuna.Trial) -> float:
-        return sum(trial.suggest_float(name, x.min(), x.max()) for name, x in columns.items())
+        return sum(
+            trial.suggest_float(name, x.min(), x.max()) for name, x in columns.items()
+        )
 
     study.optimize(objective, n_trials=10)
     called.clear()
@@ -65,9 +67,11 @@ def test_a_proposal_passes_few_files_and_classes() -> None:
 
 # As of validate.
 FIGURES = (
-    Figure("speed", np.float64(1.4), 1.365, 1.425, "m/s"), Figure("tick", 250.0, 0, 200, "us"),
-    Figure("steps a second", 50_000.0, low=45_000), Figure("alive", 10.1, unit="%"),
-)  # fmt: skip
+    Figure("speed", np.float64(1.4), 1.365, 1.425, "m/s"),
+    Figure("tick", 250.0, 0, 200, "us"),
+    Figure("steps a second", 50_000.0, low=45_000),
+    Figure("alive", 10.1, unit="%"),
+)
 
 
 def test_figures_are_a_table_or_one_list(capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,14 +103,18 @@ def test_start_and_run_are_timed_apart() -> None:
 
     def numbers(start: str) -> list[float]:
         (line,) = re.findall(rf"^{start} .*", said, re.MULTILINE)
-        return [float(word) for word in re.findall(r"[\d.]+\d|\d", line.replace(",", ""))]
+        return [
+            float(word) for word in re.findall(r"[\d.]+\d|\d", line.replace(",", ""))
+        ]
 
     assert numbers("cold start")[0] > numbers("warm start")[0] > 0.0
     samples, duration_s, run_s, alive = numbers("run")
     assert (samples, duration_s) == (SAMPLES, 5.0) and run_s < numbers("cold start")[0]
     assert 0 < alive < 100
     walkers_per_s, steps_per_s = numbers("speed")
-    assert 1000 * 5 * alive / 100 <= steps_per_s / walkers_per_s * 1.01 <= 1.02 * 1000 * 5
+    assert (
+        1000 * 5 * alive / 100 <= steps_per_s / walkers_per_s * 1.01 <= 1.02 * 1000 * 5
+    )
     assert 50 < numbers("peak memory")[0] < 4096
 
 
@@ -125,11 +133,18 @@ def test_every_case_is_measured(tmp_path: Path) -> None:
     printed("tools/time_sampler.py", "--rows", 5000, "--out", tmp_path)
     cases = TIMES.cases(5000)
     assert [(case.sampler, case.features, case.observations) for case in cases] == [
-        ("ours", 1, 100), ("ours", 5, 100), ("rbf", 1, 100), ("worlds", 128, 100),
-        ("similarity", 5, 100), ("ours", 1, 1000), ("ours", 5, 100),
-    ]  # fmt: skip
+        ("ours", 1, 100),
+        ("ours", 5, 100),
+        ("rbf", 1, 100),
+        ("worlds", 128, 100),
+        ("similarity", 5, 100),
+        ("ours", 1, 1000),
+        ("ours", 5, 100),
+    ]
     lines = (tmp_path / "sampler-timing.md").read_text().splitlines()
-    rows = [line for line in lines if line.count(" | ") == 11][1:]  # the first is the heading
+    rows = [line for line in lines if line.count(" | ") == 11][
+        1:
+    ]  # the first is the heading
     for row, case in zip(rows, cases, strict=True):
         sizes = f"{case.rows:,} | {case.features} | {case.observations:,} | {TIMES.REPEATS} |"
         assert row.startswith(f"| {TIMES.LABELS[case.sampler]} | {sizes}")
@@ -141,16 +156,25 @@ def test_every_case_is_measured(tmp_path: Path) -> None:
     assert 0.1 < each.median_cpu_ms < 10_000 and 0.1 < each.first_cpu_ms < 10_000
 
 
-def fake(ms: float, sampler: str = "ours", observations: int = 100, **bars: float) -> Any:
+def fake(
+    ms: float, sampler: str = "ours", observations: int = 100, **bars: float
+) -> Any:
     case = TIMES.Case(sampler, 100_000, 1, observations, tuple(bars.items()))
     return TIMES.Measured(case, ms, ms - 1, ms + 1, ms / 2, 3 * ms, 50.0, 150.0)
 
 
 def test_the_page_says_which_bars_hold() -> None:
-    text = "\n".join(TIMES.figures([
-        fake(30.0, median_cpu_ms=10.0), fake(70.0, median_cpu_ms=45.0, peak_mib=149.0),
-        fake(5.0, "rbf"), fake(18.0, "worlds"), fake(900.0, observations=1000, median_ms=1000.0),
-    ]))  # fmt: skip
+    text = "\n".join(
+        TIMES.figures(
+            [
+                fake(30.0, median_cpu_ms=10.0),
+                fake(70.0, median_cpu_ms=45.0, peak_mib=149.0),
+                fake(5.0, "rbf"),
+                fake(18.0, "worlds"),
+                fake(900.0, observations=1000, median_ms=1000.0),
+            ]
+        )
+    )
     rows = [
         "| ours | 100,000 | 1 | 100 | 11 | 30 | 29 | 31 | 15 | 90 | 50 | 150 |",
         "| ours, the paper's kernel | 100,000 | 1 | 100 | 11 | 5 | 4 | 6 | 2 | 15 |",
@@ -159,5 +183,5 @@ def test_the_page_says_which_bars_hold() -> None:
         "100 trials: median cpu ms | 35, at most 45 | yes |",
         "100 trials: peak mib | 150, at most 149 | **no** |",
         "1,000 trials: median ms | 900, at most 1000 | yes |",
-    ]  # fmt: skip
+    ]
     assert [row for row in rows if row not in text] == []

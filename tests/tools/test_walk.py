@@ -39,15 +39,21 @@ def gains_file(folder: Path, gains: Any) -> Path:
 
 
 @pytest.mark.slow
-def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path: Path, tool: Tool) -> None:
+def test_the_reference_walks_100_s_and_json_is_one_object(
+    tmp_path: Path, tool: Tool
+) -> None:
     report = tool.json("walk", "--out", tmp_path, "--movie-seconds", 1)
     assert report["end_reason"] == "completed" and report["duration_s"] == 100.0
     assert report["mean_speed_mps"] == pytest.approx(1.30, abs=0.05)
     assert report["distance_m"] == pytest.approx(100.0 * report["mean_speed_mps"])
     assert set(report["gains"]) == set(GAIN_NAMES)
-    muscles, powered = (report[f"cost_of_transport_{kind}jpkgpm"] for kind in ("", "powered_"))
+    muscles, powered = (
+        report[f"cost_of_transport_{kind}jpkgpm"] for kind in ("", "powered_")
+    )
     assert 1.1 * muscles < powered < 1.4 * muscles
-    assert report["mass_kg"] == pytest.approx(80.0) and report["ended"].startswith("walked 100.0 s")
+    assert report["mass_kg"] == pytest.approx(80.0) and report["ended"].startswith(
+        "walked 100.0 s"
+    )
     drawn = {name: Path(path) for name, path in report["pictures"].items()}
     assert set(drawn) == {"strip", "gait_cycle", "movie"}
     assert all(path.stat().st_size > 10_000 for path in drawn.values())
@@ -55,14 +61,18 @@ def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path: Path, tool: 
 
 
 @pytest.mark.slow
-def test_a_faller_is_shown_too(tmp_path: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_faller_is_shown_too(
+    tmp_path: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     words = ("--gains", gains_file(tmp_path, FALLS), "--config", FLAT, "--duration", 3)
     assert tool("walk", *words, "--movie-seconds", 0.3) == 0
     assert "fell after" in tool.out and "foot touched last" in tool.out
     (folder,) = (tmp_path / "out" / "walk").iterdir()
     assert {path.name for path in folder.iterdir()} == PICTURES
-    lines = dict(line.rsplit(maxsplit=1) for line in tool.out.splitlines() if line[-1] == "-")
+    lines = dict(
+        line.rsplit(maxsplit=1) for line in tool.out.splitlines() if line[-1] == "-"
+    )
     assert "knee peak in swing (deg, flexion +)" in lines  # no step was scored
     assert "distance from people (standard deviations)" in lines
     report = tool.json("walk", *words, "--movie-seconds", 0)
@@ -76,8 +86,23 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     """An existing file is replaced; another engine makes another walk, and the same file."""
     model, folder = tmp_path / "walker.xml", tmp_path / "opensim"
     model.write_text("old")
-    words = ("walk", "--gains", "published", "--config", HARD, "--run", 3, "--duration", 3,
-             "--out", tmp_path / "out", "--movie-seconds", 0, "--mjcf", model)  # fmt: skip
+    words = (
+        "walk",
+        "--gains",
+        "published",
+        "--config",
+        HARD,
+        "--run",
+        3,
+        "--duration",
+        3,
+        "--out",
+        tmp_path / "out",
+        "--movie-seconds",
+        0,
+        "--mjcf",
+        model,
+    )
     report = tool.json(*words, "--opensim", folder)
     assert report["duration_s"] == 3.0 and 2.0 < report["distance_m"] < 6.0
     assert set(report["pictures"]) == {"strip", "gait_cycle", "mjcf", "opensim"}
@@ -95,20 +120,26 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
     assert tool(*words, "--engine", "both") == 0
     end, other_end, *lines = tool.out.splitlines()[:5]
     assert "taichi: walked 3.0 s" in end and "mujoco: walked 3.0 s" in other_end
-    costs = [[f"{walk[f'cost_of_transport_{kind}jpkgpm']:.2f}" for walk in (own, report)]
-             for kind in ("powered_", "")]  # fmt: skip
+    costs = [
+        [f"{walk[f'cost_of_transport_{kind}jpkgpm']:.2f}" for walk in (own, report)]
+        for kind in ("powered_", "")
+    ]
     assert [line.split()[-2:] for line in lines] == [["taichi", "mujoco"], *costs]
 
 
 @pytest.fixture
-def walk(tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> Walk:
+def walk(
+    tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+) -> Walk:
     """Runs the command, with simulator and painters replaced; returns what it prints as JSON."""
     for name in ("write_strip", "write_gait_cycle", "write_movie"):
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
-def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk: Walk, tmp_path: Path) -> None:
+def test_a_result_is_taken_as_gains_and_low_level_gains_count(
+    walk: Walk, tmp_path: Path
+) -> None:
     first = walk("--gains", gains_file(tmp_path, FALLS | {"theta_ref": 0.2}))
     assert walk("--gains", gains_file(tmp_path, first)) == first
     assert first["gains"] == FALLS | {"theta_ref": 0.2}
@@ -128,44 +159,76 @@ def test_two_walks_are_never_in_one_folder(
     weak, strong = tmp_path / "weak.toml", tmp_path / "strong.toml"
     strong.write_text(FLAT.read_text())
     weak.write_text(FLAT.read_text() + "\n[world]\nstrength = [0.8, 0.8]\n")
-    walks = (("--config", strong), ("--config", weak), ("--config", weak, "--run", 1),
-             ("--config", weak, "--seed", 9), ("--config", weak, "--duration", 3),
-             ("--config", weak, "--engine", "mujoco"), ("--gains", "published"))  # fmt: skip
-    shown = [tool.json("walk", *words)["pictures"]["strip"] for words in (*walks, *walks)]
+    walks = (
+        ("--config", strong),
+        ("--config", weak),
+        ("--config", weak, "--run", 1),
+        ("--config", weak, "--seed", 9),
+        ("--config", weak, "--duration", 3),
+        ("--config", weak, "--engine", "mujoco"),
+        ("--gains", "published"),
+    )
+    shown = [
+        tool.json("walk", *words)["pictures"]["strip"] for words in (*walks, *walks)
+    ]
     assert shown[: len(walks)] == shown[len(walks) :]  # the same walk, the same folder
     assert len(set(shown)) == len(walks)
-    assert {Path(path).parent.name[:10] for path in shown} == {"reference-", "published-"}
+    assert {Path(path).parent.name[:10] for path in shown} == {
+        "reference-",
+        "published-",
+    }
     film = tmp_path / "out" / "movie.mp4"
     film.write_text("a healthy walk")
-    tool.refuses("out: '.*movie.mp4' .* a folder without it", "walk", "--config", weak,
-                 "--movie-seconds", 0, "--out", tmp_path / "out")  # fmt: skip
+    tool.refuses(
+        "out: '.*movie.mp4' .* a folder without it",
+        "walk",
+        "--config",
+        weak,
+        "--movie-seconds",
+        0,
+        "--out",
+        tmp_path / "out",
+    )
     assert film.read_text() == "a healthy walk"
 
 
-def test_a_store_without_the_motors_energy_says_so(walk: Walk, tool: Tool, tmp_path: Path) -> None:
+def test_a_store_without_the_motors_energy_says_so(
+    walk: Walk, tool: Tool, tmp_path: Path
+) -> None:
     """As version 0.3 made stores: the muscles' energy counts then, and a line says it."""
     store, old = tmp_path / "store", tmp_path / "old.parquet"
     fake_walker.write_plain_store(store)
     opened = open_store(store)
     table = opened.table().drop_columns([ENERGY])
     specification = opened.specification | {
-        "columns": columns_of(table.schema), "code_version": "0.2.0",
-    }  # fmt: skip
+        "columns": columns_of(table.schema),
+        "code_version": "0.2.0",
+    }
     footer = opened.footers[0] | {"rows": len(table), "specification": specification}
     footer["specification_hash"] = document_hash(specification)
     write_table(old, table, footer)
-    muscles, both = (gains_of_row(store, row_at_speed(store, 1.1, least)).as_document()
-                     for least in (OF_MUSCLES, ENERGY))  # fmt: skip
+    muscles, both = (
+        gains_of_row(store, row_at_speed(store, 1.1, least)).as_document()
+        for least in (OF_MUSCLES, ENERGY)
+    )
     assert muscles != both
     words = ("--speed", 1.1, "--out", tmp_path / "pictures")
     assert tool.json("walk", "--store", store, *words)["gains"] == both
-    assert tool.json("walk", "--store", store, "--least", OF_MUSCLES, *words)["gains"] == muscles
+    assert (
+        tool.json("walk", "--store", store, "--least", OF_MUSCLES, *words)["gains"]
+        == muscles
+    )
     assert "warning" not in tool.err
     assert tool.json("walk", "--store", old, *words)["gains"] == muscles
-    assert tool.err.startswith(f"warning: {old} lacks {ENERGY}, ") and tool.err.count("\n") == 1
+    assert (
+        tool.err.startswith(f"warning: {old} lacks {ENERGY}, ")
+        and tool.err.count("\n") == 1
+    )
 
 
-def test_the_front_of_a_store_is_listed(tmp_path: Path, tool: Tool, simulator: Simulator) -> None:
+def test_the_front_of_a_store_is_listed(
+    tmp_path: Path, tool: Tool, simulator: Simulator
+) -> None:
     experiment = front(tmp_path)
     words = ("walk", "--front", "--store", experiment.stores["worlds"])
     config = ("--config", tmp_path / "kept" / "toy.toml")
@@ -178,10 +241,14 @@ def test_the_front_of_a_store_is_listed(tmp_path: Path, tool: Tool, simulator: S
     tool.refuses("store: None .* lists rows", "walk", "--front", *config)
 
 
-def test_of_several_speeds_each_has_its_part_of_the_walk(walk: Walk, tmp_path: Path) -> None:
+def test_of_several_speeds_each_has_its_part_of_the_walk(
+    walk: Walk, tmp_path: Path
+) -> None:
     store = tmp_path / "store"
     fake_walker.write_plain_store(store)
-    slow, fast = (gains_of_row(store, row_at_speed(store, speed)) for speed in (0.95, 1.1))
+    slow, fast = (
+        gains_of_row(store, row_at_speed(store, speed)) for speed in (0.95, 1.1)
+    )
     shown = walk("--store", store, "--speed", 0.95, "--speed", 1.1, "--duration", 12)
     call = fake_walker.calls[-1]
     (switch,) = call["switches"]
@@ -191,8 +258,10 @@ def test_of_several_speeds_each_has_its_part_of_the_walk(walk: Walk, tmp_path: P
 
 def test_a_run_and_a_seed_have_their_own_body_and_ground(walk: Walk) -> None:
     for words, seed, run in (
-        ((), None, 0), (("--run", 3), None, 3), (("--seed", 523001), 523001, 0),
-    ):  # fmt: skip
+        ((), None, 0),
+        (("--run", 3), None, 3),
+        (("--seed", 523001), 523001, 0),
+    ):
         walk("--config", ROUGH8, *words)
         experiment, call = read_experiment(ROUGH8, seed=seed), fake_walker.calls[-1]
         assert call["terrains"].height(50.0) == experiment.terrain(run).height(50.0)
@@ -211,10 +280,31 @@ def test_the_world_of_the_walk_is_in_the_files_of_other_programs(
     }
     tables = "".join(f"\n[{name}]\n{lines}\n" for name, lines in world.items())
     config.write_text(FLAT.read_text() + tables)
-    folder, states, model = tmp_path / "opensim", tmp_path / "walk.sto", tmp_path / "walker.xml"
-    assert tool("walk", "--config", config, "--duration", 1, "--movie-seconds", 0,
-                "--out", tmp_path / "out", "--opensim", folder, "--trajectory", states,
-                "--mjcf", model) == 0  # fmt: skip
+    folder, states, model = (
+        tmp_path / "opensim",
+        tmp_path / "walk.sto",
+        tmp_path / "walker.xml",
+    )
+    assert (
+        tool(
+            "walk",
+            "--config",
+            config,
+            "--duration",
+            1,
+            "--movie-seconds",
+            0,
+            "--out",
+            tmp_path / "out",
+            "--opensim",
+            folder,
+            "--trajectory",
+            states,
+            "--mjcf",
+            model,
+        )
+        == 0
+    )
     osim = ElementTree.parse(folder / "walker.osim")
     strongest = {
         muscle.get("name"): float(muscle.findtext("max_isometric_force", "nan"))

@@ -57,7 +57,8 @@ class Installed:
         python = str(self.bin / "python")
         asked = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
         sites = subprocess.check_output(asked, text=True)
-        # Packages of this environment are seen; its .pth files, which know the checkout, are not.
+        # Packages of this environment are seen; its .pth files, which know the
+        # checkout, are not.
         others = {sysconfig.get_path(kind) for kind in ("purelib", "platlib")}
         (Path(sites.strip()) / "others.pth").write_text("\n".join(sorted(others)))
         options = ("--no-deps", "--no-index", "--ignore-installed", wheel)
@@ -65,11 +66,16 @@ class Installed:
 
     def run(self, program: str, *arguments: object) -> str:
         """What a program of the environment prints, in the empty folder."""
-        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        environment = {
+            key: value for key, value in os.environ.items() if key != "PYTHONPATH"
+        }
         done = subprocess.run(
             [self.bin / program, *map(str, arguments)],
-            cwd=self.folder, env=environment, capture_output=True, text=True,
-        )  # fmt: skip
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+        )
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -79,24 +85,37 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installe
     return Installed(tmp_path_factory.mktemp("installed"), wheel)
 
 
-def test_it_holds_every_configuration_and_every_file_of_the_packages(wheel: Path) -> None:
+def test_it_holds_every_configuration_and_every_file_of_the_packages(
+    wheel: Path,
+) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "configs").glob("*.toml"):
         assert f"study/configs/{path.name}" in names
-    for path in (path for package in SOURCES[:3] for path in (ROOT / package).rglob("*")):
+    for path in (
+        path for package in SOURCES[:3] for path in (ROOT / package).rglob("*")
+    ):
         if path.is_file() and not {"__pycache__", "hub"} & set(path.parts):
             assert str(path.relative_to(ROOT)) in names
-    assert not {name.split("/")[0] for name in names} & {"tests", "tools", "docs", "configs"}
+    assert not {name.split("/")[0] for name in names} & {
+        "tests",
+        "tools",
+        "docs",
+        "configs",
+    }
     assert wheel.stat().st_size < MOST_BYTES
 
 
 def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
     for package in ("taichi_nmm", "storage", "study"):
-        place = installed.run("python", "-c", f"import {package}; print({package}.__file__)")
+        place = installed.run(
+            "python", "-c", f"import {package}; print({package}.__file__)"
+        )
         assert Path(place).is_relative_to(installed.bin.parent)
 
 
-def test_the_commands_explain_themselves_and_list_configurations(installed: Installed) -> None:
+def test_the_commands_explain_themselves_and_list_configurations(
+    installed: Installed,
+) -> None:
     for words in (("taichi-nmm", "--help"), ("python", "-m", "taichi_nmm")):
         said = installed.run(*words)
         assert "walk  " in said and "validate  " in said
@@ -104,9 +123,14 @@ def test_the_commands_explain_themselves_and_list_configurations(installed: Inst
     stores = installed.run("taichi-nmm", "precompute", "--list-configs").splitlines()
     others = installed.run("taichi-nmm", "study", "--list-configs").splitlines()
     names = [line.split()[0] for line in (*stores, *others)]
-    assert sorted(names) == sorted([*shipped_configs(stores=True), *shipped_configs(stores=False)])
+    assert sorted(names) == sorted(
+        [*shipped_configs(stores=True), *shipped_configs(stores=False)]
+    )
     assert any(line.startswith("store-torso ") for line in stores)
-    assert any(line.startswith("rough8-smooth ") and "first experiment" in line for line in others)
+    assert any(
+        line.startswith("rough8-smooth ") and "first experiment" in line
+        for line in others
+    )
 
 
 def test_the_main_job_is_done_by_name(installed: Installed) -> None:
@@ -114,8 +138,18 @@ def test_the_main_job_is_done_by_name(installed: Installed) -> None:
     short = ("--samples", 64, "--workers", 1, "--json")
     made = installed.run("taichi-nmm", "precompute", "--config", "store", *short)
     assert json.loads(made)["path"] == "out/store"
-    where = ("--arm", "dog", "--trials", 2, "--storage", "sqlite:///studies.db", "--json")
-    found = json.loads(installed.run("taichi-nmm", "study", "--config", "rough8", *where))
+    where = (
+        "--arm",
+        "dog",
+        "--trials",
+        2,
+        "--storage",
+        "sqlite:///studies.db",
+        "--json",
+    )
+    found = json.loads(
+        installed.run("taichi-nmm", "study", "--config", "rough8", *where)
+    )
     assert found["trials"] == 2
     short = ("--duration", 2, "--movie-seconds", 0, "--json")
     walked = installed.run("taichi-nmm", "walk", "--gains", found["gains"], *short)
@@ -127,7 +161,9 @@ def test_all_say_the_same_version(wheel: Path) -> None:
     assert wheel.name.split("-")[1] == taichi_nmm.__version__
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["version"] == taichi_nmm.__version__
-    newest = re.findall(r"^## (\S+) \((.*)\)$", (ROOT / "CHANGELOG.md").read_text(), re.M)[0]
+    newest = re.findall(
+        r"^## (\S+) \((.*)\)$", (ROOT / "CHANGELOG.md").read_text(), re.M
+    )[0]
     assert newest == (taichi_nmm.__version__, str(citation["date-released"]))
 
 
@@ -151,12 +187,19 @@ for names in {"parameters": ["x"]}, {}:
 """
 
 
-def test_the_sampler_alone_is_light(source: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_the_sampler_alone_is_light(
+    source: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     wheel = built(source / "study" / "hub", tmp_path_factory.mktemp("alone"))
     parts = zipfile.ZipFile(wheel)
     (metadata,) = (name for name in parts.namelist() if name.endswith("METADATA"))
-    needed = re.findall(r"^Requires-Dist: (\w+)[^;\n]*$", parts.read(metadata).decode(), re.M)
+    needed = re.findall(
+        r"^Requires-Dist: (\w+)[^;\n]*$", parts.read(metadata).decode(), re.M
+    )
     assert needed == ["numpy", "scipy", "optuna", "threadpoolctl"]  # and extras
     alone = Installed(tmp_path_factory.mktemp("alone-installed"), wheel)
-    allowed = "an installed pyarrow, which reads it", "columns; only taichi-nmm whole reads stores"
+    allowed = (
+        "an installed pyarrow, which reads it",
+        "columns; only taichi-nmm whole reads stores",
+    )
     assert alone.run("python", "-c", ALONE).splitlines() == ["0.0", *allowed]

@@ -15,15 +15,23 @@ from tests.study import fake_walker
 from tests.tools.running import run_tool
 
 WORDS = {
-    "300 letters": "x" * 300, "5,000 digits": "9" * 5000, "10^400": str(10**400),
-    "NUL": "nul\0", "newline": "new\nline", "surrogate": "\udcff", "escape": "\x1b[31m",
+    "300 letters": "x" * 300,
+    "5,000 digits": "9" * 5000,
+    "10^400": str(10**400),
+    "NUL": "nul\0",
+    "newline": "new\nline",
+    "surrogate": "\udcff",
+    "escape": "\x1b[31m",
     "empty path of a thousand folders": "x/" * 3000,
-}  # fmt: skip
+}
 DEEP = {
-    "deep.json": '{"a":' * 100_000, "digits.json": f'{{"K_SOL": {"9" * 5000}}}',
-    "power.json": f'{{"K_SOL": 1{"0" * 400}}}', "deep.toml": "a = " + "[" * 100_000,
-    "digits.toml": f"seed = {'9' * 5000}", "power.toml": f"seed = 1{'0' * 400}",
-}  # fmt: skip
+    "deep.json": '{"a":' * 100_000,
+    "digits.json": f'{{"K_SOL": {"9" * 5000}}}',
+    "power.json": f'{{"K_SOL": 1{"0" * 400}}}',
+    "deep.toml": "a = " + "[" * 100_000,
+    "digits.toml": f"seed = {'9' * 5000}",
+    "power.toml": f"seed = 1{'0' * 400}",
+}
 NEW_FILE = {"walk": "--mjcf"}
 COMPLETE, BESIDE, FORMS = asset("wild-arguments.toml").values()
 
@@ -38,7 +46,16 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
         places["CONFIG"] = fake_walker.write_config(folder)
-        given = ("--config", places["CONFIG"], "--arms", "random", "--runs", 1, "--trials", 1)
+        given = (
+            "--config",
+            places["CONFIG"],
+            "--arms",
+            "random",
+            "--runs",
+            1,
+            "--trials",
+            1,
+        )
         end = ("--workers", 1, "--out", folder / "done")
         assert run_tool(patch, "compare", *given, *end) == 0
     return places | {"STORE": folder / "store", "DONE": folder / "done"}
@@ -55,7 +72,9 @@ def tries(
     if is_text and NEW_FILE.get(command) != flag:
         words = words | {name: str(places[name]) for name in DEEP}
     beside = BESIDE.get(flag, ()) if command == "walk" else ()
-    before = [str(places.get(word, word)) for word in (*COMPLETE.get(command, ()), *beside)]
+    before = [
+        str(places.get(word, word)) for word in (*COMPLETE.get(command, ()), *beside)
+    ]
     for name, word in words.items():
         for form in FORMS.get(flag, ("{}",)):
             tried = form.format(word)
@@ -70,9 +89,12 @@ def refuse_work(*_: Any, **__: Any) -> NoReturn:
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_it_is_refused_in_one_line(
-    command: str, places: dict[str, Path], tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    command: str,
+    places: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(vars(taichi_nmm), "simulate", refuse_work)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", refuse_work)
@@ -91,8 +113,12 @@ def test_it_is_refused_in_one_line(
                 code = f"{type(error).__name__}: {error}"[:150]
             said = capsys.readouterr()
             lines = said.err.removesuffix("\n").split("\n")
-            safe = all(line.startswith("error: ") and line.isprintable() for line in lines)
-            safe &= len(lines) == 1 or name.endswith(".toml")  # a file's mistakes, a line each
+            safe = all(
+                line.startswith("error: ") and line.isprintable() for line in lines
+            )
+            safe &= len(lines) == 1 or name.endswith(
+                ".toml"
+            )  # a file's mistakes, a line each
             if code != 2 or said.out or not safe:
                 wrong.append(f"{name}: {code}; {said.err[:150]!r}")
             if left := [path.name for path in tmp_path.iterdir()]:

@@ -34,7 +34,10 @@ class Cluster:
 
     def start_worker(self) -> subprocess.Popen[bytes]:
         """With a thread, and a nanny that starts it again."""
-        scratch = ("--local-directory", str(self.folder / f"worker-{len(self.processes)}"))
+        scratch = (
+            "--local-directory",
+            str(self.folder / f"worker-{len(self.processes)}"),
+        )
         options = ("--nthreads", "1", "--no-dashboard", *scratch)
         return self._dask("worker", self.address, *options)
 
@@ -48,8 +51,10 @@ class Cluster:
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"],
             env=os.environ | {"PYTHONPATH": str(ROOT)},
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         self.processes.append(process)
         return process
 
@@ -57,7 +62,9 @@ class Cluster:
 @contextmanager
 def running(folder: Path) -> Iterator[Cluster]:
     """A scheduler and two workers."""
-    pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
+    pytest.importorskip(
+        "distributed", reason="distributed is not installed: the extra cluster"
+    )
     made = Cluster(folder)
     made.folder.mkdir()
     try:

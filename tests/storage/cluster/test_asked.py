@@ -16,7 +16,9 @@ from taichi_nmm.walker_simulator import Walker
 from tests.cases import asset
 from tests.storage import fake
 
-pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
+pytest.importorskip(
+    "distributed", reason="distributed is not installed: the extra cluster"
+)
 
 ADDRESSES = asset("addresses.toml")
 
@@ -28,11 +30,15 @@ def test_addresses(address: str, processes: int) -> None:
 
 @pytest.mark.parametrize("address", ADDRESSES["none"]["words"])
 def test_what_is_no_address(address: str) -> None:
-    with pytest.raises(InputError, match=r"^cluster: .* local:N with N from 1 to 256, or a sched"):
+    with pytest.raises(
+        InputError, match=r"^cluster: .* local:N with N from 1 to 256, or a sched"
+    ):
         Cluster(address)
 
 
-def test_no_password_is_shown_and_a_missing_library_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_password_is_shown_and_a_missing_library_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with pytest.raises(InputError) as caught:
         Cluster("tcp://me:secret@head:1")
     assert "secret" not in str(caught.value)
@@ -41,7 +47,9 @@ def test_no_password_is_shown_and_a_missing_library_named(monkeypatch: pytest.Mo
         Cluster("local:2")
 
 
-def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_kind_says_what_computes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     speed_mps = 0.0
 
     def simulate(gains: Any, **options: Any) -> Result:
@@ -53,12 +61,23 @@ def test_a_kind_says_what_computes(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     walker = Walker(Settings(arch="cpu"))
     kind = own_kind(walker, ("numpy", "scipy"))
     assert kind == own_kind(walker, ("scipy",))
-    assert list(kind) == ["canary", "processor", "taichi-nmm", COMPILER, "numpy", "scipy"]
+    assert list(kind) == [
+        "canary",
+        "processor",
+        "taichi-nmm",
+        COMPILER,
+        "numpy",
+        "scipy",
+    ]
     assert differences(kind, kind) == ""
     speed_mps = 1.0
     found = differences(own_kind(walker), kind)
-    assert found.startswith("canary ") and found.endswith(f", scipy none, not {kind['scipy']}")
-    (tmp_path / "cpuinfo").write_text("processor\t: 0\nmodel name\t: Fast 3000\nmodel name : x\n")
+    assert found.startswith("canary ") and found.endswith(
+        f", scipy none, not {kind['scipy']}"
+    )
+    (tmp_path / "cpuinfo").write_text(
+        "processor\t: 0\nmodel name\t: Fast 3000\nmodel name : x\n"
+    )
     assert processor(tmp_path / "cpuinfo") == "Fast 3000"
     assert processor(tmp_path / "nothing") != ""
 

@@ -21,7 +21,9 @@ SEED = 15
 VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each command
 
 
-def started(folder: Path, tool: str, out: str, *options: str) -> subprocess.Popen[bytes]:
+def started(
+    folder: Path, tool: str, out: str, *options: str
+) -> subprocess.Popen[bytes]:
     """A command on the configuration of its own name."""
     words = ["--config", f"{tool}.toml", "--out", out, *options]
     words = [sys.executable, str(ROOT / "tools" / f"{tool}.py"), *words]
@@ -31,9 +33,13 @@ def started(folder: Path, tool: str, out: str, *options: str) -> subprocess.Pope
 
 
 @pytest.mark.parametrize("tool", ["precompute", "compare"])
-def test_five_kills_and_the_same_bytes(tool: str, cluster: Cluster, tmp_path: Path) -> None:
+def test_five_kills_and_the_same_bytes(
+    tool: str, cluster: Cluster, tmp_path: Path
+) -> None:
     for name in ("precompute", "compare"):
-        shutil.copy(ASSETS / "cluster" / f"killed-{name}.toml", tmp_path / f"{name}.toml")
+        shutil.copy(
+            ASSETS / "cluster" / f"killed-{name}.toml", tmp_path / f"{name}.toml"
+        )
     start = partial(started, tmp_path)
 
     for name in dict.fromkeys(("precompute", tool)):

@@ -22,16 +22,31 @@ from taichi_nmm.walker_simulator import Walker
 from tests.processes import ROOT, WAIT_S, until
 from tests.storage.cluster import units
 
-psutil = pytest.importorskip("psutil", reason="psutil is not installed: the extra cluster")
-pytest.importorskip("distributed", reason="distributed is not installed: the extra cluster")
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(
-    sys.platform != "linux", reason="only Linux has all of 127.0.0.0/8 without asking"
-)]  # fmt: skip
+psutil = pytest.importorskip(
+    "psutil", reason="psutil is not installed: the extra cluster"
+)
+pytest.importorskip(
+    "distributed", reason="distributed is not installed: the extra cluster"
+)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        sys.platform != "linux",
+        reason="only Linux has all of 127.0.0.0/8 without asking",
+    ),
+]
 
 PAGE = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
-HERE = {"10.0.0.1": "127.0.0.21", "10.0.0.2": "127.0.0.22"}  # the page's machines, on this one
-LINES = re.findall(r"^dask (?:scheduler|worker) .*$", PAGE.replace("\\\n", " "), re.MULTILINE)
-EXPORTS = re.findall(r"DASK_(DISTRIBUTED\w+)=(\w+\.pem)", PAGE)  # of the command's own machine
+HERE = {
+    "10.0.0.1": "127.0.0.21",
+    "10.0.0.2": "127.0.0.22",
+}  # the page's machines, on this one
+LINES = re.findall(
+    r"^dask (?:scheduler|worker) .*$", PAGE.replace("\\\n", " "), re.MULTILINE
+)
+EXPORTS = re.findall(
+    r"DASK_(DISTRIBUTED\w+)=(\w+\.pem)", PAGE
+)  # of the command's own machine
 
 
 @pytest.fixture
@@ -44,37 +59,53 @@ def processes() -> Iterator[list[subprocess.Popen[bytes]]]:
         process.wait()
 
 
-def test_the_page_starts_a_scheduler_and_a_worker_without_and_with_certificates() -> None:
+def test_the_page_starts_a_scheduler_and_a_worker_without_and_with_certificates() -> (
+    None
+):
     assert [line.split()[1] for line in LINES] == ["scheduler", "worker"] * 2
     assert ["tls" in line for line in LINES] == [False, False, True, True]
 
 
 @pytest.mark.parametrize("first", [0, 2], ids=["tcp", "tls"])
 def test_what_the_page_starts_is_reached_by_the_given_address_alone(
-    first: int, processes: list[subprocess.Popen[bytes]], tmp_path: Path,
+    first: int,
+    processes: list[subprocess.Popen[bytes]],
+    tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+) -> None:
     """Nothing listens on all interfaces, which would let anybody run code in a worker."""
     certificates(tmp_path)
     scheduler, worker = (here(line) for line in LINES[first : first + 2])
     file = tmp_path / "scheduler.json"
-    start(processes, tmp_path, [*scheduler, "--port", "0", "--scheduler-file", str(file)])
+    start(
+        processes, tmp_path, [*scheduler, "--port", "0", "--scheduler-file", str(file)]
+    )
     until(lambda: file.exists() and file.read_text().endswith("}"))
     document = json.loads(file.read_text())
     worker = [document["address"] if "8786" in word else word for word in worker]
     start(processes, tmp_path, ["1" if word == "16" else word for word in worker])
     found = [set[str](), set[str]()]
-    for addresses, process in zip(found, processes, strict=True):  # a page of its own comes last
-        until(lambda seen=addresses, pid=process.pid: sockets(seen, pid) and len(seen) >= 2)
+    for addresses, process in zip(
+        found, processes, strict=True
+    ):  # a page of its own comes last
+        until(
+            lambda seen=addresses, pid=process.pid: (
+                sockets(seen, pid) and len(seen) >= 2
+            )
+        )
     assert found[0] == {"127.0.0.1", HERE["10.0.0.1"]}
     assert found[1] == {"127.0.0.1", HERE["10.0.0.2"]}
     if first:
         assert answers(document["address"], tmp_path, "cert.pem")
         assert not answers(document["address"], tmp_path, None)
     dask = pytest.importorskip("dask")
-    ours = {name.lower().replace("__", "."): str(tmp_path / file) for name, file in EXPORTS}
+    ours = {
+        name.lower().replace("__", "."): str(tmp_path / file) for name, file in EXPORTS
+    }
     monkeypatch.setattr("storage.dask_session.own_kind", units.own_kind)
-    opening = open_pool(1, Cluster(document["address"]), tmp_path / "out", Walker(Settings()))
+    opening = open_pool(
+        1, Cluster(document["address"]), tmp_path / "out", Walker(Settings())
+    )
     with dask.config.set(ours), opening as pool:
         assert dict(pool.results(units.square, deque([6, 7]))) == {6: 36, 7: 49}
 
@@ -100,10 +131,26 @@ def certificates(folder: Path) -> None:
     if program is None:
         pytest.skip("no openssl here")
     subprocess.run(
-        [program, "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1",
-         "-subj", "/CN=test", "-keyout", "key.pem", "-out", "cert.pem"],
-        cwd=folder, check=True, capture_output=True,
-    )  # fmt: skip
+        [
+            program,
+            "req",
+            "-x509",
+            "-newkey",
+            "rsa:2048",
+            "-nodes",
+            "-days",
+            "1",
+            "-subj",
+            "/CN=test",
+            "-keyout",
+            "key.pem",
+            "-out",
+            "cert.pem",
+        ],
+        cwd=folder,
+        check=True,
+        capture_output=True,
+    )
     shutil.copy(folder / "cert.pem", folder / "ca.pem")
 
 
@@ -114,17 +161,24 @@ def here(line: str) -> list[str]:
     return shlex.split(line, comments=True)
 
 
-def start(processes: list[subprocess.Popen[bytes]], folder: Path, words: list[str]) -> None:
+def start(
+    processes: list[subprocess.Popen[bytes]], folder: Path, words: list[str]
+) -> None:
     log = (folder / f"{len(processes)}.log").open("wb")
     program = [sys.executable, "-m", *words]
     path = os.environ | {"PYTHONPATH": str(ROOT)}  # of units
-    processes.append(subprocess.Popen(program, cwd=folder, env=path, stdout=log, stderr=log))
+    processes.append(
+        subprocess.Popen(program, cwd=folder, env=path, stdout=log, stderr=log)
+    )
 
 
 def sockets(found: set[str], process: int) -> set[tuple[str, int]]:
     """Where a process and its children listen; the addresses are added to `found`."""
     listening = set()
-    for each in [psutil.Process(process), *psutil.Process(process).children(recursive=True)]:
+    for each in [
+        psutil.Process(process),
+        *psutil.Process(process).children(recursive=True),
+    ]:
         for one in each.net_connections("inet"):
             if one.status == psutil.CONN_LISTEN and one.type == socket.SOCK_STREAM:
                 listening.add((one.laddr.ip, one.laddr.port))

@@ -45,7 +45,9 @@ def pool_of(
     cluster: Cluster, out: Path, mixed: bool = False, stores: tuple[Path, ...] = ()
 ) -> Iterator[Pool]:
     """A pool of a cluster's two workers."""
-    with open_pool(1, Asked(cluster.address, mixed), out, WALKER, stores=stores) as pool:
+    with open_pool(
+        1, Asked(cluster.address, mixed), out, WALKER, stores=stores
+    ) as pool:
         until(lambda: pool.room() == 4)  # a unit a worker, and one that waits there
         yield pool
 
@@ -62,18 +64,27 @@ def lent(shared_cluster: Cluster, tmp_path: Path) -> Open:
     return partial(pool_of, shared_cluster, tmp_path / "out")
 
 
-def results(pool: Pool, function: Callable[[Any], Any], asked: list[Any]) -> dict[Any, Any]:
+def results(
+    pool: Pool, function: Callable[[Any], Any], asked: list[Any]
+) -> dict[Any, Any]:
     return dict(pool.results(function, deque(asked)))
 
 
-def test_calls_are_made_on_workers_and_what_fails_is_one_line(lent: Open, tmp_path: Path) -> None:
+def test_calls_are_made_on_workers_and_what_fails_is_one_line(
+    lent: Open, tmp_path: Path
+) -> None:
     with lent() as pool:
-        assert results(pool, units.square, list(range(20))) == {n: n**2 for n in range(20)}
+        assert results(pool, units.square, list(range(20))) == {
+            n: n**2 for n in range(20)
+        }
         assert not pool.in_process and pool.shares_machine
         for function, line in (
             (units.refuse, "samples: 3 cannot be used; allowed: none"),
             (units.fail, "calls that do not fail there (ArithmeticError: of 3)"),
-            (units.die, "calls that do not fail there (BrokenExecutor: a process was killed)"),
+            (
+                units.die,
+                "calls that do not fail there (BrokenExecutor: a process was killed)",
+            ),
         ):
             with pytest.raises(InputError) as caught:
                 results(pool, function, [3])
@@ -82,7 +93,9 @@ def test_calls_are_made_on_workers_and_what_fails_is_one_line(lent: Open, tmp_pa
         assert results(pool, units.die_once, [mark]) == {mark: "lives"}
 
 
-def test_nothing_is_lost_with_a_killed_worker(lent: Open, shared_cluster: Cluster) -> None:
+def test_nothing_is_lost_with_a_killed_worker(
+    lent: Open, shared_cluster: Cluster
+) -> None:
     with lent() as pool:
         found, killed = {}, []
         for number, (square, _) in pool.results(units.slow_square, deque(range(30))):
@@ -94,17 +107,23 @@ def test_nothing_is_lost_with_a_killed_worker(lent: Open, shared_cluster: Cluste
         until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in killed))
 
 
-def test_they_come_and_go(cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_they_come_and_go(
+    cluster: Cluster, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One that joins late gets work; after the last one has gone there is one line."""
     monkeypatch.setattr("storage.dask_session.WORKERLESS_S", 1.0)
     monkeypatch.setattr("storage.dask_session.WATCH_S", 0.2)
     line = r"cluster: 'tcp.* not without a worker for 1 s; the same command goes on"
     with pytest.raises(InputError, match=line), opened() as pool:
-        before = {pid for _, pid in results(pool, units.slow_square, list(range(8))).values()}
+        before = {
+            pid for _, pid in results(pool, units.slow_square, list(range(8))).values()
+        }
         assert len(before) == 2
         cluster.start_worker()
         until(lambda: pool.room() == 6)
-        after = {pid for _, pid in results(pool, units.slow_square, list(range(12))).values()}
+        after = {
+            pid for _, pid in results(pool, units.slow_square, list(range(12))).values()
+        }
         assert len(after) == 3
         for _ in pool.results(units.slow_square, deque(range(100))):
             for worker in cluster.processes[1:]:
@@ -122,7 +141,9 @@ def test_a_connection_that_breaks_under_an_answer_is_the_schedulers(lent: Open) 
         executor: Any = pool.executor
         loop = executor._client.loop.asyncio_loop
         future = asyncio.run_coroutine_threadsafe(executor._outcome(broken()), loop)
-        with pytest.raises(InputError, match="a scheduler that stays; the same command"):
+        with pytest.raises(
+            InputError, match="a scheduler that stays; the same command"
+        ):
             future.result(60.0)
 
 
@@ -142,9 +163,14 @@ def stall() -> Iterator[Callable[[int], None]]:
 
 
 def test_a_scheduler_that_stalls_or_dies_is_one_line(
-    cluster: Cluster, opened: Open, stall: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
+    cluster: Cluster,
+    opened: Open,
+    stall: Callable[[int], None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    line = r"cluster: 'tcp.* a scheduler that answers within 2 s; the same command goes on"
+    line = (
+        r"cluster: 'tcp.* a scheduler that answers within 2 s; the same command goes on"
+    )
     began_s = time.monotonic()
     with monkeypatch.context() as patch:
         patch.setattr("storage.dask_session.ANSWER_S", 2.0)
@@ -177,7 +203,9 @@ def test_what_stalls_and_goes_on_loses_nothing(
         assert found == {n: n**2 for n in range(20)}
 
 
-def test_calls_longer_than_workerless_time(lent: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_calls_longer_than_workerless_time(
+    lent: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("storage.dask_session.WORKERLESS_S", 1.0)
     monkeypatch.setattr("storage.dask_session.WATCH_S", 0.2)
     with lent() as pool:
@@ -201,7 +229,9 @@ with connection.cluster_pool(asked, Path(sys.argv[2], "out"), Walker(Settings(ar
 """
 
 
-def test_calls_of_the_dead_are_dropped(shared_cluster: Cluster, lent: Open, tmp_path: Path) -> None:
+def test_calls_of_the_dead_are_dropped(
+    shared_cluster: Cluster, lent: Open, tmp_path: Path
+) -> None:
     words = [sys.executable, "-c", CLIENT, shared_cluster.address, str(tmp_path)]
     client = subprocess.Popen(words, cwd=ROOT)
     until(lambda: len(list(tmp_path.glob("*.begun"))) == 2)
@@ -212,7 +242,9 @@ def test_calls_of_the_dead_are_dropped(shared_cluster: Cluster, lent: Open, tmp_
     assert len(list(tmp_path.glob("*.begun"))) == 2  # the other four were never begun
 
 
-def test_workers_unlike_ours(lent: Open, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_workers_unlike_ours(
+    lent: Open, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     folder = tmp_path / "out"
     folder.mkdir()
     other = units.KIND | {"canary": "1" * 64}
@@ -254,7 +286,12 @@ def assert_unheard(address: str, out: Path) -> None:
     opening = open_pool(1, Asked(address), out, WALKER)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("storage.dask_session.CONNECT_S", 3.0)
-        with pytest.raises(InputError, match=rf"'{address}' .* a scheduler that answers"), opening:
+        with (
+            pytest.raises(
+                InputError, match=rf"'{address}' .* a scheduler that answers"
+            ),
+            opening,
+        ):
             pass
     assert not out.exists()
 
@@ -269,13 +306,24 @@ def test_a_cluster_of_this_machine_is_heard_by_nobody_else(tmp_path: Path) -> No
     before = {child.pid for child in me.children(recursive=True)}
     with open_pool(1, Asked("local:2"), tmp_path / "out", WALKER) as pool:
         assert results(pool, units.square, [1, 2]) == {1: 1, 2: 4}
-        ours = [me, *(child for child in me.children(recursive=True) if child.pid not in before)]
-        sockets = [socket for process in ours for socket in process.net_connections("inet")]
+        ours = [
+            me,
+            *(
+                child
+                for child in me.children(recursive=True)
+                if child.pid not in before
+            ),
+        ]
+        sockets = [
+            socket for process in ours for socket in process.net_connections("inet")
+        ]
         heard = [one.laddr.ip for one in sockets if one.status == psutil.CONN_LISTEN]
         assert set(heard) == {"127.0.0.1"} and len(heard) >= 3
         address = pool.executor._client.scheduler.address  # type: ignore[attr-defined]
         assert address.startswith("tls://127.0.0.1:")
         assert_unheard(address, tmp_path / "other")
-    trackers = [one for one in me.children() if "resource_tracker" in " ".join(one.cmdline())]
+    trackers = [
+        one for one in me.children() if "resource_tracker" in " ".join(one.cmdline())
+    ]
     left = {child.pid for child in me.children(recursive=True)}
     assert left <= before | {child.pid for child in trackers}

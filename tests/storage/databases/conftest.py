@@ -39,16 +39,21 @@ class Server:
         self._numbers = count()
         subprocess.run(
             [programs / "initdb", "-D", folder / "data", "-A", "trust", "--no-sync"],
-            user=self._user, cwd=folder, check=True, capture_output=True,
-        )  # fmt: skip
+            user=self._user,
+            cwd=folder,
+            check=True,
+            capture_output=True,
+        )
         self.start()
 
     def start(self) -> None:
         options = ["-k", str(self.folder), "-c", "listen_addresses=", "-c", "fsync=off"]
         self._process = subprocess.Popen(
             [self._programs / "postgres", "-D", self.folder / "data", *options],
-            user=self._user, cwd=self.folder, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            user=self._user,
+            cwd=self.folder,
+            stderr=subprocess.DEVNULL,
+        )
         until(self._answers, START_TIMEOUT_S)
 
     def stop(self) -> None:
@@ -56,7 +61,9 @@ class Server:
         self._process.wait(START_TIMEOUT_S)
 
     def url(self, database: str) -> str:
-        return f"postgresql+psycopg://{self.owner}:secret@/{database}?host={self.folder}"
+        return (
+            f"postgresql+psycopg://{self.owner}:secret@/{database}?host={self.folder}"
+        )
 
     def new_database(self) -> str:
         name = f"studies{next(self._numbers)}"
@@ -89,11 +96,14 @@ class Server:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    pytest.importorskip("psycopg", reason="no psycopg: pip install 'taichi-nmm[postgres]'")
+    pytest.importorskip(
+        "psycopg", reason="no psycopg: pip install 'taichi-nmm[postgres]'"
+    )
     programs = find_programs()
     if programs is None:
         pytest.skip("no PostgreSQL server here: apt-get install postgresql")
-    # Not pytest's folder: other users may not enter it, and a socket's path has 107 characters.
+    # Not pytest's folder: other users may not enter it, and a socket's path has 107
+    # characters.
     folder = Path(tempfile.mkdtemp(prefix="nmm-pg-"))
     try:
         server = Server(folder, programs)

@@ -14,7 +14,11 @@ from pathlib import Path
 
 import optuna
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from storage.databases import bulk
@@ -23,29 +27,45 @@ from storage.databases.studies import open_studies
 from taichi_nmm.errors import InputError
 
 DISTRIBUTIONS = {
-    "gain": FloatDistribution(0.1, 8.0), "scale": FloatDistribution(1e-4, 1.0, log=True),
-    "count": IntDistribution(1, 9, step=2), "kind": CategoricalDistribution(("a", None, 3.5)),
-}  # fmt: skip
+    "gain": FloatDistribution(0.1, 8.0),
+    "scale": FloatDistribution(1e-4, 1.0, log=True),
+    "count": IntDistribution(1, 9, step=2),
+    "kind": CategoricalDistribution(("a", None, 3.5)),
+}
 STARTED = datetime(2026, 7, 1, 12, 30, 15, 250_000)
 
 
 def finished(number: int, value: float) -> FrozenTrial:
     params = {
-        "gain": 0.1 + number / 7, "scale": 10.0 ** -(number % 4), "count": 1 + 2 * (number % 5),
+        "gain": 0.1 + number / 7,
+        "scale": 10.0 ** -(number % 4),
+        "count": 1 + 2 * (number % 5),
         "kind": ("a", None, 3.5)[number % 3],
-    }  # fmt: skip
-    seen = {"row": number, "walked": number % 2 == 0, "end_reason": "fell", "speed": 0.1}
+    }
+    seen = {
+        "row": number,
+        "walked": number % 2 == 0,
+        "end_reason": "fell",
+        "speed": 0.1,
+    }
     trial = create_trial(
-        params=params, distributions=DISTRIBUTIONS, value=value, user_attrs=seen,
+        params=params,
+        distributions=DISTRIBUTIONS,
+        value=value,
+        user_attrs=seen,
         system_attrs={"claims": [number, "x"]},
-    )  # fmt: skip
+    )
     trial.datetime_start = STARTED + timedelta(seconds=number)
     trial.datetime_complete = STARTED + timedelta(seconds=number, microseconds=30)
     return trial
 
 
-TRIALS = [finished(*both) for both in enumerate([3.5, math.inf, -math.inf, 1 / 3, 300.25])]
-STUDY = FinishedStudy("e/dog/run-000", TRIALS, user_attrs={"arm": "dog", "run": 0}, metrics=["m"])
+TRIALS = [
+    finished(*both) for both in enumerate([3.5, math.inf, -math.inf, 1 / 3, 300.25])
+]
+STUDY = FinishedStudy(
+    "e/dog/run-000", TRIALS, user_attrs={"arm": "dog", "run": 0}, metrics=["m"]
+)
 
 
 @pytest.fixture
@@ -80,7 +100,9 @@ def test_what_is_loaded_equals_what_optuna_adds(storage) -> None:
     for mine, other in zip(ours.trials, theirs.trials, strict=True):
         assert list(mine.params) == list(other.params)
         other._trial_id = mine._trial_id
-        assert mine == other  # params, distributions, values, attributes, state, number, dates
+        assert (
+            mine == other
+        )  # params, distributions, values, attributes, state, number, dates
 
 
 def test_only_what_is_missing_is_added(storage) -> None:
@@ -91,7 +113,9 @@ def test_only_what_is_missing_is_added(storage) -> None:
     more = FinishedStudy(STUDY.name, [TRIALS[0]], first=5)
     assert write_studies(storage, [more, replace(STUDY, name="e/dog/run-001")]) == 6
     assert trial_counts(storage) == {"e/dog/run-000": 6, "e/dog/run-001": 5}
-    assert [trial.number for trial in load(storage, STUDY.name).trials] == list(range(6))
+    assert [trial.number for trial in load(storage, STUDY.name).trials] == list(
+        range(6)
+    )
     assert write_studies(storage, [FinishedStudy("e/summary", [])]) == 0
     assert trial_counts(storage)["e/summary"] == 0
     assert load(storage, "e/summary").direction.name == "MINIMIZE"
@@ -122,7 +146,9 @@ def test_a_study_goes_on_in_optunas_way(storage) -> None:
     assert len({trial._trial_id for trial in study.get_trials()}) == 8
 
 
-def test_many_trials_take_several_transactions(storage, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_trials_take_several_transactions(
+    storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(bulk, "TRIALS_PER_TRANSACTION", 7)
     studies = [replace(STUDY, name=f"e/dog/run-{run:03d}") for run in range(5)]
     assert write_studies(storage, iter(studies)) == 25
@@ -134,7 +160,11 @@ def test_many_trials_take_several_transactions(storage, monkeypatch: pytest.Monk
 def test_a_finished_trial_gets_attributes_once(storage) -> None:
     write_studies(storage, [STUDY, replace(STUDY, name="other")])
     attach(storage, "other", 0, "artifacts:2", {"a": [1]})
-    for key, value in (("artifacts:1", "{}"), ("artifacts:1", "another"), ("artifacts:3", "new")):
+    for key, value in (
+        ("artifacts:1", "{}"),
+        ("artifacts:1", "another"),
+        ("artifacts:3", "new"),
+    ):
         attach(storage, STUDY.name, 2, key, value)
     attributes = load(storage, STUDY.name).trials[2].system_attrs
     assert attributes == {"claims": [2, "x"], "artifacts:1": "{}", "artifacts:3": "new"}
@@ -182,7 +212,9 @@ def committed(path: Path) -> int:
 @pytest.mark.parametrize("delay_s", [0.0, 0.1])
 def test_a_kill_leaves_no_trial_half_written(tmp_path: Path, delay_s: float) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
-    with subprocess.Popen([sys.executable, "-c", KILLED, url], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, url], stdout=subprocess.PIPE
+    ) as process:
         assert process.stdout is not None and process.stdout.readline() == b"writing\n"
         while not committed(tmp_path / "studies.db"):
             assert process.poll() is None

@@ -40,7 +40,10 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
     fake_walker.write_plain_store(tmp_path / "store")
     words = ["--config", "rough8", "--arm", "dog", "--trials", TRIALS, "--storage", url]
     words += ["--store", tmp_path / "store"]
-    processes = [start("study", *words, "--out", tmp_path / str(n), trial_s=0.1) for n in range(4)]
+    processes = [
+        start("study", *words, "--out", tmp_path / str(n), trial_s=0.1)
+        for n in range(4)
+    ]
     finished = "SELECT count(*) FROM trials WHERE state = 'COMPLETE'"
     with open_studies(url).engine.connect() as connection:
         connection.execution_options(isolation_level="AUTOCOMMIT")
@@ -50,14 +53,25 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
     assert [each.code for each in done] == [-9, 0, 0, 0], done
     said = [each.out + each.error for each in done]
     assert all("rough8/dog/run-000" in lines for lines in said)  # each had trials
-    assert all("://***@" in lines for lines in said[1:]) and "secret" not in "".join(said)
-    study = optuna.load_study(study_name="rough8/dog/run-000", storage=open_studies(url))
+    assert all("://***@" in lines for lines in said[1:]) and "secret" not in "".join(
+        said
+    )
+    study = optuna.load_study(
+        study_name="rough8/dog/run-000", storage=open_studies(url)
+    )
     states = Counter(trial.state for trial in study.trials)
     assert states[TrialState.COMPLETE] == TRIALS
-    assert states.keys() <= {TrialState.COMPLETE, TrialState.FAIL} and states[TrialState.FAIL] <= 1
+    assert (
+        states.keys() <= {TrialState.COMPLETE, TrialState.FAIL}
+        and states[TrialState.FAIL] <= 1
+    )
     rows = [t.user_attrs["row"] for t in study.trials if t.state is TrialState.COMPLETE]
     assert len(set(rows)) == TRIALS
-    lost = [t.params for t in study.trials if t.state is TrialState.FAIL and len(t.params) == 16]
+    lost = [
+        t.params
+        for t in study.trials
+        if t.state is TrialState.FAIL and len(t.params) == 16
+    ]
     done = [t.params for t in study.trials if t.state is TrialState.COMPLETE]
     assert all(params in done for params in lost)  # run again
 

@@ -18,7 +18,10 @@ pytestmark = pytest.mark.slow
 def test_what_the_server_refuses_is_told_in_one_line(url: str) -> None:
     storage = open_studies(url)
     too_long = replace(STUDY, name="x" * 600)
-    with pytest.raises(InputError, match=r"storage: .*too long") as caught, storage_errors(url):
+    with (
+        pytest.raises(InputError, match=r"storage: .*too long") as caught,
+        storage_errors(url),
+    ):
         write_studies(storage, [STUDY, too_long])
     assert "secret" not in str(caught.value)
     assert trial_counts(storage) == {}
@@ -32,7 +35,9 @@ def refusal(url: str) -> str:
     return text
 
 
-def test_a_hidden_password(server: Server, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hidden_password(
+    server: Server, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A URL on a command line is shown by `ps`."""
     server.require_password("guest", "secret")
     guest = url.replace(f"{server.owner}:secret@", "guest@")
@@ -43,7 +48,9 @@ def test_a_hidden_password(server: Server, url: str, monkeypatch: pytest.MonkeyP
     assert "shared" in optuna.get_all_study_names(url)
 
 
-def test_no_server_no_database_or_one_of_somebody_else(server: Server, url: str) -> None:
+def test_no_server_no_database_or_one_of_somebody_else(
+    server: Server, url: str
+) -> None:
     assert "refused" in refusal("postgresql+psycopg://me:secret@127.0.0.1:1/db")
     assert '"nowhere" does not exist' in refusal(server.url("nowhere"))
     engine = sql.create_engine(url)
@@ -58,7 +65,9 @@ def test_no_server_no_database_or_one_of_somebody_else(server: Server, url: str)
 def test_a_database_of_another_optuna(url: str, revision: str) -> None:
     storage = open_studies(url)
     with storage.engine.begin() as connection:
-        connection.execute(sql.text(f"UPDATE alembic_version SET version_num = '{revision}'"))
+        connection.execute(
+            sql.text(f"UPDATE alembic_version SET version_num = '{revision}'")
+        )
     storage.engine.dispose()
     assert "no longer compatible" in refusal(url)
 

@@ -15,7 +15,12 @@ from optuna.storages import RDBStorage
 
 from storage.databases import studies
 from storage.databases.bulk import study_attributes
-from storage.databases.studies import only_run, open_studies, read_studies, storage_errors
+from storage.databases.studies import (
+    only_run,
+    open_studies,
+    read_studies,
+    storage_errors,
+)
 from storage.databases.urls import file_url
 from taichi_nmm.errors import InputError
 from tests.cases import asset
@@ -32,9 +37,14 @@ def test_a_database_is_made_with_its_folder_and_kept(tmp_path: Path) -> None:
         assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 1  # NORMAL
 
 
-@pytest.mark.parametrize(("url", "match"), [
-    (url, match) for match, urls in asset("refused-urls.toml").items() for url in urls
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("url", "match"),
+    [
+        (url, match)
+        for match, urls in asset("refused-urls.toml").items()
+        for url in urls
+    ],
+)
 def test_other_urls_are_refused_without_their_passwords(url: str, match: str) -> None:
     with pytest.raises(InputError, match=match) as caught:
         open_studies(url)
@@ -49,7 +59,9 @@ def test_what_of_a_url_is_shown(url: str, shown: str) -> None:
 
 def test_a_missing_driver_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "psycopg", None)
-    with pytest.raises(InputError, match=r"pip install 'taichi-nmm\[postgres\]'") as caught:
+    with pytest.raises(
+        InputError, match=r"pip install 'taichi-nmm\[postgres\]'"
+    ) as caught:
         open_studies("postgresql+psycopg://me:secret@host/db")
     assert "secret" not in str(caught.value)
 
@@ -80,7 +92,9 @@ OTHERS, CHANGES = asset("foreign-databases.toml").values()
 
 @pytest.mark.parametrize("mode", ["DELETE", "WAL"])
 @pytest.mark.parametrize("kind", [*OTHERS, *CHANGES])
-def test_a_refused_database_is_kept_as_it_is(tmp_path: Path, kind: str, mode: str) -> None:
+def test_a_refused_database_is_kept_as_it_is(
+    tmp_path: Path, kind: str, mode: str
+) -> None:
     path = tmp_path / "other.db"
     if kind in CHANGES:
         storage = RDBStorage(f"sqlite:///{path}")
@@ -101,14 +115,18 @@ def test_a_refused_database_is_kept_as_it_is(tmp_path: Path, kind: str, mode: st
 def test_a_database_that_was_being_made_is_finished(tmp_path: Path, kind: str) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
     RDBStorage(url).engine.dispose()
-    with closing(sqlite3.connect(tmp_path / "studies.db", isolation_level=None)) as connection:
+    with closing(
+        sqlite3.connect(tmp_path / "studies.db", isolation_level=None)
+    ) as connection:
         connection.execute(*CHANGES[kind])
     with read_studies(url) as nothing:
         assert nothing is None
     optuna.create_study(storage=open_studies(url), study_name="a")
 
 
-def test_a_new_database_appears_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_database_appears_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
 
     def killed(*_: object) -> None:
@@ -164,13 +182,18 @@ def test_values_that_are_not_json_are_one_line(tmp_path: Path) -> None:
     with closing(sqlite3.connect(tmp_path / "studies.db")) as connection, connection:
         connection.execute("UPDATE study_user_attributes SET value_json = '{'")
     storage = open_studies(url)
-    with pytest.raises(InputError, match=r"storage: .*studies\.db"), storage_errors(url):
+    with (
+        pytest.raises(InputError, match=r"storage: .*studies\.db"),
+        storage_errors(url),
+    ):
         assert optuna.load_study(study_name="a", storage=storage).user_attrs
     with pytest.raises(InputError, match="storage: "), read_studies(url) as looked:
         assert looked is not None and study_attributes(looked, "key")
 
 
-def test_a_locked_database_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_locked_database_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(studies, "BUSY_TIMEOUT_S", 0.1)
     path = tmp_path / "studies.db"
     storage = open_studies(f"sqlite:///{path}")
@@ -194,7 +217,9 @@ def test_a_study_has_one_run_at_a_time(any_url: str) -> None:
         pass
 
 
-def test_one_run_under_any_name_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_run_under_any_name_of_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two runs would take each other's running trials for dead."""
     file, link = tmp_path / "studies.db", tmp_path / "elsewhere" / "link.db"
     link.parent.mkdir()
@@ -214,7 +239,10 @@ def test_one_run_under_any_name_of_a_file(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
     monkeypatch.setattr(fcntl, "flock", fails)
-    url, allowed = f"sqlite:///{tmp_path}/other.db", r"storage: .* file system with locks"
+    url, allowed = (
+        f"sqlite:///{tmp_path}/other.db",
+        r"storage: .* file system with locks",
+    )
     with pytest.raises(InputError, match=allowed), only_run(url, "rough8/dog"):
         pass
 
@@ -224,19 +252,29 @@ def test_what_another_program_deletes_or_tells_is_one_line(tmp_path: Path) -> No
     study = optuna.create_study(storage=open_studies(url), study_name="taken")
     trial = study.ask()
     optuna.delete_study(study_name="taken", storage=RDBStorage(url))
-    with pytest.raises(InputError, match=r"storage: .* deleted this one"), storage_errors(url):
+    with (
+        pytest.raises(InputError, match=r"storage: .* deleted this one"),
+        storage_errors(url),
+    ):
         study.tell(trial, 1.0)
     with pytest.raises(KeyError, match="ours"), storage_errors(url):
         raise KeyError("ours")
     study = optuna.create_study(storage=open_studies(url), study_name="told")
     trial = study.ask()
-    optuna.load_study(storage=RDBStorage(url), study_name="told").tell(trial.number, 1.0)
-    with pytest.raises(InputError, match=r"storage: .* told a running"), storage_errors(url):
+    optuna.load_study(storage=RDBStorage(url), study_name="told").tell(
+        trial.number, 1.0
+    )
+    with (
+        pytest.raises(InputError, match=r"storage: .* told a running"),
+        storage_errors(url),
+    ):
         trial.set_user_attr("walked", True)
 
 
 @pytest.mark.parametrize("replaced", [False, True])
-def test_a_database_that_is_removed_is_not_written_any_more(tmp_path: Path, replaced: bool) -> None:
+def test_a_database_that_is_removed_is_not_written_any_more(
+    tmp_path: Path, replaced: bool
+) -> None:
     """SQLite would go on without an error, and nothing would be kept."""
     file = tmp_path / "studies.db"
     study = optuna.create_study(storage=open_studies(f"sqlite:///{file}"))

@@ -3,14 +3,16 @@
     python -m tests.study.bench.rehearsal --robots 20 --seed 3301 --after risers
     python -m tests.study.bench.rehearsal --before walker2d-robots --after walker2d-robots-uphill
 
-On each robot the bench goes on in a new context; beside it one that is begun anew, and one that
-carries on as if nothing had changed. Prints the median of the least cost after 1, 3 and 10 trials
-on the new ground, and on how many robots the context is ahead of the others. Needs the store of
-the configuration, out/store-worlds or out/walker2d (`taichi-nmm precompute --config store-worlds`).
+On each robot the bench goes on in a new context; beside it one that is begun anew, and
+one that carries on as if nothing had changed. Prints the median of the least cost after
+1, 3 and 10 trials on the new ground, and on how many robots the context is ahead of the
+others. Needs the store of the configuration, out/store-worlds or out/walker2d
+(`taichi-nmm precompute --config store-worlds`).
 
-The bench with contexts is entered from three computers in turn, each of which opens it anew, and
-with mistakes: trials that break off, wrong numbers that are corrected, trials that are undone. In
-the end a quiet bench must have proposed the same for the same results.
+The bench with contexts is entered from three computers in turn, each of which opens it
+anew, and with mistakes: trials that break off, wrong numbers that are corrected, trials
+that are undone. In the end a quiet bench must have proposed the same for the same
+results.
 """
 
 import argparse
@@ -62,11 +64,20 @@ class Machine:
             fell, most_s = robots.objective.fell_cost, robots.duration_s
             ends = f"failed_at_once = {2 * fell}\nfailed_at_end = {fell}\nduration_s = {most_s}"
             toml = TOML.format(
-                store=robots.store.absolute(), cost=robots.objective.cost, success=fell, failed=ends
+                store=robots.store.absolute(),
+                cost=robots.objective.cost,
+                success=fell,
+                failed=ends,
             )
-            return cls(toml, partial(cost_of_robot, robots, cache(partial(Runs, robots))))
+            return cls(
+                toml, partial(cost_of_robot, robots, cache(partial(Runs, robots)))
+            )
         walkers = read_experiment(path, None, seed).on_one_thread()
-        known = {"cost": walkers.objective.cost, "success": walkers.success, "failed": ""}
+        known = {
+            "cost": walkers.objective.cost,
+            "success": walkers.success,
+            "failed": "",
+        }
         toml = TOML.format(store=store_path(walkers, "worlds").absolute(), **known)
         return cls(toml, partial(cost_of_walker, walkers))
 
@@ -79,7 +90,10 @@ def cost_of_walker(experiment: Experiment, robot: int, trial: Trial) -> float:
 
 
 def cost_of_robot(
-    experiment: RobotExperiment, runs_of: Callable[[int], Runs], robot: int, trial: Trial
+    experiment: RobotExperiment,
+    runs_of: Callable[[int], Runs],
+    robot: int,
+    trial: Trial,
 ) -> float:
     """What a trial of another robot costs."""
     point = np.array([[trial.params[name] for name in experiment.names]])
@@ -143,7 +157,9 @@ def rehearse(folder: Path, robot: int, before: Machine, after: Machine) -> np.nd
     found = [clumsily(path, after, robot, AFTER[-1], rng)]
     assert_same_as_quiet(path, folder / "quiet" / "bench.toml")
     for way in WAYS[1:]:
-        found.append(run(Bench.new(folder / way / "bench.toml"), after, robot, AFTER[-1]))
+        found.append(
+            run(Bench.new(folder / way / "bench.toml"), after, robot, AFTER[-1])
+        )
     return np.minimum.accumulate(found, axis=1)[:, np.array(AFTER) - 1]
 
 
@@ -163,11 +179,16 @@ def main() -> None:
             print(robot, np.round(found[-1], 5).tolist(), flush=True)
     costs_of = np.array(found)  # [robots, ways, after]
     for way, name in enumerate(WAYS):
-        print(f"{name:<9} median of the least cost:", *np.median(costs_of[:, way], axis=0).round(5))
+        print(
+            f"{name:<9} median of the least cost:",
+            *np.median(costs_of[:, way], axis=0).round(5),
+        )
         for place, at in enumerate(AFTER) if way else ():
             ours, other = costs_of[:, 0, place], costs_of[:, way, place]
             won, lost = int((ours < other).sum()), int((ours > other).sum())
-            print(f"  context, after {at}: won {won}, lost {lost}, p {wilcoxon(ours, other).p:.2g}")
+            print(
+                f"  context, after {at}: won {won}, lost {lost}, p {wilcoxon(ours, other).p:.2g}"
+            )
 
 
 if __name__ == "__main__":

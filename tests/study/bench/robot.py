@@ -37,7 +37,9 @@ def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:
     worlds = [0.2 + abs(np.log(stiffness / k)) + abs(damping - d) for k, d in middles]
     head = "stiffness,damping," + ",".join(f"world{number}" for number in range(6))
     columns = np.column_stack([stiffness, damping, *worlds])
-    np.savetxt(folder / "candidates.csv", columns, "%.17g", ",", header=head, comments="")
+    np.savetxt(
+        folder / "candidates.csv", columns, "%.17g", ",", header=head, comments=""
+    )
     path = folder / "walk.toml"
     path.write_text(TOML.format(known=known) + more)
     return path
@@ -45,7 +47,11 @@ def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:
 
 def cost(params: dict[str, float], stiffness: float = 150.0) -> float:
     """What a trial shows, on a ground that wants this stiffness."""
-    return 0.2 + abs(np.log(params["stiffness"] / stiffness)) + abs(params["damping"] - 0.9)
+    return (
+        0.2
+        + abs(np.log(params["stiffness"] / stiffness))
+        + abs(params["damping"] - 0.9)
+    )
 
 
 def run(bench: Bench, trials: int, stiffness: float = 150.0) -> list[dict[str, float]]:

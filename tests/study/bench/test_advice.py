@@ -44,8 +44,12 @@ def test_numbers_of_trials_are_those_of_the_bench(bench: Bench) -> None:
     assert dict(best.params) == bench.state.trials[2].params
 
 
-@pytest.mark.parametrize("safety", ["", "\n[safety]\nleast_kept = 0.9"], ids=["", "safe"])
-@pytest.mark.parametrize("known", [robot.WORLDS, robot.FEATURES], ids=["worlds", "features"])
+@pytest.mark.parametrize(
+    "safety", ["", "\n[safety]\nleast_kept = 0.9"], ids=["", "safe"]
+)
+@pytest.mark.parametrize(
+    "known", [robot.WORLDS, robot.FEATURES], ids=["worlds", "features"]
+)
 @pytest.mark.parametrize("good", [3, 0])
 def test_what_broke_a_limit_on_one_ground_is_not_proposed_on_another(
     tmp_path: Path, safety: str, known: str, good: int
@@ -93,7 +97,9 @@ def test_limits_that_nobody_has_measured_are_unknown_by_name(tmp_path: Path) -> 
     assert "of force unknown" in trial.why and "torque of trial 0;" in trial.why
 
 
-def test_a_trial_that_is_not_known_to_keep_its_limits_is_recommended_last(bench: Bench) -> None:
+def test_a_trial_that_is_not_known_to_keep_its_limits_is_recommended_last(
+    bench: Bench,
+) -> None:
     ask_and_tell(bench, 0.3)  # torque left empty
     assert "torque of trial 0" in str(bench.best())
     ask_and_tell(bench, 0.9, torque=60.0)
@@ -130,7 +136,9 @@ def test_a_failure_with_the_same_parameters_is_told(bench: Bench) -> None:
     assert bench.best().number == 2
 
 
-def test_the_sheet_of_a_pending_trial_says_what_is_expected_by_now(tmp_path: Path) -> None:
+def test_the_sheet_of_a_pending_trial_says_what_is_expected_by_now(
+    tmp_path: Path,
+) -> None:
     """One simulated world is sure of itself; then the machine costs seven times as much."""
     path = robot.write(tmp_path, 'outcomes = ["world0"]')
     mine, yours = Bench.new(path, "me"), Bench(path, "you")
@@ -148,7 +156,10 @@ def test_an_expectation_beyond_all_worlds_is_said_to_be_so(bench: Bench) -> None
     for value in (0.01, 0.011, 0.01):
         ask_and_tell(bench, value, torque=60.0)
     least, most = bench.entries[0].data["range"]
-    assert f"beyond all that was simulated, {least:.4g} to {most:.4g}" in bench.next()[0].why
+    assert (
+        f"beyond all that was simulated, {least:.4g} to {most:.4g}"
+        in bench.next()[0].why
+    )
 
 
 def test_a_repeat_is_asked_for_once(bench: Bench) -> None:
@@ -156,7 +167,11 @@ def test_a_repeat_is_asked_for_once(bench: Bench) -> None:
     (again,) = bench.next(repeat=0)
     assert bench.next(repeat=0) == [again] and len(bench.state.trials) == 3
     both = bench.next(repeat=0, batch=2)
-    assert [trial.number for trial in both] == [2, 3] == [t.number for t in bench.next(2, 0)]
+    assert (
+        [trial.number for trial in both]
+        == [2, 3]
+        == [t.number for t in bench.next(2, 0)]
+    )
     bench.record(2, 1.0)
     (third,) = bench.next(repeat=0)
     assert third.number == 4 and third.params == again.params
@@ -169,7 +184,9 @@ def test_no_points_off_the_table_where_the_file_says_so(tmp_path: Path) -> None:
     tried = robot.run(bench, 12)
     rows = bench.candidates.rows
     assert all(rows.find(params) is not None for params in tried)
-    path.write_text(path.read_text().replace("off_grid = 0", "off_grid = 300"))  # it may change
+    path.write_text(
+        path.read_text().replace("off_grid = 0", "off_grid = 300")
+    )  # it may change
     (trial,) = Bench(path).next()
     assert trial.number == 12
     path.write_text(path.read_text().replace("off_grid = 300", "off_grid = -1"))
@@ -179,11 +196,18 @@ def test_no_points_off_the_table_where_the_file_says_so(tmp_path: Path) -> None:
 
 def test_steps_are_measured_from_trials_that_kept_their_limits(tmp_path: Path) -> None:
     bench = Bench.new(robot.write(tmp_path, more="\n[safety]\nmost_step = 0.1"))
-    bad, good = {"stiffness": 20.0, "damping": 1.8}, {"stiffness": 149.0, "damping": 0.4}
+    bad, good = (
+        {"stiffness": 20.0, "damping": 1.8},
+        {"stiffness": 149.0, "damping": 0.4},
+    )
     bench.add([(bad, 0.3, {"torque": 200.0}, ""), (good, 0.4, {"torque": 60.0}, "")])
     for context in ("", "gravel"):
         if context:
-            bench.context(context)  # nothing has succeeded there: steps are from the first ground
+            bench.context(
+                context
+            )  # nothing has succeeded there: steps are from the first ground
         (trial,) = bench.next()
         assert abs(trial.params["damping"] - 0.4) <= 0.1 * 1.9 + 1e-9
-        assert abs(np.log(trial.params["stiffness"] / 149.0)) <= 0.1 * np.log(100.0) + 1e-9
+        assert (
+            abs(np.log(trial.params["stiffness"] / 149.0)) <= 0.1 * np.log(100.0) + 1e-9
+        )

@@ -47,8 +47,13 @@ def shown(bench: Bench) -> optuna.Study:
         if own is None:
             assert trial.state is TrialState.FAIL
             continue
-        assert (trial.params, trial.user_attrs["operator"]) == (own.params, own.operator)
-        assert trial.state is (TrialState.RUNNING if own.value is None else TrialState.COMPLETE)
+        assert (trial.params, trial.user_attrs["operator"]) == (
+            own.params,
+            own.operator,
+        )
+        assert trial.state is (
+            TrialState.RUNNING if own.value is None else TrialState.COMPLETE
+        )
         assert trial.values == (None if own.value is None else [own.value])
     assert len(study.trials) == bench.state.count
     return study
@@ -71,7 +76,9 @@ def test_who_asks_twice_gets_the_same_and_others_get_others(path: Path) -> None:
     assert shown(mine).trials[0].value == 1.0
 
 
-def test_what_was_mended_leaves_no_trace_in_later_proposals(path: Path, tmp_path: Path) -> None:
+def test_what_was_mended_leaves_no_trace_in_later_proposals(
+    path: Path, tmp_path: Path
+) -> None:
     """Wrong values, wrong limits, breakdowns and needless trials, against a study without any."""
     (tmp_path / "right").mkdir()
     known = robot.WORLDS if "outcomes" in path.read_text() else robot.FEATURES
@@ -111,7 +118,9 @@ def test_what_was_mended_leaves_no_trace_in_later_proposals(path: Path, tmp_path
     assert shown(bench).trials[7].user_attrs["note"] == "undone"
 
 
-def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(bench: Bench) -> None:
+def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(
+    bench: Bench,
+) -> None:
     for number, seconds in enumerate((0.0, 15.0, 30.0)):
         bench.next()
         bench.record(number, failed_s=seconds, columns={"torque": 100.0})
@@ -119,7 +128,10 @@ def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(bench: Benc
     assert [trials[number].value for number in range(3)] == [6.0, 4.5, 3.0]
     assert all(trial.failed for trial in trials.values())
     (trial,) = bench.next()
-    assert "all limits kept" in trial.why and "No trial has kept all limits yet" in trial.why
+    assert (
+        "all limits kept" in trial.why
+        and "No trial has kept all limits yet" in trial.why
+    )
     assert shown(bench).trials[0].constraints == {"torque at most": 10.0}
 
 
@@ -190,7 +202,9 @@ def test_proposals_keep_within_the_limits_of_safety(tmp_path: Path) -> None:
     for params in robot.run(bench, 4):
         assert abs(params["damping"] - 0.91) < 0.15 * 1.9 * 2
     (tmp_path / "walk.toml").write_text(
-        (tmp_path / "walk.toml").read_text().replace("least_success = 0.05", "least_success = 1.0")
+        (tmp_path / "walk.toml")
+        .read_text()
+        .replace("least_success = 0.05", "least_success = 1.0")
     )
     with pytest.raises(InputError, match="safety: 'no candidate within the limits'"):
         Bench(tmp_path / "walk.toml").next()
@@ -202,8 +216,14 @@ def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) ->
     wrong += [
         (lambda: bench.record(7, 1.0), r"trial: 7 .* pending: 0"),
         (lambda: bench.record(0, float("nan")), r"value: nan"),
-        (lambda: bench.record(0, 1.0, columns={"speed": 3.0}), r"speed: 3.0 .* columns torque"),
-        (lambda: bench.record(0, 1.0, columns={"torque": float("inf")}), r"columns.torque: inf"),
+        (
+            lambda: bench.record(0, 1.0, columns={"speed": 3.0}),
+            r"speed: 3.0 .* columns torque",
+        ),
+        (
+            lambda: bench.record(0, 1.0, columns={"torque": float("inf")}),
+            r"columns.torque: inf",
+        ),
         (lambda: bench.correct(0, 1.0), r"trial: 0 .* a finished trial"),
         (lambda: bench.record(0, failed_s=31.0), r"seconds: 31.0 .* to 30"),
         (lambda: bench.abort(9), r"trial: 9"),
@@ -224,10 +244,14 @@ def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) ->
     assert "far from all that was simulated" in bench.odd(-3.0) and not bench.odd(1.0)
 
 
-def test_another_file_or_other_candidates_are_refused(bench: Bench, tmp_path: Path) -> None:
+def test_another_file_or_other_candidates_are_refused(
+    bench: Bench, tmp_path: Path
+) -> None:
     path, text = bench.plan.path, bench.plan.path.read_text()
     path.write_text(text.replace("success = 0.5", "success = 0.6"))
-    with pytest.raises(InputError, match=r"walk.toml: goal.success: 0.6 .* 0.5, with which"):
+    with pytest.raises(
+        InputError, match=r"walk.toml: goal.success: 0.6 .* 0.5, with which"
+    ):
         Bench(path)
     path.write_text(text.replace("10 m of treadmill", "12 m"))  # words may change
     rows = (tmp_path / "candidates.csv").read_text()
@@ -252,7 +276,9 @@ def test_a_file_that_cannot_be_used_is_one_line(
         Bench.new(path)
 
 
-def test_no_entry_is_made_where_the_study_that_shows_it_was_edited(bench: Bench) -> None:
+def test_no_entry_is_made_where_the_study_that_shows_it_was_edited(
+    bench: Bench,
+) -> None:
     robot.run(bench, 2)
     with closing(sqlite3.connect(bench.plan.path.with_suffix(".db"))) as database:
         database.execute("UPDATE trial_values SET objective = 0.5")
@@ -300,9 +326,13 @@ def go_on(path: Path, entries: int) -> list[Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("entries", "step"), [
-    (2, 4), pytest.param(len(DAY), 3, marks=pytest.mark.campaign),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("entries", "step"),
+    [
+        (2, 4),
+        pytest.param(len(DAY), 3, marks=pytest.mark.campaign),
+    ],
+)
 def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
     entries: int, step: int, tmp_path: Path
 ) -> None:
@@ -321,7 +351,9 @@ def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
 
 
 @pytest.mark.slow
-def test_two_operators_at_once_lose_nothing_and_get_different_trials(tmp_path: Path) -> None:
+def test_two_operators_at_once_lose_nothing_and_get_different_trials(
+    tmp_path: Path,
+) -> None:
     path = robot.write(tmp_path)
     Bench.new(path)
 
@@ -348,7 +380,9 @@ def test_a_clock_that_goes_back_decides_nothing(
     bench.record(trial.number, 1.0)
     monkeypatch.setattr(journal, "datetime", Mock(now=lambda _: datetime(1999, 1, 1)))
     bench.correct(trial.number, 2.0)
-    assert bench.entries[-1].time.startswith("1999") and bench.state.trials[0].value == 2.0
+    assert (
+        bench.entries[-1].time.startswith("1999") and bench.state.trials[0].value == 2.0
+    )
 
 
 def test_undo_takes_back_the_operators_own_last_entry(path: Path) -> None:
@@ -358,18 +392,26 @@ def test_undo_takes_back_the_operators_own_last_entry(path: Path) -> None:
     yours.record(1, 0.9)
     assert mine.undo().operator == "me" and sorted(mine.state.trials) == [1]
     third = Bench(path, "somebody")
-    with pytest.raises(InputError, match=r"undo: 'the last' .* number .* you: record 1: 0.9"):
+    with pytest.raises(
+        InputError, match=r"undo: 'the last' .* number .* you: record 1: 0.9"
+    ):
         third.undo()
     assert third.undo(3).operator == "you" and third.state.trials[1].value is None
 
 
-def test_a_correction_that_is_undone_leaves_the_columns_as_they_were(bench: Bench) -> None:
+def test_a_correction_that_is_undone_leaves_the_columns_as_they_were(
+    bench: Bench,
+) -> None:
     good = {"stiffness": 149.0, "damping": 0.91}
     bench.add([(good, 0.4, {"torque": 60.0}, "")])
     bench.correct(0, columns={"torque": 95.0})
     assert bench.state.trials[0].columns == {"torque": 95.0}
     bench.undo()
-    assert bench.state.trials[0].columns == {"torque": 60.0} == bench.look().trials[0].columns
+    assert (
+        bench.state.trials[0].columns
+        == {"torque": 60.0}
+        == bench.look().trials[0].columns
+    )
 
 
 def test_an_undoing_is_undone_only_while_its_trial_is_as_it_was(bench: Bench) -> None:
@@ -377,23 +419,31 @@ def test_an_undoing_is_undone_only_while_its_trial_is_as_it_was(bench: Bench) ->
     bench.record(0, 0.4)
     bench.undo()
     bench.record(0, 0.9)
-    with pytest.raises(InputError, match=r"undo: 3 .* entry 4 first, .* the same trial"):
+    with pytest.raises(
+        InputError, match=r"undo: 3 .* entry 4 first, .* the same trial"
+    ):
         bench.undo(3)
     bench.undo()
     bench.undo(3)
     assert bench.state.trials[0].value == 0.4
     bench.undo()
     bench.undo()  # the trial itself
-    with pytest.raises(InputError, match=r"undo: 7 .* entry 8 first, .* the same trial"):
+    with pytest.raises(
+        InputError, match=r"undo: 7 .* entry 8 first, .* the same trial"
+    ):
         bench.undo(7)
-    bench._add("undo", {"entry": 7})  # as version 0.3.0 did, which could then read it no more
+    bench._add(
+        "undo", {"entry": 7}
+    )  # as version 0.3.0 did, which could then read it no more
     assert not Bench(bench.plan.path).state.trials
 
 
 def test_numbers_of_numpy_are_numbers(bench: Bench) -> None:
     bench.next()
     bench.record(
-        cast(int, np.int64(0)), np.float32(0.5), columns={"torque": cast(int, np.int8(81))}
+        cast(int, np.int64(0)),
+        np.float32(0.5),
+        columns={"torque": cast(int, np.int8(81))},
     )
     trial = Bench(bench.plan.path).state.trials[0]
     assert (trial.value, trial.columns) == (0.5, {"torque": 81})
@@ -416,7 +466,8 @@ def test_a_relative_database_lies_beside_the_file(
     assert (tmp_path / "trials.db").exists()
     monkeypatch.chdir(tmp_path / "elsewhere")
     assert len(Bench(path).state.trials) == 1 and not list(Path().iterdir())
-    # What version 0.3.0 began in the working folder is found there, and nothing else is.
+    # What version 0.3.0 began in the working folder is found there, and nothing else
+    # is.
     monkeypatch.chdir(tmp_path / "old")
     for file in [*tmp_path.glob("trials.db*")]:  # SQLite's log belongs to it
         file.rename(file.name)
@@ -433,7 +484,9 @@ def test_numbers_of_a_sheet_can_be_typed_in_again(bench: Bench) -> None:
     bench.add([(printed, 1.1, {}, "")])
     assert bench.state.trials[1].params == trial.params and bench.best().trials == 2
     lows = {name: float(f"{of.low:.8g}") for name, of in cast(Any, bench.space).items()}
-    highs = {name: float(f"{of.high:.8g}") for name, of in cast(Any, bench.space).items()}
+    highs = {
+        name: float(f"{of.high:.8g}") for name, of in cast(Any, bench.space).items()
+    }
     assert bench.add([(lows, 2.0, {}, ""), (highs, 3.0, {}, "")]) == [2, 3]
     for name, of in cast(Any, bench.space).items():
         assert of.low <= bench.state.trials[2].params[name] == pytest.approx(of.low)
@@ -448,9 +501,13 @@ def test_messages_name_what_exists_and_what_helps(tmp_path: Path) -> None:
     path.write_text(re.sub(r"duration_s.*\n|failed_at.*\n", "", text))
     bench = Bench.new(path)
     bench.next()
-    with pytest.raises(InputError, match=r"failed_at_once, failed_at_end and duration_s .* value"):
+    with pytest.raises(
+        InputError, match=r"failed_at_once, failed_at_end and duration_s .* value"
+    ):
         bench.record(0, failed_s=2.0)
     rows = (tmp_path / "candidates.csv").read_text()
     (tmp_path / "candidates.csv").write_text(rows.rsplit("\n", 2)[0] + "\n")
-    with pytest.raises(InputError, match=r"`export` the trials, begin a new bench .* `import`"):
+    with pytest.raises(
+        InputError, match=r"`export` the trials, begin a new bench .* `import`"
+    ):
         Bench(path).next()

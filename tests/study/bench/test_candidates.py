@@ -12,7 +12,11 @@ import optuna
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 from study.bench.bench import Bench
 from study.bench.plan import Plan, read_plan
@@ -32,7 +36,9 @@ features = ["known"]
 WHOLE = list(range(10, 51))
 
 
-def plan(folder: Path, doses: list[Any], more: str = "", file: str = "doses.csv") -> Plan:
+def plan(
+    folder: Path, doses: list[Any], more: str = "", file: str = "doses.csv"
+) -> Plan:
     rows = "".join(f"{dose},{place}\n" for place, dose in enumerate(doses))
     (folder / "doses.csv").write_text(f"dose,known\n{rows}")
     (folder / "bench.toml").write_text(TOML.format(file=file, more=more))
@@ -43,21 +49,33 @@ def of_dose(table: FeatureTable) -> Any:
     return table.rows.space.as_dict()["dose"]
 
 
-@pytest.mark.parametrize(("more", "expected"), [
-    ("", IntDistribution(10, 50)),
-    ("bounds.dose = [9.5, 50.5]", FloatDistribution(9.5, 50.5)),
-    ("bounds.dose = [9, 60]", IntDistribution(9, 60)),
-    ('type.dose = "float"', FloatDistribution(10.0, 50.0)),
-    ('type.dose = "float"\nbounds.dose = [9, 60]', FloatDistribution(9.0, 60.0)),
-    ('type.dose = "whole"\nbounds.dose = [9.5, 50.5]', IntDistribution(10, 50)),
-    ('type.dose = "choice"', CategoricalDistribution(WHOLE)),
-    ('log = ["dose"]', IntDistribution(10, 50, log=True)),
-    ('log = ["dose"]\ntype.dose = "float"', FloatDistribution(10.0, 50.0, log=True)),
-    ('log = ["dose"]\nbounds.dose = [9.5, 50.5]', FloatDistribution(9.5, 50.5, log=True)),
-    ("step.dose = 0.5", FloatDistribution(10.0, 50.0, step=0.5)),
-    ("step.dose = 1", IntDistribution(10, 50)),
-    ("step.dose = 1\nbounds.dose = [0, 50.5]", FloatDistribution(0.0, 50.0, step=1.0)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ("", IntDistribution(10, 50)),
+        ("bounds.dose = [9.5, 50.5]", FloatDistribution(9.5, 50.5)),
+        ("bounds.dose = [9, 60]", IntDistribution(9, 60)),
+        ('type.dose = "float"', FloatDistribution(10.0, 50.0)),
+        ('type.dose = "float"\nbounds.dose = [9, 60]', FloatDistribution(9.0, 60.0)),
+        ('type.dose = "whole"\nbounds.dose = [9.5, 50.5]', IntDistribution(10, 50)),
+        ('type.dose = "choice"', CategoricalDistribution(WHOLE)),
+        ('log = ["dose"]', IntDistribution(10, 50, log=True)),
+        (
+            'log = ["dose"]\ntype.dose = "float"',
+            FloatDistribution(10.0, 50.0, log=True),
+        ),
+        (
+            'log = ["dose"]\nbounds.dose = [9.5, 50.5]',
+            FloatDistribution(9.5, 50.5, log=True),
+        ),
+        ("step.dose = 0.5", FloatDistribution(10.0, 50.0, step=0.5)),
+        ("step.dose = 1", IntDistribution(10, 50)),
+        (
+            "step.dose = 1\nbounds.dose = [0, 50.5]",
+            FloatDistribution(0.0, 50.0, step=1.0),
+        ),
+    ],
+)
 def test_what_is_declared_wins_over_what_the_column_suggests(
     tmp_path: Path, more: str, expected: Any
 ) -> None:
@@ -89,10 +107,15 @@ def test_what_does_not_fit_is_refused_by_name(
         plan(tmp_path, doses.split("|"), more).read_candidates()
 
 
-@pytest.mark.parametrize(("doses", "expected"), [
-    ([2**60, 2**60 + 1], [2**60, 2**60 + 1]), (["1a", "7"], ["1a", "7"]),
-    ([0.5, 2], [0.5, 2.0]), (["true", "false"], [True, False]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("doses", "expected"),
+    [
+        ([2**60, 2**60 + 1], [2**60, 2**60 + 1]),
+        (["1a", "7"], ["1a", "7"]),
+        ([0.5, 2], [0.5, 2.0]),
+        (["true", "false"], [True, False]),
+    ],
+)
 def test_a_declared_choice_may_be_anything(
     tmp_path: Path, doses: list[Any], expected: list[Any]
 ) -> None:
@@ -121,13 +144,22 @@ def decimals(path: Path) -> None:
 def hive(path: Path) -> None:
     for dose, known in ((1.5, 0.25), (2, 3)):
         (path / f"dose={dose}").mkdir(parents=True)
-        pq.write_table(pa.table({"known": [float(known)]}), path / f"dose={dose}" / "0.parquet")
+        pq.write_table(
+            pa.table({"known": [float(known)]}), path / f"dose={dose}" / "0.parquet"
+        )
 
 
-@pytest.mark.parametrize(("file", "write"), [
-    ("mine.csv", european), ("RUN1.CSV", european), ("mine.CSV.GZ", packed),
-    ("mine.parquet", decimals), ("mine.PARQUET", decimals), ("hive", hive),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("file", "write"),
+    [
+        ("mine.csv", european),
+        ("RUN1.CSV", european),
+        ("mine.CSV.GZ", packed),
+        ("mine.parquet", decimals),
+        ("mine.PARQUET", decimals),
+        ("hive", hive),
+    ],
+)
 def test_files_as_other_programs_write_them(
     tmp_path: Path, file: str, write: Callable[[Path], None]
 ) -> None:
@@ -157,7 +189,10 @@ def test_a_bench_of_an_earlier_version_keeps_its_parameters_and_says_so(
     assert isinstance(trial.params["dose"], int)
     assert of_dose(Bench(old.path).candidates) == IntDistribution(9, 50)
     main(["bench", "status", "--bench", str(old.path)])
-    assert "bounds.dose: the bench was begun with 9 to 50, beyond 9.5" in capsys.readouterr().err
+    assert (
+        "bounds.dose: the bench was begun with 9 to 50, beyond 9.5"
+        in capsys.readouterr().err
+    )
 
 
 # Tables of other doors have the same types.
@@ -165,7 +200,9 @@ def test_arrays_and_frames_of_what_is_no_parameter() -> None:
     import pandas as pd
 
     when = pd.to_datetime(["2026-05-04", "2026-05-05"])
-    frame = pd.DataFrame({"when": when, "word": ["1,5", "2,5"], "id": [2**60, 2**60 + 1], "f": 1.5})
+    frame = pd.DataFrame(
+        {"when": when, "word": ["1,5", "2,5"], "id": [2**60, 2**60 + 1], "f": 1.5}
+    )
     frame["day"] = [date(2026, 5, 4), date(2026, 5, 5)]
     frame["complex"] = [1j, 2j]
     frame["price"] = [Decimal("1.5"), Decimal("2.25")]
@@ -176,10 +213,13 @@ def test_arrays_and_frames_of_what_is_no_parameter() -> None:
     for name, shown in (("when", "2026"), ("day", "2026"), ("complex", "1j")):
         with pytest.raises(InputError, match=rf"table.features\[0\]: .*{shown}"):
             FeatureTable.from_dataframe(frame, parameters=["price"], features=[name])
-    both = FeatureTable.from_dataframe(frame, parameters=["price", "units"], features=["price"])
+    both = FeatureTable.from_dataframe(
+        frame, parameters=["price", "units"], features=["price"]
+    )
     assert both.rows.space.as_dict() == {
-        "price": FloatDistribution(1.5, 2.25), "units": IntDistribution(3, 4),
-    }  # fmt: skip
+        "price": FloatDistribution(1.5, 2.25),
+        "units": IntDistribution(3, 4),
+    }
     assert both.rows.features[:, 0].tolist() == [1.5, 2.25]
     study = optuna.create_study()
     study.enqueue_trial(both.rows.as_parameters(0))  # of kinds that Optuna has
@@ -191,7 +231,9 @@ def test_bounds_of_arrays_and_files_are_kept_off_the_table(tmp_path: Path) -> No
     assert of_dose(table) == FloatDistribution(9.5, 50.5)
     pq.write_table(pa.table({"dose": WHOLE, "f": WHOLE}), tmp_path / "a.parquet")
     file = tmp_path / "a.parquet"
-    table = FeatureTable.from_parquet(file, parameters=["dose"], features=["f"], bounds=bounds)
+    table = FeatureTable.from_parquet(
+        file, parameters=["dose"], features=["f"], bounds=bounds
+    )
     assert of_dose(table) == FloatDistribution(9.5, 50.5)
     with pytest.raises(InputError, match=r"table.dose\[0\]: 10.0 .* 20 to 50"):
         FeatureTable.from_arrays({"dose": WHOLE}, WHOLE, bounds={"dose": (20, 50)})
@@ -199,7 +241,9 @@ def test_bounds_of_arrays_and_files_are_kept_off_the_table(tmp_path: Path) -> No
 
 def test_a_column_that_looks_like_a_pattern_is_itself(tmp_path: Path) -> None:
     path = plan(tmp_path, []).path
-    path.write_text(path.read_text().replace('features = ["known"]', 'outcomes = ["k[n]"]'))
+    path.write_text(
+        path.read_text().replace('features = ["known"]', 'outcomes = ["k[n]"]')
+    )
     (tmp_path / "doses.csv").write_text("dose,kn,k[n]\n1,2,3\n2,4,6\n")
     rows = read_plan(path).read_candidates().rows
     assert rows.worlds is not None and rows.worlds.costs.ravel().tolist() == [3.0, 6.0]

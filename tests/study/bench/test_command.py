@@ -39,26 +39,36 @@ def bench(line: str, capsys: pytest.CaptureFixture[str], code: int = 0) -> str:
     return said.out + said.err
 
 
-def test_trials_go_out_and_come_in(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trials_go_out_and_come_in(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     robot.run(Bench.new("walk.toml"), 4)
     Bench("walk.toml").next()
     assert "5 trials: trials.csv" in bench("export trials.csv", capsys)
     (folder / "second").mkdir()
     robot.write(folder / "second")
     bench("new second/walk.toml", capsys)
-    assert "trials 0, 1, 2, 3" in bench("import trials.csv --bench second/walk.toml", capsys)
-    told, again = Bench("walk.toml").state.trials, Bench("second/walk.toml").state.trials
+    assert "trials 0, 1, 2, 3" in bench(
+        "import trials.csv --bench second/walk.toml", capsys
+    )
+    told, again = (
+        Bench("walk.toml").state.trials,
+        Bench("second/walk.toml").state.trials,
+    )
     assert [(told[n].params, told[n].value) for n in again] == [
         (trial.params, trial.value) for trial in again.values()
     ]
     (folder / "trials.csv").write_text("stiffness,value\n1,2\n")
     said = bench("import trials.csv --bench second/walk.toml", capsys, 2)
     assert (
-        said.startswith("error: import: 'damping'") and len(Bench("second/walk.toml").entries) == 2
+        said.startswith("error: import: 'damping'")
+        and len(Bench("second/walk.toml").entries) == 2
     )
 
 
-def test_a_log_of_a_walk_gives_the_cost(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_of_a_walk_gives_the_cost(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert "begun by me" in bench("new walk.toml --operator me", capsys)
     bench("next", capsys)
     for seconds, name in ((30, "whole"), (10, "short")):
@@ -98,11 +108,34 @@ def toml_with(folder: Path, more: str) -> None:
     robot.write(folder, more=more)
 
 
-@pytest.mark.parametrize("name", [
-    "cost", "value", "Value", "note", "log", "seconds", "help", "h", "bench", "port", "operator",
-    "trial", "context", "failed", "why", "row", "stiffness", "Stiffness", "TORQUE", "a=b", " ",
-    "-x", "",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "name",
+    [
+        "cost",
+        "value",
+        "Value",
+        "note",
+        "log",
+        "seconds",
+        "help",
+        "h",
+        "bench",
+        "port",
+        "operator",
+        "trial",
+        "context",
+        "failed",
+        "why",
+        "row",
+        "stiffness",
+        "Stiffness",
+        "TORQUE",
+        "a=b",
+        " ",
+        "-x",
+        "",
+    ],
+)
 def test_a_column_whose_name_has_another_meaning_is_refused(
     folder: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -120,7 +153,10 @@ def test_names_that_differ_in_dashes_alone_are_one(
     said = bench("new walk.toml", capsys, 2)
     assert "columns: 'Step-Length'" in said and "step length is another column" in said
     text = (
-        (folder / "walk.toml").read_text().replace('"damping"', '"note"').partition("[columns.")[0]
+        (folder / "walk.toml")
+        .read_text()
+        .replace('"damping"', '"note"')
+        .partition("[columns.")[0]
     )
     (folder / "walk.toml").write_text(text)
     rows = (folder / "candidates.csv").read_text().replace("damping", "note")
@@ -146,9 +182,13 @@ def test_the_line_of_a_sheet_can_be_typed_as_it_is_printed(
     main([next(numbers) if word == "..." else word for word in words][1:])
     trial = Bench("my bench/walk.toml").state.trials[0]
     assert (trial.value, trial.columns) == (
-        0.5, {"torque": 81.0, "time limit": 7.0, "größe": -0.01},
-    )  # fmt: skip
-    assert "record 0: 0.5, torque 81, time limit 7, größe -0.01\n" in capsys.readouterr().out
+        0.5,
+        {"torque": 81.0, "time limit": 7.0, "größe": -0.01},
+    )
+    assert (
+        "record 0: 0.5, torque 81, time limit 7, größe -0.01\n"
+        in capsys.readouterr().out
+    )
 
 
 def test_an_old_bench_with_such_a_column_opens_and_says_so(
@@ -249,20 +289,36 @@ def test_what_is_only_read_needs_no_place_to_write(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_terminal_without_umlauts_gets_escapes_and_nothing_is_lost(folder: Path) -> None:
+def test_a_terminal_without_umlauts_gets_escapes_and_nothing_is_lost(
+    folder: Path,
+) -> None:
     rows = (folder / "candidates.csv").read_text().replace("damping", "dämpfung")
     (folder / "candidates.csv").write_text(rows)
     toml = (folder / "walk.toml").read_text().replace("damping", "dämpfung")
     (folder / "walk.toml").write_text(toml.replace("torque", "'größe'"))
     ascii_alone = 'export PYTHONIOENCODING=ascii PYTHONUTF8=0 LC_ALL=C; exec "$@"'
-    for line in ("new walk.toml", "next", "record 0 --value 1", "status", "recommend", "undo 9"):
+    for line in (
+        "new walk.toml",
+        "next",
+        "record 0 --value 1",
+        "status",
+        "recommend",
+        "undo 9",
+    ):
         done = finish(start("bench", *line.split(), shell=ascii_alone, program=MODULE))
-        assert done.code == (2 if line == "undo 9" else 0) and "Traceback" not in done.error
+        assert (
+            done.code == (2 if line == "undo 9" else 0)
+            and "Traceback" not in done.error
+        )
         if line == "next":
             assert "d\\xe4mpfung" in done.out
         elif line == "recommend":
             assert "dämpfung" in json.loads(done.out.splitlines()[1])
-    assert [entry.kind for entry in Bench("walk.toml").entries] == ["begin", "next", "record"]
+    assert [entry.kind for entry in Bench("walk.toml").entries] == [
+        "begin",
+        "next",
+        "record",
+    ]
 
 
 @pytest.mark.slow
@@ -305,20 +361,33 @@ def test_the_page_runs_from_top_to_bottom(
     said = capsys.readouterr()
     assert "warning" not in said.err
     for words in (
-        "walk: FeatureTable(300 rows", "trial 0 | walk\n", "Expected: ",
-        "enter: taichi-nmm bench record 1 --value ... --torque ...", "again: broken off once",
-        "trial   0  0.92        torque 81  slipped on the mat\n", "correct 2: 0.51 (undone)",
-        "undone: ", "\ntrial 6\n", "trial   3  simulated", "worlds the robot is like",
-        "trial 8 | walk | gravel"
-    ):  # fmt: skip
+        "walk: FeatureTable(300 rows",
+        "trial 0 | walk\n",
+        "Expected: ",
+        "enter: taichi-nmm bench record 1 --value ... --torque ...",
+        "again: broken off once",
+        "trial   0  0.92        torque 81  slipped on the mat\n",
+        "correct 2: 0.51 (undone)",
+        "undone: ",
+        "\ntrial 6\n",
+        "trial   3  simulated",
+        "worlds the robot is like",
+        "trial 8 | walk | gravel",
+    ):
         assert words in said.out
     assert re.search(
-        r"^Trial \d.*\n\{.*\}\nThe interval .*\nA repeat of trial \d", said.out, re.MULTILINE
+        r"^Trial \d.*\n\{.*\}\nThe interval .*\nA repeat of trial \d",
+        said.out,
+        re.MULTILINE,
     )
     asked = json.loads((tmp_path / "next.json").read_text())
-    assert [trial["trial"] for trial in asked] == [3, 4, 5] and len(asked[0]["params"]) == 2
+    assert [trial["trial"] for trial in asked] == [3, 4, 5] and len(
+        asked[0]["params"]
+    ) == 2
     assert (tmp_path / "walk-simulator.png").stat().st_size > 5000
-    assert set(re.findall(r"taichi-nmm bench ([a-z-]+)", page)) >= set(ACTIONS) - {"import"}
+    assert set(re.findall(r"taichi-nmm bench ([a-z-]+)", page)) >= set(ACTIONS) - {
+        "import"
+    }
 
 
 def test_decimal_commas_are_typed_and_numbers_that_may_be_two_are_refused(
@@ -331,7 +400,10 @@ def test_decimal_commas_are_typed_and_numbers_that_may_be_two_are_refused(
     assert (trial.value, trial.columns) == (0.92, {"torque": 80.5})
     for line in ("correct 0 --cost 1,234", "correct 0 --torque 1,234"):
         said = bench(line, capsys, 2)
-        assert "'1,234' cannot be used; allowed: 1234 or 1.234" in said and said.count("\n") == 1
+        assert (
+            "'1,234' cannot be used; allowed: 1234 or 1.234" in said
+            and said.count("\n") == 1
+        )
 
 
 def test_an_export_that_a_spreadsheet_has_saved_comes_in_as_it_was(
@@ -341,12 +413,17 @@ def test_an_export_that_a_spreadsheet_has_saved_comes_in_as_it_was(
     bench("export trials.csv", capsys)
     lines = (folder / "trials.csv").read_text().splitlines()
     european = [line.replace(",", ";").replace(".", ",") for line in lines]
-    (folder / "trials.csv").write_bytes(("\ufeff" + "\r\n".join(european) + "\r\n").encode())
+    (folder / "trials.csv").write_bytes(
+        ("\ufeff" + "\r\n".join(european) + "\r\n").encode()
+    )
     (folder / "second").mkdir()
     robot.write(folder / "second")
     bench("new second/walk.toml", capsys)
     bench("import trials.csv --bench second/walk.toml", capsys)
-    told, again = Bench("walk.toml").state.trials, Bench("second/walk.toml").state.trials
+    told, again = (
+        Bench("walk.toml").state.trials,
+        Bench("second/walk.toml").state.trials,
+    )
     assert len(again) == 4 and all(trial.note == "" for trial in again.values())
     for number, trial in again.items():
         assert (trial.params, trial.value) == (told[number].params, told[number].value)

@@ -17,12 +17,25 @@ from tests.study.bench import robot
 AMONG = (5.0, 7.0, 9.0, 13.0)
 
 
-@pytest.mark.parametrize(("value", "others", "odd"), [
-    (1e300, AMONG, True), (1e300, (), True), (math.inf, (), True), (math.nan, (), True),
-    (1.357e9, AMONG, True), (-8.0, AMONG, True), (0.08, AMONG, False), (92.0, (0.9, 1.1), False),
-    (92.0, (0.9, 1.0, 1.1), True), (1.2, (0.5, 0.51, 0.52), False), (30.0, AMONG, False),
-    (100.0, (-3.0, 1.0, 4.0), True), (20.0, (-3.0, 1.0, 4.0), False), (9.0, AMONG, False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("value", "others", "odd"),
+    [
+        (1e300, AMONG, True),
+        (1e300, (), True),
+        (math.inf, (), True),
+        (math.nan, (), True),
+        (1.357e9, AMONG, True),
+        (-8.0, AMONG, True),
+        (0.08, AMONG, False),
+        (92.0, (0.9, 1.1), False),
+        (92.0, (0.9, 1.0, 1.1), True),
+        (1.2, (0.5, 0.51, 0.52), False),
+        (30.0, AMONG, False),
+        (100.0, (-3.0, 1.0, 4.0), True),
+        (20.0, (-3.0, 1.0, 4.0), False),
+        (9.0, AMONG, False),
+    ],
+)
 def test_without_worlds_a_value_is_compared_with_the_other_trials(
     value: float, others: tuple[float, ...], odd: bool
 ) -> None:
@@ -36,7 +49,11 @@ def told(number: int, value: float, **columns: float) -> Trial:
 def test_the_trial_and_the_number_are_named(tmp_path: Path) -> None:
     plan = read_plan(robot.write(tmp_path))
     trials = [told(number, value, torque=60.0) for number, value in enumerate(AMONG)]
-    trials += [told(4, 1e300), told(5, 6.0, torque=60_000.0), told(6, 8.0, torque=math.inf)]
+    trials += [
+        told(4, 1e300),
+        told(5, 6.0, torque=60_000.0),
+        told(6, 8.0, torque=math.inf),
+    ]
     state = State({trial.number: trial for trial in trials}, "", 7, frozenset())
     found = doubts(plan, state, None)
     assert list(found) == [4, 5, 6]
@@ -62,21 +79,35 @@ def test_a_bench_of_earlier_versions_names_wrong_numbers(tmp_path: Path) -> None
     assert Bench(path).doubts(5) == lines[1:] and Bench(path).doubts(0) == []
 
 
-def test_a_walk_that_costs_less_than_its_time_was_a_log_with_clock_times(tmp_path: Path) -> None:
+def test_a_walk_that_costs_less_than_its_time_was_a_log_with_clock_times(
+    tmp_path: Path,
+) -> None:
     """1 / (1 + 30) is the least that 30 s can cost; nanoseconds gave 0.0211."""
     path = tmp_path / "walk.toml"
-    path.write_text('[candidates]\nstore = "store"\n[goal]\nsuccess = 0.5\nduration_s = 30\n')
+    path.write_text(
+        '[candidates]\nstore = "store"\n[goal]\nsuccess = 0.5\nduration_s = 30\n'
+    )
     state = State({0: told(0, 0.0211), 1: told(1, 0.0414)}, "", 2, frozenset())
     found = doubts(read_plan(path), state, (0.012, 1.0))
     assert list(found) == [0] and "was it a log with clock times?" in found[0]
 
 
-@pytest.mark.parametrize(("old", "new", "said"), [
-    ("failed_at_once = 6", "failed_at_once = 0.0001", "worse than goal.success, 0.5"),
-    ("success = 0.5", "", ""),
-    ("success = 0.5\nduration_s = 30\nfailed_at_once = 6", "duration_s = 30\nfailed_at_once = 0.01",
-     "goal.failed_at_once: 0.01 .* worse than the best one simulated"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "failed_at_once = 6",
+            "failed_at_once = 0.0001",
+            "worse than goal.success, 0.5",
+        ),
+        ("success = 0.5", "", ""),
+        (
+            "success = 0.5\nduration_s = 30\nfailed_at_once = 6",
+            "duration_s = 30\nfailed_at_once = 0.01",
+            "goal.failed_at_once: 0.01 .* worse than the best one simulated",
+        ),
+    ],
+)
 def test_failures_are_compared_with_what_was_simulated(
     tmp_path: Path, old: str, new: str, said: str
 ) -> None:
@@ -89,11 +120,17 @@ def test_failures_are_compared_with_what_was_simulated(
         Bench.new(path)
 
 
-def test_failures_in_another_unit_than_the_worlds_are_questioned(tmp_path: Path) -> None:
+def test_failures_in_another_unit_than_the_worlds_are_questioned(
+    tmp_path: Path,
+) -> None:
     path = robot.write(tmp_path)
-    path.write_text(path.read_text().replace("failed_at_once = 6", "failed_at_once = 600"))
+    path.write_text(
+        path.read_text().replace("failed_at_once = 6", "failed_at_once = 600")
+    )
     (line,) = Bench.new(path).doubts()
-    assert line.startswith("goal.failed_at_once: 600 is far from all that was simulated")
+    assert line.startswith(
+        "goal.failed_at_once: 600 is far from all that was simulated"
+    )
 
 
 def test_falls_of_a_store_that_prices_them_itself_are_compared(tmp_path: Path) -> None:

@@ -39,7 +39,9 @@ def second(tmp_path: Path) -> Bench:
     return Bench.new(robot.write(tmp_path / "second"), "somebody")
 
 
-content = attrgetter("params", "value", "context", "failed", "operator", "time", "columns", "note")
+content = attrgetter(
+    "params", "value", "context", "failed", "operator", "time", "columns", "note"
+)
 
 
 def test_all_that_a_trial_is_goes_out_and_comes_in(
@@ -48,15 +50,23 @@ def test_all_that_a_trial_is_goes_out_and_comes_in(
     again = second(tmp_path)
     assert again.add_new(read_trials(again, file)) == ([0, 1, 2, 3, 4], [])
     told = [trial for trial in bench.state.trials.values() if trial.value is not None]
-    assert [content(trial) for trial in again.state.trials.values()] == [*map(content, told)]
-    assert {trial.context for trial in again.state.trials.values()} == {"", "gravel", "007"}
+    assert [content(trial) for trial in again.state.trials.values()] == [
+        *map(content, told)
+    ]
+    assert {trial.context for trial in again.state.trials.values()} == {
+        "",
+        "gravel",
+        "007",
+    }
     line = str(again.entries[-1])
     assert "no longer" not in line and line.count("failed") == 1
     bench.context("")
     assert str(again.best()) == str(bench.best())
 
 
-def test_the_same_file_twice_enters_nothing(bench: Bench, file: Path, tmp_path: Path) -> None:
+def test_the_same_file_twice_enters_nothing(
+    bench: Bench, file: Path, tmp_path: Path
+) -> None:
     again = second(tmp_path)
     again.add_new(read_trials(again, file))
     again.correct(0, 0.123)  # a trial that was corrected since is the same trial
@@ -74,7 +84,9 @@ def test_a_list_that_has_grown_enters_what_is_new(bench: Bench, tmp_path: Path) 
     bench.record(0, 0.9)
     row = ",".join(f"{value:.8g}" for value in trial.params.values())
     path = tmp_path / "list.csv"
-    path.write_text(f"stiffness,damping,value,note\n{row},0.9,\n{row},0.9,again\n{row},1.1,\n")
+    path.write_text(
+        f"stiffness,damping,value,note\n{row},0.9,\n{row},0.9,again\n{row},1.1,\n"
+    )
     assert bench.add_new(read_trials(bench, path)) == ([1, 2], [0])
     told = bench.state.trials
     assert [told[number].note for number in range(3)] == ["", "again", ""]
@@ -82,15 +94,27 @@ def test_a_list_that_has_grown_enters_what_is_new(bench: Bench, tmp_path: Path) 
     assert bench.best().trials == 3
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("stiffness,damping,value,failed\n20,1,2,7\n", "import: failed"),
-    ("stiffness,damping,value\n20,1,inf\n", "value: inf"),
-    ("stiffness,damping,value,torque\n20,1,2,inf\n", "torque"),
-    ("stiffness,value\n1,2\n", "import: 'damping'"),
-    ("stiffness,damping,value,Torque\n20,1,2,95\n", "import: 'Torque' .* torque, as the bench has"),
-    ("stiffness,damping,value,failed\n20,1,,1\n20,1,2,0\n", r"import.value\[0\]: 'nothing'"),
-    ("stiffness,damping,value\n20,1,\n", "import: .*wrong.csv.* a value in one row at least"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("stiffness,damping,value,failed\n20,1,2,7\n", "import: failed"),
+        ("stiffness,damping,value\n20,1,inf\n", "value: inf"),
+        ("stiffness,damping,value,torque\n20,1,2,inf\n", "torque"),
+        ("stiffness,value\n1,2\n", "import: 'damping'"),
+        (
+            "stiffness,damping,value,Torque\n20,1,2,95\n",
+            "import: 'Torque' .* torque, as the bench has",
+        ),
+        (
+            "stiffness,damping,value,failed\n20,1,,1\n20,1,2,0\n",
+            r"import.value\[0\]: 'nothing'",
+        ),
+        (
+            "stiffness,damping,value\n20,1,\n",
+            "import: .*wrong.csv.* a value in one row at least",
+        ),
+    ],
+)
 def test_what_cannot_be_imported_is_one_line(
     bench: Bench, tmp_path: Path, text: str, said: str
 ) -> None:
@@ -103,12 +127,23 @@ def test_what_cannot_be_imported_is_one_line(
 
 def test_words_of_any_type_are_words(bench: Bench, tmp_path: Path) -> None:
     columns = {
-        "stiffness": [20.0], "damping": [1.0], "value": [2.0], "context": [0], "depth": [1],
-        "note": pa.nulls(1), "time": pa.array([0], pa.timestamp("s")),
-    }  # fmt: skip
+        "stiffness": [20.0],
+        "damping": [1.0],
+        "value": [2.0],
+        "context": [0],
+        "depth": [1],
+        "note": pa.nulls(1),
+        "time": pa.array([0], pa.timestamp("s")),
+    }
     path = tmp_path / "trials.parquet"
     pq.write_table(pa.table(columns), path)
-    with pytest.warns(UserWarning, match=r"columns that are no part of a trial: depth$"):
+    with pytest.warns(
+        UserWarning, match=r"columns that are no part of a trial: depth$"
+    ):
         bench.add_new(read_trials(bench, path))
     trial = bench.state.trials[0]
-    assert (trial.context, trial.note, trial.time) == ("0", "", "1970-01-01 00:00:00.000")
+    assert (trial.context, trial.note, trial.time) == (
+        "0",
+        "",
+        "1970-01-01 00:00:00.000",
+    )

@@ -62,12 +62,16 @@ def filmed(params: Mapping[str, Any]) -> bytes:
 FILMED: list[Mapping[str, Any]] = []
 
 
-def ask(url: str, form: dict[str, Any] | None = None, **headers: str) -> tuple[int, str]:
+def ask(
+    url: str, form: dict[str, Any] | None = None, **headers: str
+) -> tuple[int, str]:
     """Status and text of an answer, redirections followed."""
     data = None if form is None else urllib.parse.urlencode(form).encode()
     opener = urllib.request.build_opener(urllib.request.HTTPCookieProcessor())
     try:
-        with opener.open(urllib.request.Request(url, data, headers), timeout=30) as answer:
+        with opener.open(
+            urllib.request.Request(url, data, headers), timeout=30
+        ) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -77,11 +81,13 @@ def test_entries_by_hand_and_one_line_for_what_is_wrong(serve: Serve) -> None:
     address, token, bench = serve(HOST)
     assert token == "" and ask(f"{address}/next", {"batch": 2})[0] == 200
     for form, line in (
-        ({"trial": 0, "value": "1,234"}, "value: '1,234'"), ({"trial": 7, "value": 1}, "trial: 7"),
-        ({"trial": "x"}, "trial: 'x'"), ({"trial": 0}, "value: None"),
+        ({"trial": 0, "value": "1,234"}, "value: '1,234'"),
+        ({"trial": 7, "value": 1}, "trial: 7"),
+        ({"trial": "x"}, "trial: 'x'"),
+        ({"trial": 0}, "value: None"),
         ({"trial": 0, "value": 1, "seconds": 2}, "seconds: 2.0"),
         ({"trial": 0, "value": 1, "column torque": "<b>"}, "column torque: '<b>'"),
-    ):  # fmt: skip
+    ):
         status, text = ask(f"{address}/record", form)
         assert status == 400 and f'<p role="alert">{bottle.html_escape(line)}' in text
     assert len(bench.look().trials) == 2 and bench.entries[-1].kind == "next"
@@ -91,10 +97,21 @@ def test_entries_by_hand_and_one_line_for_what_is_wrong(serve: Serve) -> None:
     ask(f"{address}/context", {"name": "gravel"})
     ask(f"{address}/undo", {"entry": 5})
     trials, state = bench.look().trials, bench.state
-    assert (trials[0].value, trials[0].columns, state.context) == (0.9, {"torque": 81.0}, "")
-    assert trials[1].failed and "&lt;i&gt;" in ask(address)[1] and "<i>" not in ask(address)[1]
+    assert (trials[0].value, trials[0].columns, state.context) == (
+        0.9,
+        {"torque": 81.0},
+        "",
+    )
+    assert (
+        trials[1].failed
+        and "&lt;i&gt;" in ask(address)[1]
+        and "<i>" not in ask(address)[1]
+    )
     assert ask(f"{address}/next", {"batch": 10**8})[0] == 400
-    assert ask(f"{address}/drop", {})[0] == 404 and ask(address, Host="evil.example")[0] == 403
+    assert (
+        ask(f"{address}/drop", {})[0] == 404
+        and ask(address, Host="evil.example")[0] == 403
+    )
     assert ask(f"{address}/undo", {"entry": 1}, Origin="http://evil.example")[0] == 403
 
 
@@ -129,9 +146,13 @@ def test_a_database_that_is_gone_is_one_line_whatever_is_asked(serve: Serve) -> 
     for ending in ("", "-wal", "-shm"):
         file.with_name(file.name + ending).unlink(missing_ok=True)
     for place, form in (
-        ("record", {"trial": 0, "value": 1}), ("next", {"batch": 1}), ("undo", {"entry": 1}),
-        ("correct", {"trial": 0, "value": 1}), ("", None), ("film/0", None),
-    ):  # fmt: skip
+        ("record", {"trial": 0, "value": 1}),
+        ("next", {"batch": 1}),
+        ("undo", {"entry": 1}),
+        ("correct", {"trial": 0, "value": 1}),
+        ("", None),
+        ("film/0", None),
+    ):
         status, text = ask(f"{address}/{place}", form)
         assert status == 503 and text.count("\n") == 0, (place, status, text)
         assert "storage: " in text and "removed" in text
@@ -158,14 +179,18 @@ def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
         assert ask(url)[0] == 403 and "walk" not in ask(url)[1]
     assert ask(f"{address}/next", {"batch": 1})[0] == 403 and len(bench.entries) == 1
     assert ask(f"{address}/?token={token}")[0] == 200
-    with pytest.raises(InputError, match=r"^listen: '203.0.113.1'.* an address of this machine"):
+    with pytest.raises(
+        InputError, match=r"^listen: '203.0.113.1'.* an address of this machine"
+    ):
         wsgi_server(application(bench, "203.0.113.1")[0], "203.0.113.1", 0)
 
 
 def bench_of(store: Path) -> Bench:
     """A bench over the rows of a store."""
     path = store.with_name("stored.toml")
-    path.write_text(f'[candidates]\nstore = "{store.name}"\nfeatures = ["survived_fraction"]\n')
+    path.write_text(
+        f'[candidates]\nstore = "{store.name}"\nfeatures = ["survived_fraction"]\n'
+    )
     return Bench.new(path)
 
 
@@ -174,7 +199,10 @@ def test_what_can_be_filmed(store: Path, tmp_path: Path) -> None:
     assert filming_of(own, None) is None
     filming = filming_of(bench_of(store), None)
     assert isinstance(filming, partial) and filming.func is of_walker
-    for simulator, allowed in (("robot.py:Cart", "a MujocoSimulator"), ("rail.py:Rail", "damping")):
+    for simulator, allowed in (
+        ("robot.py:Cart", "a MujocoSimulator"),
+        ("rail.py:Rail", "damping"),
+    ):
         with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
             filming_of(own, f"tests/storage/{simulator}")
 
@@ -190,7 +218,9 @@ def test_films_of_both_engines(tmp_path: Path) -> None:
     with Processes(1) as makers:
         try:
             film = makers.submit(filming, trial.params).result()
-            made = makers.submit(film_run, tmp_path / "run.mp4", rail.Rail, trial.params, {}, 0.5)
+            made = makers.submit(
+                film_run, tmp_path / "run.mp4", rail.Rail, trial.params, {}, 0.5
+            )
         except InputError as error:
             assert "OpenGL" in str(error)
         else:
@@ -212,7 +242,9 @@ def test_a_phone_beside_the_machine(serve: Serve) -> None:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         form.get_by_role("button", name="Record").click()
         page.get_by_text("Zoë: record 0").first.wait_for()
-        assert bench.look().trials[0].value == 0.42 and bench.entries[-1].operator == "Zoë"
+        assert (
+            bench.look().trials[0].value == 0.42 and bench.entries[-1].operator == "Zoë"
+        )
 
 
 @pytest.mark.slow
@@ -232,9 +264,13 @@ def test_the_page_prints_a_sheet_for_each_pending_trial(serve: Serve) -> None:
 def test_a_store_of_shorter_runs_is_said_on_the_sheet(tmp_path: Path) -> None:
     """Unless they are as long as a trial, or only features are read."""
     make_store(
-        own.Cart, tmp_path / "cart", workers=1, samples=60, seed=3,
+        own.Cart,
+        tmp_path / "cart",
+        workers=1,
+        samples=60,
+        seed=3,
         families={"gale": {"settings": 2, "seed": 1, "horizon_s": 8.0}},
-    )  # fmt: skip
+    )
     said = []
     for more in ("", "[goal]\nduration_s = 30\n", "[goal]\nduration_s = 8\n"):
         path = tmp_path / f"bench{len(said)}.toml"
@@ -242,7 +278,8 @@ def test_a_store_of_shorter_runs_is_said_on_the_sheet(tmp_path: Path) -> None:
         said.append(read_plan(path).horizon_note())
     assert said == [
         "Simulated runs last 8 s: what is simulated is the cost of such a run.",
-        "Simulated runs last 8 s, a trial 30 s: what is simulated is the cost of such a run.", "",
-    ]  # fmt: skip
+        "Simulated runs last 8 s, a trial 30 s: what is simulated is the cost of such a run.",
+        "",
+    ]
     path.write_text('[candidates]\nstore = "cart"\nfeatures = ["survived_fraction"]\n')
     assert read_plan(path).horizon_note() == ""

@@ -14,7 +14,9 @@ START = datetime(2026, 5, 4, 14, 30, 0, 10_000)
 SPEED_MPS = 1.2
 
 
-def log(folder: Path, clocks: list[str], positions: list[str], between: str = ",") -> Path:
+def log(
+    folder: Path, clocks: list[str], positions: list[str], between: str = ","
+) -> Path:
     rows = [between.join(row) for row in zip(clocks, positions, strict=True)]
     (folder / "log.csv").write_text("\n".join([f"time{between}position", *rows]) + "\n")
     return folder / "log.csv"
@@ -45,13 +47,17 @@ def test_a_log_with_decimal_commas(tmp_path: Path) -> None:
 
 
 @cases("bad-logs.toml", "clocks", "positions", "said")
-def test_what_is_no_log_of_a_walk(tmp_path: Path, clocks: str, positions: str, said: str) -> None:
+def test_what_is_no_log_of_a_walk(
+    tmp_path: Path, clocks: str, positions: str, said: str
+) -> None:
     with pytest.raises(InputError, match=said):
         cost_of_log(log(tmp_path, clocks.split(), positions.split()), 30.0)
 
 
 def test_a_log_of_hours_is_none_of_a_walk_without_an_end(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"log.time: '30000 from first to last' .* up to 3600"):
+    with pytest.raises(
+        InputError, match=r"log.time: '30000 from first to last' .* up to 3600"
+    ):
         cost_of_log(log(tmp_path, ["0", "30000"], ["0", "36"]), math.inf)
 
 

@@ -21,23 +21,35 @@ ARMS = ("dog", "random")
 def experiment(**changes: Any) -> Experiment:
     """Rough ground, disturbed bodies, two runs of three trials; `changes` may be of conditions."""
     conditions: dict[str, Any] = {
-        "duration_s": 2.0, "settings": Settings(arch="cpu"), "build": Build(0.1),
+        "duration_s": 2.0,
+        "settings": Settings(arch="cpu"),
+        "build": Build(0.1),
         "ground": Ground("rough", {"amplitude_m": 0.02}),
-    }  # fmt: skip
+    }
     conditions |= {name: changes.pop(name) for name in conditions if name in changes}
     fields: dict[str, Any] = {
-        "name": "tiny", "seed": 7, "searched": (), "objective": Objective(),
-        "conditions": Conditions(**conditions), "runs": 2, "trials": 3, "arms": ARMS,
-    }  # fmt: skip
+        "name": "tiny",
+        "seed": 7,
+        "searched": (),
+        "objective": Objective(),
+        "conditions": Conditions(**conditions),
+        "runs": 2,
+        "trials": 3,
+        "arms": ARMS,
+    }
     return Experiment(**(fields | changes))
 
 
-def results(of: Experiment, runs: int = 2, trials: int = 3, arms: Sequence[str] = ARMS) -> pa.Table:
+def results(
+    of: Experiment, runs: int = 2, trials: int = 3, arms: Sequence[str] = ARMS
+) -> pa.Table:
     """Rows of the results table, in its order; the numbers follow from their places."""
     rows = [
-        _row(of, arm, run, trial) for arm in sorted(arms) for run in range(runs)
+        _row(of, arm, run, trial)
+        for arm in sorted(arms)
+        for run in range(runs)
         for trial in range(trials)
-    ]  # fmt: skip
+    ]
     schema = results_of(STATE_SCHEMA.empty_table()).schema
     numbers = dict.fromkeys(schema.names, 0)  # of what no test looks at
     return pa.Table.from_pylist([numbers | row for row in rows], schema=schema)
@@ -50,13 +62,30 @@ def _row(of: Experiment, arm: str, run: int, trial: int) -> dict[str, Any]:
     costs = [300.0 - 10 * ((before + run) % 3) for before in range(trial + 1)]
     if (arm, run) == ("dog", 0) and trial > 0:
         costs[1] = 90.0
-    (theta_ref,) = (gain.default for gain in LOW_LEVEL_GAINS if gain.name == "theta_ref")
+    (theta_ref,) = (
+        gain.default for gain in LOW_LEVEL_GAINS if gain.name == "theta_ref"
+    )
     walked = costs[-1] < 100
     return {
-        "experiment": of.name, "arm": arm, "run": run, "trial": trial, **gains,
-        "theta_ref": theta_ref + 0.01 * trial if "theta_ref" in of.searched else theta_ref,
-        "row": 10 * run + trial, "cost": costs[-1], "best_cost": min(costs), "walked": walked,
-        "duration_s": 2.0, "distance_m": 1.0 + trial, "mean_speed_mps": 0.5,
-        "cost_of_transport_jpkgpm": 4.0, "end_reason": "completed" if walked else "fell",
-        "survived_fraction": 0.5, "step_count": 3, "phi_printed": 1.5, "phi_corrected": 2.5,
-    }  # fmt: skip
+        "experiment": of.name,
+        "arm": arm,
+        "run": run,
+        "trial": trial,
+        **gains,
+        "theta_ref": theta_ref + 0.01 * trial
+        if "theta_ref" in of.searched
+        else theta_ref,
+        "row": 10 * run + trial,
+        "cost": costs[-1],
+        "best_cost": min(costs),
+        "walked": walked,
+        "duration_s": 2.0,
+        "distance_m": 1.0 + trial,
+        "mean_speed_mps": 0.5,
+        "cost_of_transport_jpkgpm": 4.0,
+        "end_reason": "completed" if walked else "fell",
+        "survived_fraction": 0.5,
+        "step_count": 3,
+        "phi_printed": 1.5,
+        "phi_corrected": 2.5,
+    }

@@ -16,7 +16,9 @@ from tests.study.conftest import Comparisons, refused
 pytestmark = pytest.mark.slow
 
 
-def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(comparisons: Comparisons) -> None:
+def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(
+    comparisons: Comparisons,
+) -> None:
     """Beyond a generation of 12."""
     for out, steps in (("parts", (2, 14, 15)), ("whole", (15,))):
         for trials in steps:
@@ -27,7 +29,9 @@ def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(comparisons: Comparis
     gains = frame[list(GAIN_NAMES)].to_numpy()
     assert ((gains >= lower_bounds()) & (gains <= upper_bounds())).all()
     for arm in ARMS:
-        one, other = (gains[(frame.arm == arm) & (frame.run == run)] for run in range(2))
+        one, other = (
+            gains[(frame.arm == arm) & (frame.run == run)] for run in range(2)
+        )
         assert len(np.unique(one, axis=0)) == len(np.unique(other, axis=0)) == 15
         assert arm == "ranking" or not np.array_equal(one, other)
 
@@ -48,15 +52,21 @@ def test_the_ranking_goes_down_the_scores_then_rows(comparisons: Comparisons) ->
         table = table_of(comparisons.experiment, arm).rows
         offered = np.flatnonzero(table.offered)
         expected = sorted(offered, key=lambda row: (-table.features[row, 0], row))
-        np.testing.assert_array_equal(score_order(table_of(comparisons.experiment, arm)), expected)
+        np.testing.assert_array_equal(
+            score_order(table_of(comparisons.experiment, arm)), expected
+        )
 
 
-def test_the_start_of_warm_cmaes(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_start_of_warm_cmaes(
+    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(samplers, "START_ROWS", 5)
     comparisons.run("out", arms=("cmaes-warm",), runs=6, trials=2)
     frame = comparisons.table("out").to_pandas()
     starts = frame.row[frame.trial == 0].tolist()
-    assert set(starts) <= set(score_order(table_of(comparisons.experiment, "cmaes-warm"))[:5])
+    assert set(starts) <= set(
+        score_order(table_of(comparisons.experiment, "cmaes-warm"))[:5]
+    )
     assert len(set(starts)) > 1
     assert (frame.row[frame.trial == 1] == -1).all()
 
@@ -86,4 +96,6 @@ def test_arms_say_what_their_stores_saw(toy: Experiment) -> None:
     assert saw(ARMS["dog"], toy.stores) == level
     disturbed = f"bodies disturbed by 15 %: {rough}"  # of all families, named once
     assert saw(ARMS["worlds-stairs"], toy.stores) == f"{level}; {disturbed}"
-    assert saw(ARMS["worlds"], {}) == "base setting of the store worlds, and its families"
+    assert (
+        saw(ARMS["worlds"], {}) == "base setting of the store worlds, and its families"
+    )

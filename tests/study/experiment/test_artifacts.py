@@ -8,7 +8,11 @@ from unittest.mock import Mock
 import numpy as np
 import optuna
 import pytest
-from optuna.artifacts import FileSystemArtifactStore, get_all_artifact_meta, upload_artifact
+from optuna.artifacts import (
+    FileSystemArtifactStore,
+    get_all_artifact_meta,
+    upload_artifact,
+)
 from optuna_dashboard import get_note, save_note
 
 from storage.databases.studies import open_studies
@@ -57,17 +61,25 @@ def best_note(study: optuna.Study) -> str:
     return str(get_note(optuna.trial.Trial(study, study.best_trial._trial_id)))
 
 
-def test_the_best_trial_is_simulated_and_registered(tmp_path: Path, url: str, fake: Mock) -> None:
+def test_the_best_trial_is_simulated_and_registered(
+    tmp_path: Path, url: str, fake: Mock
+) -> None:
     study = make(url, tmp_path)
     ((gains, simulated, *asked),) = (call.args for call in fake.call_args_list)
     assert gains.gains.tolist() == [study.best_params[name] for name in TINY.names]
     assert (simulated, *asked) == (TINY, 0, 50.0)
     (file,) = (tmp_path / "artifacts").iterdir()
     assert file.read_bytes().startswith(b"\x89PNG")
-    found = [get_all_artifact_meta(each, storage=study._storage) for each in study.trials]
+    found = [
+        get_all_artifact_meta(each, storage=study._storage) for each in study.trials
+    ]
     (meta,) = found.pop(BEST)
     assert found == [[]] * 2
-    assert (meta.artifact_id, meta.filename, meta.mimetype) == (file.name, "strip.png", "image/png")
+    assert (meta.artifact_id, meta.filename, meta.mimetype) == (
+        file.name,
+        "strip.png",
+        "image/png",
+    )
     path = f"/artifacts/{study._study_id}/{study.best_trial._trial_id}/{file.name}"
     note = best_note(study)
     assert note.startswith("tiny, run 0: walked 2.0 s, 2.0 m at 0.50 m/s\n")
@@ -94,7 +106,9 @@ def test_what_is_there_is_kept(tmp_path: Path, url: str, fake: Mock) -> None:
     assert file.exists()
 
 
-def test_a_lost_note(tmp_path: Path, url: str, fake: Mock, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_note(
+    tmp_path: Path, url: str, fake: Mock, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
@@ -113,19 +127,25 @@ def test_a_note_of_the_users_stays(tmp_path: Path, url: str, fake: Mock) -> None
     assert best_note(make(url, tmp_path)) == "mine"
 
 
-def test_whoever_diverged_at_once_has_no_picture(tmp_path: Path, url: str, fake: Mock) -> None:
+def test_whoever_diverged_at_once_has_no_picture(
+    tmp_path: Path, url: str, fake: Mock
+) -> None:
     fake.return_value.trajectories[0].q[:] = np.nan
     assert not make(url, tmp_path).best_trial.system_attrs
     assert not list((tmp_path / "artifacts").iterdir())
 
 
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path, url: str, fake: Mock) -> None:
+def test_a_place_that_cannot_be_written_is_one_line(
+    tmp_path: Path, url: str, fake: Mock
+) -> None:
     (tmp_path / "artifacts").touch()
     with refused("out: .* a place that can be written"):
         make(url, tmp_path)
 
 
-def test_the_real_one_repeats_it(tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_real_one_repeats_it(
+    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     walks: list[Any] = []
     monkeypatch.setattr(artifacts, "write_strip", lambda _, *made: walks.append(made))
     study = make(url, tmp_path)

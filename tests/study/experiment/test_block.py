@@ -8,7 +8,13 @@ import pytest
 from study.experiment.arms import ARMS
 from study.experiment.block import Block, advance
 from study.experiment.experiment import Experiment
-from study.experiment.folder import NOTES, PROPOSAL_TIME, STATE_SCHEMA, in_order, outcomes_of
+from study.experiment.folder import (
+    NOTES,
+    PROPOSAL_TIME,
+    STATE_SCHEMA,
+    in_order,
+    outcomes_of,
+)
 from study.experiment.trials import KEPT
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED
@@ -19,7 +25,9 @@ NOTHING = STATE_SCHEMA.empty_table()
 
 def sorted_rows(*tables: pa.Table) -> list[dict[str, object]]:
     """Rows of tables by study, without what no two runs agree upon."""
-    rows: list[dict[str, object]] = in_order(list(tables)).drop_columns(PROPOSAL_TIME).to_pylist()
+    rows: list[dict[str, object]] = (
+        in_order(list(tables)).drop_columns(PROPOSAL_TIME).to_pylist()
+    )
     return rows
 
 
@@ -60,7 +68,9 @@ SHARING = tuple((arm, run) for run in range(2) for arm in ALIKE)
 
 def different(table: pa.Table) -> int:
     """How many walks of a table have another robot or other gains."""
-    return len({tuple(row.values()) for row in table.select(["run", *GAIN_NAMES]).to_pylist()})
+    return len(
+        {tuple(row.values()) for row in table.select(["run", *GAIN_NAMES]).to_pylist()}
+    )
 
 
 def simulated() -> int:
@@ -78,7 +88,11 @@ def test_what_several_arms_try_is_simulated_once(toy: Experiment) -> None:
     for next_stretch in (True, False):
         fake_walker.calls.clear()
         first = advance(Block(toy, SHARING, NOTHING, 3))
-        known = (NOTHING, 8, first.studies, first.walks) if next_stretch else (first.table, 8)
+        known = (
+            (NOTHING, 8, first.studies, first.walks)
+            if next_stretch
+            else (first.table, 8)
+        )
         rest = advance(Block(toy, SHARING, *known)).table
         assert sorted_rows(first.table, rest) == sorted_rows(whole)
         assert simulated() == different(whole)

@@ -20,15 +20,23 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
         check_arms(toy, (), 8)
 
 
-def test_a_store_that_is_not_there_or_not_named(toy: Experiment, tmp_path: Path) -> None:
-    experiment = replace(toy, stores={n: path for n, path in toy.stores.items() if n != "flat"})
+def test_a_store_that_is_not_there_or_not_named(
+    toy: Experiment, tmp_path: Path
+) -> None:
+    experiment = replace(
+        toy, stores={n: path for n, path in toy.stores.items() if n != "flat"}
+    )
     with refused(r"stores\.flat: 'missing' .* which has worlds, stairs"):
         check_arms(experiment, ("dog",), 3)
     with refused(r"stores\.flat: 'missing' .* which has none"):
         store_path(replace(toy, stores={}), "flat")
     assert check_arms(experiment, ("ranking",), 3)
     with refused("nowhere"):
-        check_arms(replace(toy, stores=toy.stores | {"flat": tmp_path / "nowhere"}), ("dog",), 3)
+        check_arms(
+            replace(toy, stores=toy.stores | {"flat": tmp_path / "nowhere"}),
+            ("dog",),
+            3,
+        )
 
 
 def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
@@ -42,7 +50,9 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
             check_arms(experiment, (arm,), 3)
 
 
-def test_a_store_is_read_once_and_anew_when_made_anew(toy: Experiment, tmp_path: Path) -> None:
+def test_a_store_is_read_once_and_anew_when_made_anew(
+    toy: Experiment, tmp_path: Path
+) -> None:
     feature = find_arm("ranking").feature
     before = candidates(toy, "worlds", feature)
     assert candidates(toy, "worlds", feature) is before
@@ -61,14 +71,17 @@ def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:
     assert check_arms(replace(experiment, searched=("theta_ref",)), ("dog",), 3)
 
 
-def test_a_store_of_the_callers_is_that_of_the_arms(toy: Experiment, tmp_path: Path) -> None:
+def test_a_store_of_the_callers_is_that_of_the_arms(
+    toy: Experiment, tmp_path: Path
+) -> None:
     experiment = with_store(toy, ("random", "dog", "cmaes-warm"), tmp_path)
     assert experiment.stores == {**toy.stores, "flat": tmp_path} != toy.stores
     assert replace(experiment, stores=toy.stores) == toy
     one = "store: '.*' .* arms that read one store; "
     for names, message in (
-        (("random", "tpe"), f"{one}random, tpe: none"), (("dog", "cat"), "arm: 'cat' "),
+        (("random", "tpe"), f"{one}random, tpe: none"),
+        (("dog", "cat"), "arm: 'cat' "),
         (("dog", "worlds"), f"{one}dog, worlds: flat and worlds"),
-    ):  # fmt: skip
+    ):
         with refused(message):
             with_store(toy, names, tmp_path)

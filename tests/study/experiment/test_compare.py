@@ -25,7 +25,12 @@ from tests.study.experiment.fake_results import experiment
 
 pytestmark = pytest.mark.slow
 
-STATEFUL = ("random", "dog", "cmaes-cold", "cmaes-warm")  # one of each way to keep a state
+STATEFUL = (
+    "random",
+    "dog",
+    "cmaes-cold",
+    "cmaes-warm",
+)  # one of each way to keep a state
 CutInto = Callable[[int, int], None]
 
 
@@ -40,7 +45,9 @@ def cut_into(monkeypatch: pytest.MonkeyPatch) -> CutInto:
     return into
 
 
-def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(comparisons: Comparisons) -> None:
+def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(
+    comparisons: Comparisons,
+) -> None:
     fake_walker.calls.clear()
     comparisons.run("out", arms=("random", "dog", "cmaes-cold"))  # which share no gains
     assert len(fake_walker.calls) == 8  # rounds, not 8 trials x 9 studies
@@ -52,7 +59,9 @@ def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(comparisons: Com
         for run in range(3):
             masses = call["bodies"].mass_kg[index == run]
             assert (masses == masses[0]).all()  # three arms, one body
-    heights = [[t.height_m.tobytes() for t in call["terrains"]] for call in fake_walker.calls]
+    heights = [
+        [t.height_m.tobytes() for t in call["terrains"]] for call in fake_walker.calls
+    ]
     assert len({tuple(h) for h in heights}) == 1  # the same in every round
     assert len(set(heights[0])) == 3  # another in every run
 
@@ -60,20 +69,30 @@ def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(comparisons: Com
 def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) -> None:
     outcome, table = comparisons.run("out"), comparisons.table("out")
     assert outcome.computed == len(table) == 3 * 3 * 8
-    assert table.schema.remove_metadata().equals(results_of(STATE_SCHEMA.empty_table()).schema)
+    assert table.schema.remove_metadata().equals(
+        results_of(STATE_SCHEMA.empty_table()).schema
+    )
     frame = table.to_pandas()
     assert not frame.isna().any().any()
     keys = frame[["arm", "run", "trial"]]
     assert not keys.duplicated().any()
     assert keys.equals(keys.sort_values(["arm", "run", "trial"], ignore_index=True))
-    np.testing.assert_allclose(frame.theta_ref, np.deg2rad(6.0))  # not searched: its default
+    np.testing.assert_allclose(
+        frame.theta_ref, np.deg2rad(6.0)
+    )  # not searched: its default
     best = frame.groupby(["arm", "run"]).cost.cummin()
     np.testing.assert_array_equal(frame.best_cost, best)
-    store = pq.read_table(comparisons.folder / "store" / "part-00000.parquet").to_pandas()
+    store = pq.read_table(
+        comparisons.folder / "store" / "part-00000.parquet"
+    ).to_pandas()
     assert (frame.row[frame.arm == "random"] == -1).all()
     rows = frame[frame.arm != "random"]  # of the store, each named by its number
-    np.testing.assert_array_equal(rows[list(GAIN_NAMES)], store.loc[rows.row, list(GAIN_NAMES)])
-    times = pq.read_table(comparisons.folder / "out" / "proposal_times.parquet").to_pandas()
+    np.testing.assert_array_equal(
+        rows[list(GAIN_NAMES)], store.loc[rows.row, list(GAIN_NAMES)]
+    )
+    times = pq.read_table(
+        comparisons.folder / "out" / "proposal_times.parquet"
+    ).to_pandas()
     assert times[["arm", "run", "trial"]].equals(keys) and (times.proposal_s > 0).all()
     written = json.loads((comparisons.folder / "out" / "experiment.json").read_text())
     assert json.loads(table.schema.metadata[b"taichi_nmm"]) == written
@@ -82,13 +101,17 @@ def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) ->
     assert written["arms"]["dog"]["options"] == {"kernel": "rbf"}
 
 
-def test_growing_an_experiment_is_the_same_as_all_at_once(comparisons: Comparisons) -> None:
+def test_growing_an_experiment_is_the_same_as_all_at_once(
+    comparisons: Comparisons,
+) -> None:
     comparisons.run("grown", arms=("random",), runs=1, trials=3)
     comparisons.run("grown", arms=("random", "cmaes-cold"), runs=2, trials=5)
     grown = comparisons.run("grown", arms=("random", "cmaes-cold", "dog"))
     whole = comparisons.run("whole", arms=("dog", "cmaes-cold", "random"))
     assert grown.computed < whole.computed == 72
-    assert comparisons.run("grown", arms=("dog",), runs=1, trials=2).computed == 0  # a smaller one
+    assert (
+        comparisons.run("grown", arms=("dog",), runs=1, trials=2).computed == 0
+    )  # a smaller one
     assert comparisons.content("grown") == comparisons.content("whole")
 
 
@@ -110,11 +133,17 @@ def test_results_depend_on_no_cut_slot_or_stop(
     for block, stretch in ((1, 1), (1, 1000), (1000, 1), (2, 2)):
         cut_into(block, stretch)
         comparisons.run(f"cut-{block}-{stretch}", arms=STATEFUL, trials=5)
-        assert comparisons.content(f"cut-{block}-{stretch}") == comparisons.content("five")
+        assert comparisons.content(f"cut-{block}-{stretch}") == comparisons.content(
+            "five"
+        )
 
 
-@pytest.mark.parametrize("engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)])
-def test_results_do_not_depend_on_processes_and_stops(engine: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)]
+)
+def test_results_do_not_depend_on_processes_and_stops(
+    engine: str, tmp_path: Path
+) -> None:
     """The real simulator, in one process; and begun there, in two that are spawned."""
     settings = Settings(arch="cpu", engine=engine)
     tiny = experiment(duration_s=1.0, arms=("random", "cmaes-cold"), settings=settings)
@@ -149,7 +178,9 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
     exports: list[tuple[int, bool]] = []
 
     def export(of: Experiment, trials: pa.Table, *_: object, final: bool) -> None:
-        assert trials.schema.remove_metadata().equals(results_of(STATE_SCHEMA.empty_table()).schema)
+        assert trials.schema.remove_metadata().equals(
+            results_of(STATE_SCHEMA.empty_table()).schema
+        )
         exports.append((len(trials), final))
 
     monkeypatch.setattr(comparing, "export", export)
@@ -176,7 +207,9 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
 def test_sessions_say_what_they_did(comparisons: Comparisons) -> None:
     for trials in (3, 8, 8):  # the last: nothing to do, nothing to say
         comparisons.run("out", trials=trials)
-    sessions = json.loads((comparisons.folder / "out" / "run.json").read_text())["sessions"]
+    sessions = json.loads((comparisons.folder / "out" / "run.json").read_text())[
+        "sessions"
+    ]
     assert [session["trials"] for session in sessions] == [27, 45]
     assert sessions[0]["stores"]["flat"] == str(comparisons.folder / "store")
 
@@ -188,10 +221,14 @@ def test_a_broken_sampler_stops_the_experiment_and_keeps_the_rest(
     monkeypatch.setattr(OneStudy, "ask", stopping(6, OneStudy.ask, ZeroDivisionError))
     with pytest.raises(ZeroDivisionError):
         comparisons.run("out", arms=("random",))
-    assert pq.read_metadata(comparisons.folder / "out/arms/random.parquet").num_rows == 6
+    assert (
+        pq.read_metadata(comparisons.folder / "out/arms/random.parquet").num_rows == 6
+    )
 
 
-def test_a_seventeenth_parameter_is_searched_and_written(comparisons: Comparisons) -> None:
+def test_a_seventeenth_parameter_is_searched_and_written(
+    comparisons: Comparisons,
+) -> None:
     folder = comparisons.folder / "torso"
     folder.mkdir()
     experiment = fake_walker.experiment(folder, 'searched = ["theta_ref"]')
@@ -202,7 +239,9 @@ def test_a_seventeenth_parameter_is_searched_and_written(comparisons: Comparison
     assert frame.theta_ref.nunique() > 50
     assert frame.theta_ref.between(np.deg2rad(-10), np.deg2rad(30)).all()
     simulated = np.concatenate([call["low_level_gains"] for call in fake_walker.calls])
-    walks = frame.drop_duplicates(["run", *GAIN_NAMES, "theta_ref"])  # of two arms, once
+    walks = frame.drop_duplicates(
+        ["run", *GAIN_NAMES, "theta_ref"]
+    )  # of two arms, once
     assert sorted(simulated[:, 7]) == sorted(walks.theta_ref)
     assert (simulated[:, :7] == [gain.default for gain in LOW_LEVEL_GAINS[:7]]).all()
     store = pq.read_table(folder / "store" / "part-00000.parquet").to_pandas()

@@ -24,7 +24,12 @@ from tests.study.conftest import refused
 from tests.study.experiment.fake_results import experiment, results
 
 TINY = experiment()
-SIX = ("tiny/dog/run-000", "tiny/dog/run-001", "tiny/random/run-000", "tiny/random/run-001")
+SIX = (
+    "tiny/dog/run-000",
+    "tiny/dog/run-001",
+    "tiny/random/run-000",
+    "tiny/random/run-001",
+)
 GONE = ("dog", 0, 2)  # after a trial that walked
 
 
@@ -43,12 +48,18 @@ def load(url: str, name: str) -> optuna.Study:
 
 def test_every_arm_and_run_is_a_study(url: str, tmp_path: Path) -> None:
     put(url, results(TINY))
-    assert trial_counts(open_studies(url)) == {**dict.fromkeys(SIX, 3), "tiny/summary": 0}
+    assert trial_counts(open_studies(url)) == {
+        **dict.fromkeys(SIX, 3),
+        "tiny/summary": 0,
+    }
     study = load(url, "tiny/dog/run-001")
     assert study.direction.name == "MINIMIZE"
     assert study.user_attrs == {
-        "experiment": "tiny", "arm": "dog", "run": 1, "experiment_config": fingerprint(TINY),
-    }  # fmt: skip
+        "experiment": "tiny",
+        "arm": "dog",
+        "run": 1,
+        "experiment_config": fingerprint(TINY),
+    }
     without = f"sqlite:///{tmp_path}/without.db"
     export(TINY, results(TINY), without, None, final=True)
     assert trial_counts(open_studies(without)) == dict.fromkeys(SIX, 3)
@@ -59,11 +70,15 @@ def test_studies_say_what_their_objective_is_called(url: str, tmp_path: Path) ->
     """A name of the user's stays."""
     put(url, results(TINY), final=False)
     names = (*SIX, "tiny/summary")
-    assert [load(url, name).metric_names for name in names] == [["smooth_cost"]] * len(names)
+    assert [load(url, name).metric_names for name in names] == [["smooth_cost"]] * len(
+        names
+    )
     load(url, SIX[1]).set_metric_names(["mine"])
     put(url, results(TINY))
     assert load(url, SIX[1]).metric_names == ["mine"]
-    assert [load(url, n).metric_names for n in names if n != SIX[1]] == [["smooth_cost"]] * 4
+    assert [load(url, n).metric_names for n in names if n != SIX[1]] == [
+        ["smooth_cost"]
+    ] * 4
 
 
 @pytest.mark.parametrize("searched", [(), ("theta_ref",)])
@@ -81,9 +96,16 @@ def test_trials_are_the_rows(url: str, searched: tuple[str, ...]) -> None:
         assert trial.value == row["cost"]
         assert trial.user_attrs == {name: row[name] for name in trial.user_attrs}
     assert set(trials[0].user_attrs) == {
-        "duration_s", "distance_m", "mean_speed_mps", "end_reason", "walked", "row",
-        "phi_printed", "phi_corrected", "survived_fraction",
-    }  # fmt: skip
+        "duration_s",
+        "distance_m",
+        "mean_speed_mps",
+        "end_reason",
+        "walked",
+        "row",
+        "phi_printed",
+        "phi_corrected",
+        "survived_fraction",
+    }
 
 
 @pytest.mark.slow
@@ -93,7 +115,10 @@ def test_later_exports_add_what_is_new(url: str) -> None:
     put(url, results(TINY, runs=1), final=False)
     put(url, results(TINY).take(pa.array(np.random.default_rng(0).permutation(12))))
     put(url, results(TINY, trials=1))  # fewer than there are: nothing to do
-    assert trial_counts(open_studies(url)) == {**dict.fromkeys(SIX, 3), "tiny/summary": 0}
+    assert trial_counts(open_studies(url)) == {
+        **dict.fromkeys(SIX, 3),
+        "tiny/summary": 0,
+    }
     assert load(url, SIX[0]).trials[:2] == before
     assert [trial.value for trial in load(url, SIX[0]).trials] == [300.0, 90.0, 280.0]
 
@@ -101,7 +126,11 @@ def test_later_exports_add_what_is_new(url: str) -> None:
 def test_studies_that_ended_with_a_walker(url: str) -> None:
     """The database has the trials that were; the summary compares the arms as if all went on."""
     table = results(TINY)
-    rows = [row for row in table.to_pylist() if (row["arm"], row["run"], row["trial"]) != GONE]
+    rows = [
+        row
+        for row in table.to_pylist()
+        if (row["arm"], row["run"], row["trial"]) != GONE
+    ]
     ended = pa.Table.from_pylist(rows, schema=table.schema)
     put(url, ended, of=experiment(until_walker=True))
     counts = dict.fromkeys(SIX, 3) | {"tiny/dog/run-000": 2, "tiny/summary": 0}
@@ -115,10 +144,13 @@ def test_studies_that_ended_with_a_walker(url: str) -> None:
 def test_another_configuration_is_refused_and_nothing_written(url: str) -> None:
     put(url, results(TINY, trials=1), final=False)
     changes: tuple[dict[str, Any], ...] = (
-        {"seed": 8}, {"objective": Objective("walking")}, {"build": Build(0.2)},
+        {"seed": 8},
+        {"objective": Objective("walking")},
+        {"build": Build(0.2)},
         {"searched": ("theta_ref",)},
-        {"ground": Ground("flat")}, {"duration_s": 3.0},
-    )  # fmt: skip
+        {"ground": Ground("flat")},
+        {"duration_s": 3.0},
+    )
     for other in (experiment(**change) for change in changes):
         with refused("storage: .*another configuration"):
             check_database(other, url)

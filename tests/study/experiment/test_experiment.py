@@ -10,7 +10,12 @@ import pytest
 from storage.specification import read_specification
 from study.bench.plan import read_plan
 from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment, as_written, read_experiment, store_path
+from study.experiment.experiment import (
+    Experiment,
+    as_written,
+    read_experiment,
+    store_path,
+)
 from study.experiment.robots import is_of_robots
 from study.options import config_path, shipped_configs
 from taichi_nmm.config import read_toml, read_whole
@@ -22,10 +27,13 @@ from tests.study.conftest import refused
 CONFIGS = Path(__file__).parents[3] / "configs"
 ROUGH8 = CONFIGS / "rough8.toml"
 EXPERIMENTS = [
-    file for name in shipped_configs(stores=False)
+    file
+    for name in shipped_configs(stores=False)
     if name != "flat" and not is_of_robots(file := config_path(name))
-]  # fmt: skip
-PUBLISHED = [f for f in EXPERIMENTS if f != ROUGH8 and not f.stem.startswith("optimum-")]
+]
+PUBLISHED = [
+    f for f in EXPERIMENTS if f != ROUGH8 and not f.stem.startswith("optimum-")
+]
 
 
 def edited(tmp_path: Path, old: str, new: str) -> Path:
@@ -53,7 +61,9 @@ def test_the_seed_and_the_run_draw_body_and_ground(tmp_path: Path) -> None:
     assert read_experiment(ROUGH8, seed=2) == two
 
     def drawn(experiment: Experiment, run: int) -> tuple[bytes, bytes]:
-        return experiment.body(run).mass_kg.tobytes(), experiment.terrain(run).height_m.tobytes()
+        return experiment.body(run).mass_kg.tobytes(), experiment.terrain(
+            run
+        ).height_m.tobytes()
 
     assert drawn(one, 3) == drawn(again, 3)
     different = [drawn(one, 3), drawn(one, 4), drawn(two, 3)]
@@ -68,17 +78,24 @@ def test_an_experiment_pickles_and_hashes_and_writes_what_decides_trials() -> No
     written = as_written(experiment)
     assert set(written) == names
     one_thread = experiment.on_one_thread()  # for one of several processes
-    assert one_thread.conditions.settings.threads == 1 and as_written(one_thread) == written
+    assert (
+        one_thread.conditions.settings.threads == 1
+        and as_written(one_thread) == written
+    )
 
 
 @cases("bad-experiments.toml", "old", "new", "message")
-def test_bad_configurations_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_bad_configurations_are_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     with refused(message):
         read_experiment(edited(tmp_path, old, new))
 
 
 @cases("several-mistakes.toml", "text", "fields")
-def test_all_mistakes_of_a_file_are_named_at_once(tmp_path: Path, text: str, fields: str) -> None:
+def test_all_mistakes_of_a_file_are_named_at_once(
+    tmp_path: Path, text: str, fields: str
+) -> None:
     path = tmp_path / "own.toml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -110,10 +127,14 @@ def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) ->
 
 
 @pytest.mark.parametrize("file", PUBLISHED, ids=lambda file: file.stem)
-def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file: Path) -> None:
+def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(
+    file: Path,
+) -> None:
     """More where the paper has more, and up stairs; or of what comes before the first walker."""
     experiment = read_experiment(file)
-    elsewhere = file.stem.startswith(("mujoco-", "outside-")) and "limp" not in file.stem
+    elsewhere = (
+        file.stem.startswith(("mujoco-", "outside-")) and "limp" not in file.stem
+    )
     hardly_any = file.stem in ("stairs-up-high", "stairs-up-short")
     assert experiment.until_walker == (elsewhere or hardly_any)
     trials = {"rough8-smooth": 100, "rough6-walking": 60}.get(file.stem, 40)
@@ -126,8 +147,13 @@ def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file
 
 def test_no_two_experiments_share_a_seed() -> None:
     """But those of the same robots: on another engine's contacts, at other speeds, by side."""
-    contacts = re.compile(r"^(mujoco-.+|speed|outside-even-limp)-(soft|middle|hard|\d\d.*|sides)$")
-    seeds = {contacts.sub(r"\1", file.stem): read_experiment(file).seed for file in EXPERIMENTS}
+    contacts = re.compile(
+        r"^(mujoco-.+|speed|outside-even-limp)-(soft|middle|hard|\d\d.*|sides)$"
+    )
+    seeds = {
+        contacts.sub(r"\1", file.stem): read_experiment(file).seed
+        for file in EXPERIMENTS
+    }
     assert len(set(seeds.values())) == len(seeds) > 0
     for file in EXPERIMENTS:
         assert read_experiment(file).seed == seeds[contacts.sub(r"\1", file.stem)]

@@ -26,9 +26,14 @@ from tests.study.conftest import refused
 
 @pytest.mark.filterwarnings("error:FeatureTable")
 def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
-    strict = {"settings": 1, "min_survival_s": 2.8}  # a third of the fake's points falls sooner
+    strict = {
+        "settings": 1,
+        "min_survival_s": 2.8,
+    }  # a third of the fake's points falls sooner
     families = dict.fromkeys(("rough", "up"), strict)
-    fake_walker.write_store(comparisons.folder / "strict", robust=strict, families=families)
+    fake_walker.write_store(
+        comparisons.folder / "strict", robust=strict, families=families
+    )
     store = open_store(comparisons.folder / "strict")
     ran = store.table()["rough_evaluated"].to_numpy()
     count = int(ran.sum())
@@ -40,7 +45,9 @@ def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
         comparisons.run(arm, experiment=experiment, arms=(arm,), runs=2, trials=20)
         rows = comparisons.table(arm)["row"].to_numpy()
         assert ran[rows[rows >= 0]].all()  # others are between rows
-        with refused(f"trials: {count + 1} .* at most {count}, the rows that {arm} may"):
+        with refused(
+            f"trials: {count + 1} .* at most {count}, the rows that {arm} may"
+        ):
             check_arms(experiment, (arm,), count + 1)
 
 
@@ -73,7 +80,9 @@ def test_a_cost_has_what_each_world_gave_of_every_column(tmp_path: Path) -> None
     heats = store.specification["families"]["hot"]["drawn"]["heat_k"]
     for row, gains in enumerate(store.gains().tolist()):
         point = dict(zip(plants.PARAMETERS, gains, strict=True))
-        runs = [plants.charge(point, {"heat_k": heat, "seed": 0}, 5400.0) for heat in heats]
+        runs = [
+            plants.charge(point, {"heat_k": heat, "seed": 0}, 5400.0) for heat in heats
+        ]
         for column in plants.COLUMNS:
             found = store.outcomes("hot", column)[row]
             expected = [run[column] for run in runs]
@@ -83,14 +92,18 @@ def test_a_cost_has_what_each_world_gave_of_every_column(tmp_path: Path) -> None
     assert seen["finished_at_s"].min() > 2.0**30  # beyond the whole numbers of float32
     assert table.rows.worlds is not None
     hot = [name.startswith("hot") for name in table.rows.worlds.names]
-    assert_array_equal(table.rows.worlds.costs[:, hot], seen["loss_j"] + seen["current_a"])
+    assert_array_equal(
+        table.rows.worlds.costs[:, hot], seen["loss_j"] + seen["current_a"]
+    )
 
 
 @pytest.mark.parametrize("kept", [[], ["loss_j"]])
 def test_a_cost_of_what_no_world_keeps_is_refused_with_the_key(tmp_path, kept) -> None:
     path = battery(tmp_path, kept=kept)
     assert open_store(path).kept("cold") == ("survived_fraction", *kept)
-    with refused("^cost: 'finished_at_s' .* or what the worlds .*kept = ..finished_at_s") as error:
+    with refused(
+        "^cost: 'finished_at_s' .* or what the worlds .*kept = ..finished_at_s"
+    ) as error:
         world_table(path, lambda given, horizon_s: given["finished_at_s"])
     assert len(str(error.value)) < 500
     with refused("^cost: 'finished_at_s' "):
@@ -100,7 +113,9 @@ def test_a_cost_of_what_no_world_keeps_is_refused_with_the_key(tmp_path, kept) -
             world_table(path, lambda given, _, none=none: given[none])
 
 
-def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(tmp_path: Path) -> None:
+def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(
+    tmp_path: Path,
+) -> None:
     some = {"settings": 2, "world": {"heat_k": 300.0}, "min_survival_s": 5400.0}
     long = {"settings": 1, "after": "hot", "min_survived_fraction": 1.0}
     path = battery(tmp_path, families={"hot": some, "long": long})
@@ -108,36 +123,58 @@ def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(tmp_path: 
     ran = store.numpy(["hot_evaluated"])["hot_evaluated"]
     assert 0 < ran.sum() < 64
     for cost in (
-        lambda given, _: np.where(given["survived_fraction"] >= 1.0, given["loss_j"], 100.0),
+        lambda given, _: np.where(
+            given["survived_fraction"] >= 1.0, given["loss_j"], 100.0
+        ),
         lambda given, _: np.nan_to_num(given["loss_j"]),
         lambda given, _: np.ones(given["loss_j"].shape),
     ):
         assert_array_equal(world_table(path, cost).rows.offered, ran)
 
 
-@pytest.mark.parametrize(("cost", "message"), [
-    (lambda given, _: 1.0, r"^cost\.shape: \(\) .* \[64, 3\]"),
-    (lambda given, _: given["loss_j"][:, :1], r"^cost\.shape: \(64, 1\) .* \[64, 3\]"),
-    (lambda given, _: given["loss_j"].mean(axis=1), r"^cost\.shape: \(64,\) "),
-    (lambda given, _: None, r"^cost\.shape: \(\) "),
-    (lambda given, _: "much", "^cost: 'str' .* numbers"),
-])  # fmt: skip
-def test_a_cost_of_another_shape_is_refused(tmp_path: Path, cost: Any, message: str) -> None:
+@pytest.mark.parametrize(
+    ("cost", "message"),
+    [
+        (lambda given, _: 1.0, r"^cost\.shape: \(\) .* \[64, 3\]"),
+        (
+            lambda given, _: given["loss_j"][:, :1],
+            r"^cost\.shape: \(64, 1\) .* \[64, 3\]",
+        ),
+        (lambda given, _: given["loss_j"].mean(axis=1), r"^cost\.shape: \(64,\) "),
+        (lambda given, _: None, r"^cost\.shape: \(\) "),
+        (lambda given, _: "much", "^cost: 'str' .* numbers"),
+    ],
+)
+def test_a_cost_of_another_shape_is_refused(
+    tmp_path: Path, cost: Any, message: str
+) -> None:
     with refused(message):
         world_table(battery(tmp_path), cost)
 
 
 def test_a_run_that_failed_has_no_number_that_is_cheap(tmp_path: Path) -> None:
     """Zeros of a run that raised would be the least loss of all."""
-    path = battery(tmp_path, families={"hot": {"settings": 2, "world": {"heat_k": [362.0, 366.0]},
-                                               "min_survival_s": 0.0}})  # fmt: skip
+    path = battery(
+        tmp_path,
+        families={
+            "hot": {
+                "settings": 2,
+                "world": {"heat_k": [362.0, 366.0]},
+                "min_survival_s": 0.0,
+            }
+        },
+    )
     store = open_store(path)
-    loss, lasted = (store.outcomes("hot", name) for name in ("loss_j", "survived_fraction"))
+    loss, lasted = (
+        store.outcomes("hot", name) for name in ("loss_j", "survived_fraction")
+    )
     burnt = np.isnan(loss).any(axis=1)
     assert 0 < burnt.sum() < 64 and (lasted[np.isnan(loss)] == 0.0).all()
     known = world_table(path, lambda given, _: given["loss_j"]).rows
     assert_array_equal(known.offered, ~burnt)
-    priced = lambda given, _: np.where(given["survived_fraction"] >= 1.0, given["loss_j"], 1e9)  # noqa: E731
+    priced = lambda given, _: np.where(  # noqa: E731
+        given["survived_fraction"] >= 1.0, given["loss_j"], 1e9
+    )
     assert world_table(path, priced).rows.offered.all()
 
 
@@ -156,11 +193,19 @@ def test_a_number_too_large_for_its_type_is_no_infinity(tmp_path: Path) -> None:
     assert_array_equal(np.isnan(loss).all(axis=1), current > 10.0)
 
 
-@pytest.mark.parametrize(("changes", "lines"), [
-    ({"horizon_s": 600.0}, [r"families\.hot\.horizon_s: 0 of 64 rows lasted 600 s .* 0\.9 of it"]),
-    ({}, []),
-])  # fmt: skip
-def test_a_family_that_no_row_finished_is_warned_of(tmp_path: Path, changes, lines) -> None:
+@pytest.mark.parametrize(
+    ("changes", "lines"),
+    [
+        (
+            {"horizon_s": 600.0},
+            [r"families\.hot\.horizon_s: 0 of 64 rows lasted 600 s .* 0\.9 of it"],
+        ),
+        ({}, []),
+    ],
+)
+def test_a_family_that_no_row_finished_is_warned_of(
+    tmp_path: Path, changes, lines
+) -> None:
     path = battery(tmp_path, families={"hot": HOT | changes})
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
@@ -173,7 +218,9 @@ def test_a_family_that_no_row_finished_is_warned_of(tmp_path: Path, changes, lin
         assert re.search(expected, line)
 
 
-def test_a_store_of_an_older_version_opens_with_what_its_worlds_kept(tmp_path: Path) -> None:
+def test_a_store_of_an_older_version_opens_with_what_its_worlds_kept(
+    tmp_path: Path,
+) -> None:
     """0.3.0 kept how far a run came and the first other column, in float32, for 8 s."""
     path = ASSETS / "store-0.3.0"
     store = open_store(path, verify=True)
@@ -183,14 +230,25 @@ def test_a_store_of_an_older_version_opens_with_what_its_worlds_kept(tmp_path: P
         UserWarning,
         match=r"gale\.horizon_s: 0 of 18 rows lasted 8 s .*the longest 0\.9",
     ):
-        assert world_table(path, lambda given, _: given["speed_mps"]).rows.offered.sum() == 18
+        assert (
+            world_table(path, lambda given, _: given["speed_mps"]).rows.offered.sum()
+            == 18
+        )
     half = shutil.copytree(path, tmp_path / "half")
     (half / "manifest.json").unlink()
     (half / "part-00001.parquet").unlink()
     assert len(open_store(half, unfinished=True)) == 16
     gale = {"settings": 2, "world": {"wind": [1.0, 3.0]}, "horizon_s": 8.0}
-    with refused(r"^columns\.\d+: 'gale_.*: double.*' .* 'gale_.*: float.*; or another --out"):
+    with refused(
+        r"^columns\.\d+: 'gale_.*: double.*' .* 'gale_.*: float.*; or another --out"
+    ):
         make_store(
-            robot.Cart, half, workers=1, samples=24, shard_rows=16, seed=3, families={"gale": gale}
+            robot.Cart,
+            half,
+            workers=1,
+            samples=24,
+            shard_rows=16,
+            seed=3,
+            families={"gale": gale},
         )
     assert len(open_store(half, unfinished=True)) == 16

@@ -20,8 +20,13 @@ def test_every_row_is_given_to_its_own_study(seed: int) -> None:
     columns = {"arm": arms.tolist(), "run": runs, "trial": np.arange(count)}
     given = list(by_study(pa.table(columns)))
     for arm, run, rows in given:
-        assert set(rows["arm"].to_pylist()) == {arm} and set(rows["run"].to_pylist()) == {run}
-        assert rows["trial"].to_pylist() == np.flatnonzero((arms == arm) & (runs == run)).tolist()
+        assert set(rows["arm"].to_pylist()) == {arm} and set(
+            rows["run"].to_pylist()
+        ) == {run}
+        assert (
+            rows["trial"].to_pylist()
+            == np.flatnonzero((arms == arm) & (runs == run)).tolist()
+        )
     assert sum(len(rows) for _, _, rows in given) == count
     keys = [(arm, run) for arm, run, _ in given]
     assert keys == sorted(set(keys))
@@ -30,12 +35,18 @@ def test_every_row_is_given_to_its_own_study(seed: int) -> None:
 
 def trials(*studies: tuple[str, int, str]) -> pa.Table:
     """Studies as words, a letter a trial: w walked, f fell."""
-    kinds = {"arm": pa.string(), "run": pa.int32(), "trial": pa.int32(), "walked": pa.bool_(),
-             "cost": pa.float64()}  # fmt: skip
+    kinds = {
+        "arm": pa.string(),
+        "run": pa.int32(),
+        "trial": pa.int32(),
+        "walked": pa.bool_(),
+        "cost": pa.float64(),
+    }
     rows = [
         (arm, run, trial, letter == "w", run + 0.1 * trial)
-        for arm, run, word in studies for trial, letter in enumerate(word)
-    ]  # fmt: skip
+        for arm, run, word in studies
+        for trial, letter in enumerate(word)
+    ]
     named = [dict(zip(kinds, row, strict=True)) for row in rows]
     return pa.Table.from_pylist(named, schema=pa.schema(kinds))
 
@@ -43,7 +54,10 @@ def trials(*studies: tuple[str, int, str]) -> pa.Table:
 @cases("studies-gone-on.toml", "before", "after")
 def test_as_if_gone_on(before: Any, after: Any) -> None:
     given, expected = trials(*before), trials(*after)
-    for shuffled in (given, given.take(np.random.default_rng(0).permutation(len(given)))):
+    for shuffled in (
+        given,
+        given.take(np.random.default_rng(0).permutation(len(given))),
+    ):
         found = as_if_gone_on(shuffled)
         assert found.schema == given.schema
         for name in ("arm", "run", "trial", "walked"):

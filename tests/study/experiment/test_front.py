@@ -44,17 +44,23 @@ def area(values: np.ndarray) -> float:
     """What points dominate, in strips from each to the next."""
     effort, slow = np.minimum(values, (4.0, 2.5)).T  # goals in the order of their names
     ends = np.unique([*effort, 4.0])
-    return float(np.dot(np.diff(ends), [2.5 - slow[effort <= end].min() for end in ends[:-1]]))
+    return float(
+        np.dot(np.diff(ends), [2.5 - slow[effort <= end].min() for end in ends[:-1]])
+    )
 
 
 def test_a_comparison_has_each_goal_and_the_front(comparisons: Comparisons) -> None:
     experiment = front(comparisons.folder)
     for arms, whole in ((TAKES, 5), (("nsga2",), 60)):  # beyond a generation of 50
         for out, trials in (("parts", 2), ("parts", whole), ("whole", whole)):
-            comparisons.run(out, experiment=experiment, arms=arms, runs=1, trials=trials)
+            comparisons.run(
+                out, experiment=experiment, arms=arms, runs=1, trials=trials
+            )
     assert comparisons.content("parts") == comparisons.content("whole")
     table = comparisons.table("whole").to_pandas()
-    slow = np.where(table.walked, 3.0 - table.mean_speed_mps, 2.5 * (2.0 - table.survived_fraction))
+    slow = np.where(
+        table.walked, 3.0 - table.mean_speed_mps, 2.5 * (2.0 - table.survived_fraction)
+    )
     assert_allclose(table.goal_slow, slow)
     for _, study in table.groupby("arm"):
         values = study[["goal_effort", "goal_slow"]].to_numpy()
@@ -63,27 +69,38 @@ def test_a_comparison_has_each_goal_and_the_front(comparisons: Comparisons) -> N
         assert_allclose(study.best_cost, so_far, atol=1e-9)
     reported = write_report(read_results(comparisons.folder / "whole"), {})
     found = {arm.arm: arm for arm in reported.arms}
-    assert found["worlds"].best_cost.value == table.best_cost[table.arm == "worlds"].min() < 0.0
+    assert (
+        found["worlds"].best_cost.value
+        == table.best_cost[table.arm == "worlds"].min()
+        < 0.0
+    )
     report = (comparisons.folder / "whole" / "report" / "report.md").read_text()
     assert "median best front cost after" in report and "minus the area" in report
 
 
 @pytest.mark.parametrize("arm", ["worlds", "nsga2"])
-def test_a_live_study_is_a_compared_one(fake_simulator: None, tmp_path: Path, arm: str) -> None:
+def test_a_live_study_is_a_compared_one(
+    fake_simulator: None, tmp_path: Path, arm: str
+) -> None:
     experiment = front(tmp_path)
     urls = [f"sqlite:///{tmp_path / name}.db" for name in ("live", "compared")]
     for trials in (2, 4):
         live = run_study(experiment, find_arm(arm), 0, trials, open_studies(urls[0]))
     request = Request(tmp_path / "out", urls[1], (arm,), runs=1, trials=4)
     compare(experiment, request, lambda progress: None, dashboard_summary)
-    compared, summary = (optuna.load_study(study_name=name, storage=urls[1])
-                         for name in (live.study_name, "toy/summary"))  # fmt: skip
+    compared, summary = (
+        optuna.load_study(study_name=name, storage=urls[1])
+        for name in (live.study_name, "toy/summary")
+    )
     for study in (live, compared, summary):
         assert study.metric_names == ["effort", "slow"]
         assert [direction.name for direction in study.directions] == ["MINIMIZE"] * 2
     values = np.array([trial.values for trial in live.trials])
     assert values.tolist() == [trial.values for trial in compared.trials]
-    best, known = best_trial(experiment.objective, live), study_facts(experiment.objective, live)
+    best, known = (
+        best_trial(experiment.objective, live),
+        study_facts(experiment.objective, live),
+    )
     assert best.number == np.argmax([area(one) for one in values[:, None]])
     assert known["goals"] == {"effort": best.values[0], "slow": best.values[1]}
     reached = f"front cost {0.0 - area(values):.4f}"
@@ -102,20 +119,33 @@ def test_the_front_of_a_store_has_the_rows_that_none_beats(
     best = [
         row
         for row, mean in means.items()
-        if not any((other <= mean).all() and (other < mean).any() for other in means.values())
+        if not any(
+            (other <= mean).all() and (other < mean).any() for other in means.values()
+        )
     ]
     found = front_of(table)
     assert sorted(row for row, *_ in found) == sorted(best) and len(best) > 2
-    assert_allclose([costs for _, *costs in found], sorted(means[row].tolist() for row in best))
+    assert_allclose(
+        [costs for _, *costs in found], sorted(means[row].tolist() for row in best)
+    )
 
 
-@pytest.mark.parametrize("case", [
-    ("slow =", "effort =", "^config: .* readable TOML"),
-    ("fell_cost = 4.0", "fell_cost = 4.0, aim = 1", r"^objective\.goals\.effort\.aim: 1 .* only"),
-    ("trials = 8", "until_walker = true", "^until_walker: 'true' .* two goals"),
-    ("trials = 8", "success = 1.0", r"^success: 1\.0 .* only the keys"),
-])  # fmt: skip
-def test_bad_goals_are_refused(fake_simulator: None, tmp_path: Path, case: list[str]) -> None:
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("slow =", "effort =", "^config: .* readable TOML"),
+        (
+            "fell_cost = 4.0",
+            "fell_cost = 4.0, aim = 1",
+            r"^objective\.goals\.effort\.aim: 1 .* only",
+        ),
+        ("trials = 8", "until_walker = true", "^until_walker: 'true' .* two goals"),
+        ("trials = 8", "success = 1.0", r"^success: 1\.0 .* only the keys"),
+    ],
+)
+def test_bad_goals_are_refused(
+    fake_simulator: None, tmp_path: Path, case: list[str]
+) -> None:
     *changed, message = case
     with refused(message):
         front(tmp_path, *changed)

@@ -25,33 +25,47 @@ from tests.study.experiment.fake_results import experiment
 
 TINY = experiment()
 
-# Another value of every field there is. A new field is missing here until somebody says, by its
-# place, whether it decides trials; that it then does, or does not, is tested.
+# Another value of every field there is. A new field is missing here until somebody
+# says, by its place, whether it decides trials; that it then does, or does not, is
+# tested.
 DECIDING: dict[type, dict[str, Any]] = {
     Experiment: {
-        "name": "other", "seed": 8, "searched": ("theta_ref",), "objective": Objective("walking"),
-        "until_walker": True, "fixed": tuple(PUBLISHED_GAINS.tolist()),
+        "name": "other",
+        "seed": 8,
+        "searched": ("theta_ref",),
+        "objective": Objective("walking"),
+        "until_walker": True,
+        "fixed": tuple(PUBLISHED_GAINS.tolist()),
     },
     Conditions: {
-        "duration_s": 3.0, "build": Build(0.2), "ground": Ground("rough"),
+        "duration_s": 3.0,
+        "build": Build(0.2),
+        "ground": Ground("rough"),
         "world_ranges": WorldRanges(friction=(0.5, 0.5)),
     },
     Settings: {
-        "physics_step_s": 0.5e-3, "contact_relaxation_speed_mps": 0.2, "precision": "float64",
+        "physics_step_s": 0.5e-3,
+        "contact_relaxation_speed_mps": 0.2,
+        "precision": "float64",
         "engine": "mujoco",
     },
-}  # fmt: skip
+}
 IDLE: dict[type, dict[str, Any]] = {
     Experiment: {
-        "runs": 9, "trials": 50, "arms": ("worlds",), "stores": {"flat": Path("elsewhere")},
+        "runs": 9,
+        "trials": 50,
+        "arms": ("worlds",),
+        "stores": {"flat": Path("elsewhere")},
     },
     Conditions: {},
     # Of another engine than the tiny experiment's.
     Settings: {
-        "arch": "cuda", "threads": 1, "wide_registers": False,
+        "arch": "cuda",
+        "threads": 1,
+        "wide_registers": False,
         "mujoco": MujocoSettings(limits="mujoco"),
     },
-}  # fmt: skip
+}
 PARTS = {Experiment: "", Conditions: "conditions", Settings: "settings"}
 
 
@@ -59,7 +73,9 @@ def changed(kind: type, name: str, value: Any) -> Experiment:
     """The tiny experiment with one field of itself or of one of its parts changed."""
     change, conditions = {name: value}, TINY.conditions
     if kind is Experiment:
-        searched = {"searched": ("exo_peak",)} if name == "fixed" else {}  # something must be
+        searched = (
+            {"searched": ("exo_peak",)} if name == "fixed" else {}
+        )  # something must be
         return replace(TINY, **searched | change)
     if kind is Settings:
         change = {"settings": replace(conditions.settings, **change)}
@@ -69,8 +85,9 @@ def changed(kind: type, name: str, value: Any) -> Experiment:
 def named(table: dict[type, dict[str, Any]]) -> list[Any]:
     return [
         pytest.param(changed(kind, name, value), id=f"{kind.__name__}.{name}")
-        for kind, values in table.items() for name, value in values.items()
-    ]  # fmt: skip
+        for kind, values in table.items()
+        for name, value in values.items()
+    ]
 
 
 def read_back(of: Experiment) -> Experiment:
@@ -85,7 +102,9 @@ def test_every_field_either_decides_trials_or_does_not(kind: type) -> None:
 
 
 @pytest.mark.parametrize("other", named(DECIDING))
-def test_what_decides_trials_changes_the_document_and_is_read_back(other: Experiment) -> None:
+def test_what_decides_trials_changes_the_document_and_is_read_back(
+    other: Experiment,
+) -> None:
     assert difference(document(other, ()), document(TINY, ())) is not None
     assert fingerprint(other) != fingerprint(TINY)
     assert document(read_back(other), ()) == document(other, ())
@@ -101,17 +120,28 @@ def test_what_decides_nothing_changes_nothing(other: Experiment) -> None:
 def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
     ours = document(TINY, ())
     assert json.loads(json.dumps(ours)) == ours
-    assert ours["versions"] == versions(COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy")
+    assert ours["versions"] == versions(
+        COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy"
+    )
     assert list(ours["parameters"]) == list(TINY.names)
     assert ours["terrain"]["name"] == "rough +-0.02 m every 1 m"
     assert ours["ground"] == {"kind": "rough", "amplitude_m": 0.02}
-    assert "until_walker" not in ours  # it is off: folders of before there was one go on
+    assert (
+        "until_walker" not in ours
+    )  # it is off: folders of before there was one go on
 
 
-@pytest.mark.parametrize("own", [
-    MujocoSettings(0.01), MujocoSettings(damping_ratio=0.5), MujocoSettings(limits="mujoco"),
-])  # fmt: skip
-def test_an_experiment_on_mujoco_says_so_and_with_which_version(own: MujocoSettings) -> None:
+@pytest.mark.parametrize(
+    "own",
+    [
+        MujocoSettings(0.01),
+        MujocoSettings(damping_ratio=0.5),
+        MujocoSettings(limits="mujoco"),
+    ],
+)
+def test_an_experiment_on_mujoco_says_so_and_with_which_version(
+    own: MujocoSettings,
+) -> None:
     assert "mujoco" not in json.dumps(document(TINY, ()))
     usual = changed(Settings, "engine", "mujoco")
     settings = replace(usual.conditions.settings, mujoco=own)
@@ -123,7 +153,9 @@ def test_an_experiment_on_mujoco_says_so_and_with_which_version(own: MujocoSetti
     assert read.conditions.settings.mujoco == own and document(read, ()) == ours
 
 
-def test_arms_and_the_stores_that_they_read_are_those_of_the_call(toy: Experiment) -> None:
+def test_arms_and_the_stores_that_they_read_are_those_of_the_call(
+    toy: Experiment,
+) -> None:
     ours = document(toy, (find_arm("dog"), find_arm("worlds"), find_arm("random")))
     assert list(ours["arms"]) == ["dog", "random", "worlds"]
     assert ours["arms"]["dog"] == json.loads(json.dumps(find_arm("dog").definition))
@@ -145,7 +177,9 @@ def test_a_store_is_known_by_its_content(toy: Experiment, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_experiment_that_was_read_back_draws_alike(kind: str, tmp_path: Path) -> None:
+def test_an_experiment_that_was_read_back_draws_alike(
+    kind: str, tmp_path: Path
+) -> None:
     (tmp_path / "ground.csv").write_text("0,0\n3,0.1\n60,0\n")
     file = {"file": str(tmp_path / "ground.csv")} if kind == "file" else {}
     ground = read_ground(Table({"kind": kind, **file}, "terrain"))
@@ -157,7 +191,9 @@ def test_an_experiment_that_was_read_back_draws_alike(kind: str, tmp_path: Path)
     }
     ours = experiment(seed=8, **changes)
     read = read_back(ours)
-    machine = replace(read.conditions.settings, arch="cpu")  # of which tables say nothing
+    machine = replace(
+        read.conditions.settings, arch="cpu"
+    )  # of which tables say nothing
     assert replace(read.conditions, settings=machine) == ours.conditions
     for name in ("name", "seed", "searched", "objective", "parameters"):
         assert getattr(read, name) == getattr(ours, name)

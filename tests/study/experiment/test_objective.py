@@ -29,14 +29,22 @@ TABLE = {"cost": "weighted", "fell_cost": 50.0, "terms": TERMS}
 AT_08 = read_objective(Table(TABLE, "objective"), PAID)
 
 
-@pytest.mark.parametrize(("cost", "walker", "faller"), [
-    ("smooth", 1 / 101 + 0.3 / 121 + 0.001, 1 / 11 + 0.3 / 13 + 0.001), ("walking", 15.0, 288.0),
-])  # fmt: skip
-def test_costs_in_worlds_are_those_of_a_trial(cost: str, walker: float, faller: float) -> None:
+@pytest.mark.parametrize(
+    ("cost", "walker", "faller"),
+    [
+        ("smooth", 1 / 101 + 0.3 / 121 + 0.001, 1 / 11 + 0.3 / 13 + 0.001),
+        ("walking", 15.0, 288.0),
+    ],
+)
+def test_costs_in_worlds_are_those_of_a_trial(
+    cost: str, walker: float, faller: float
+) -> None:
     names = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
     values = np.array([[1.0, 0.5, np.nan], [1.2, 1.2, np.nan], [5.0, 9.0, np.nan]])
     given = dict(zip(names, values[:, None], strict=True))
-    found = Objective(cost).in_worlds(given, 20.0)  # who lasts 20 s is taken to last 100 s
+    found = Objective(cost).in_worlds(
+        given, 20.0
+    )  # who lasts 20 s is taken to last 100 s
     assert_allclose(found, [[walker, faller, np.nan]])
 
 
@@ -46,35 +54,56 @@ def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
     rows["mean_speed_mps"] = 0.84, 0.7, 2.0, 0.8, 0.8
     rows["cost_of_transport_jpkgpm"] = 4.0
     rows["duration_s"] = 5.0
-    expected = [8.0, 8.0 + 100.0 * 0.05, 50.0, 50.0 * 1.25, 100.0]  # the third costs 123: no more
+    expected = [
+        8.0,
+        8.0 + 100.0 * 0.05,
+        50.0,
+        50.0 * 1.25,
+        100.0,
+    ]  # the third costs 123: no more
     assert_allclose(AT_08.costs(rows), expected)
     given = {name: rows[name][:, None] for name in rows.dtype.names or ()}
     assert_allclose(AT_08.in_worlds(given, 5.0)[:, 0], expected)
     assert AT_08.success(100.0) == 50.0
-    assert [*AT_08.metrics, *Objective("walking").metrics] == ["weighted_cost", "walking_cost"]
+    assert [*AT_08.metrics, *Objective("walking").metrics] == [
+        "weighted_cost",
+        "walking_cost",
+    ]
 
 
 def test_what_was_not_measured_costs_as_much_as_a_fall_at_the_end_and_never_0() -> None:
     """Who stands still uses no energy a metre that is known, and no step is like people's."""
     objective = read_objective(Table(TABLE | {"terms": {"human_deviation": 1.0}}), PAID)
     rows = np.zeros(2, RESULT_DTYPE)
-    rows["survived_fraction"], rows["duration_s"], rows["step_count"] = 1.0, 100.0, (0, 150)
+    rows["survived_fraction"], rows["duration_s"], rows["step_count"] = (
+        1.0,
+        100.0,
+        (0, 150),
+    )
     rows["human_deviation"] = 0.0, 3.0
     assert objective.costs(rows).tolist() == [50.0, 3.0]
-    still = read_objective(Table(TABLE | {"terms": {"cost_of_transport_jpkgpm": 2.0}}), PAID)
+    still = read_objective(
+        Table(TABLE | {"terms": {"cost_of_transport_jpkgpm": 2.0}}), PAID
+    )
     rows["mean_speed_mps"], rows["cost_of_transport_jpkgpm"] = (0.0, 0.8), (0.0, 4.0)
     assert still.costs(rows).tolist() == [50.0, 8.0]
     given = {name: rows[name][:, None] for name in ("survived_fraction", *TERMS)}
     assert still.in_worlds(given, 5.0)[:, 0].tolist() == [50.0, 8.0]
 
 
-def test_it_is_read_back_from_what_it_writes(tmp_path: Path, fake_simulator: None) -> None:
-    assert AT_08.document() == TABLE and AT_08.terms[0] == Term("cost_of_transport_jpkgpm", 2.0)
+def test_it_is_read_back_from_what_it_writes(
+    tmp_path: Path, fake_simulator: None
+) -> None:
+    assert AT_08.document() == TABLE and AT_08.terms[0] == Term(
+        "cost_of_transport_jpkgpm", 2.0
+    )
     experiment = replace(fake_walker.experiment(tmp_path), objective=AT_08)
     written = as_written(experiment)
     again = experiment_of(Table(written), "")
     assert again.objective == AT_08 and as_written(again) == written
-    column = read_objective(Table({"cost": "effort", "fell_cost": 9.0}), ("effort",), "lasted")
+    column = read_objective(
+        Table({"cost": "effort", "fell_cost": 9.0}), ("effort",), "lasted"
+    )
     assert column == Objective("effort", (Term("effort", 1.0),), 9.0, "lasted")
     assert column.document() == {"cost": "effort", "fell_cost": 9.0}
 
@@ -87,11 +116,17 @@ number = 3
 """
 
 
-@pytest.mark.parametrize(("function", "found"), [
-    ("slow", [0.5, 1.5, 13.5]), ("no", "objective: .* not ValueError: no field of name effort$"),
-    ("none", "objective: .* not ValueError: NaN or"), ("two", "objective.*attribute 'two'"),
-    ("one", "objective: .* not ValueError: operands"), ("number", "function: 'int' .* a function "),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("function", "found"),
+    [
+        ("slow", [0.5, 1.5, 13.5]),
+        ("no", "objective: .* not ValueError: no field of name effort$"),
+        ("none", "objective: .* not ValueError: NaN or"),
+        ("two", "objective.*attribute 'two'"),
+        ("one", "objective: .* not ValueError: operands"),
+        ("number", "function: 'int' .* a function "),
+    ],
+)
 def test_a_function_stands_for_a_column_or_is_the_cost(
     function: str, found: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -105,10 +140,14 @@ def test_a_function_stands_for_a_column_or_is_the_cost(
             read_objective(Table(cost, "objective", tmp_path), PAID).costs(rows)
         return
     for table in (cost, TABLE | {"fell_cost": 9.0, "terms": {name: 1.0}}):
-        objective = pickle.loads(pickle.dumps(read_objective(Table(table, "o", tmp_path), PAID)))
+        objective = pickle.loads(
+            pickle.dumps(read_objective(Table(table, "o", tmp_path), PAID))
+        )
         assert_allclose(objective.costs(rows), found)
-    assert_allclose(Goal("", False, None, None, 1.0).in_worlds(objective.terms[0])(rows, 1.0),  # type: ignore[arg-type]
-                    [0.5, 1.5, 2.0])  # fmt: skip
+    assert_allclose(
+        Goal("", False, None, None, 1.0).in_worlds(objective.terms[0])(rows, 1.0),  # type: ignore[arg-type]
+        [0.5, 1.5, 2.0],
+    )
     document = objective.document()
     assert read_objective(Table(document, "objective", tmp_path), PAID) == objective
     file.write_text(f"{OWN}# another version")
@@ -124,7 +163,9 @@ def test_bad_objectives_are_refused(changed: dict[str, Any], message: str) -> No
         table.done()
 
 
-def test_worlds_count_in_the_units_of_the_objective(fake_simulator: None, tmp_path: Path) -> None:
+def test_worlds_count_in_the_units_of_the_objective(
+    fake_simulator: None, tmp_path: Path
+) -> None:
     experiment, feature = fake_walker.experiment(tmp_path), ARMS["worlds"].feature
     objectives = {"smooth": Objective(), "walking": Objective("walking"), "at": AT_08}
     costs, rows = {}, None
@@ -133,16 +174,24 @@ def test_worlds_count_in_the_units_of_the_objective(fake_simulator: None, tmp_pa
         rows = candidates(one, "worlds", feature).rows
         assert rows.worlds is not None
         costs[name] = rows.worlds.costs
-    assert np.nanmax(costs["smooth"]) < 2.0 < 200.0 < np.nanmax(costs["walking"]) <= 300.0
+    assert (
+        np.nanmax(costs["smooth"]) < 2.0 < 200.0 < np.nanmax(costs["walking"]) <= 300.0
+    )
     assert 50.0 < np.nanmax(costs["at"]) <= 100.0
 
 
-def test_worlds_keep_the_columns_that_a_store_names(fake_simulator: None, tmp_path: Path) -> None:
+def test_worlds_keep_the_columns_that_a_store_names(
+    fake_simulator: None, tmp_path: Path
+) -> None:
     """No cost is of the base setting's level ground, whose column the store may have."""
     experiment = fake_walker.experiment(tmp_path)
     for name in ("activation_sol_mean", "activation_cubed_mean"):
-        lacking = replace(experiment, objective=Objective("weighted", (Term(name, 1.0),), 30.0))
-        with refused(f"^cost: '{name}' .* survived_fraction, mean_.*kept = ..{name}") as error:
+        lacking = replace(
+            experiment, objective=Objective("weighted", (Term(name, 1.0),), 30.0)
+        )
+        with refused(
+            f"^cost: '{name}' .* survived_fraction, mean_.*kept = ..{name}"
+        ) as error:
             candidates(lacking, "worlds", ARMS["worlds"].feature)
         assert len(str(error.value)) < 500
     effort = Objective("weighted", (Term("activation_cubed_mean", 1.0),), 30.0)
@@ -151,8 +200,10 @@ def test_worlds_keep_the_columns_that_a_store_names(fake_simulator: None, tmp_pa
     kept = replace(experiment, stores={"worlds": tmp_path / "kept"})
     rows = candidates(kept, "worlds", ARMS["worlds"].feature).rows
     store = open_store(tmp_path / "kept")
-    given, lasted = (store.outcomes("rough", name) for name in
-                     ("activation_cubed_mean", "survived_fraction"))  # fmt: skip
+    given, lasted = (
+        store.outcomes("rough", name)
+        for name in ("activation_cubed_mean", "survived_fraction")
+    )
     ran = store.table()["rough_evaluated"].to_numpy() & (lasted[:, 0] >= 1.0)
     place = rows.worlds.names.index("rough 0")  # type: ignore[union-attr]
     assert ran.any() and np.ptp(given[ran, 0]) > 0.1

@@ -12,7 +12,12 @@ from tests.study import fake_walker
 
 
 def test_seeds_differ_by_experiment_arm_and_run(toy: Experiment) -> None:
-    keys = [(seed, arm, run) for seed in (1, 2) for arm in ("dog", "random") for run in (0, 1)]
+    keys = [
+        (seed, arm, run)
+        for seed in (1, 2)
+        for arm in ("dog", "random")
+        for run in (0, 1)
+    ]
     assert len({sampler_seed(*key) for key in keys}) == len(keys)
     assert sampler_seed(1, "dog", 0) == 17269321431632601577
     for arm in ("dog", "random", "cmaes-cold", "tpe"):
@@ -40,6 +45,8 @@ def test_only_arms_whose_features_a_trial_has_are_shown_them() -> None:
     rows = np.zeros(1, RESULT_DTYPE)
     rows["end_reason"], rows["m5_mean_mps"] = FELL, 1.25
     assert shown(find_arm("random"), rows) == {"fell": True}
-    assert shown(find_arm("worlds"), rows) == {"fell": True}  # of worlds, in which it did not walk
+    assert shown(find_arm("worlds"), rows) == {
+        "fell": True
+    }  # of worlds, in which it did not walk
     speed = replace(find_arm("dog"), feature="m5_mean_mps")
     assert shown(speed, rows)["shown"] == [1.25]

@@ -29,7 +29,9 @@ def edited(comparisons: Comparisons, old: str, new: str) -> Experiment:
 
 def document(comparisons: Comparisons) -> dict[str, Any]:
     """That of the folder out."""
-    return dict(json.loads((comparisons.folder / "out" / "experiment.json").read_text()))
+    return dict(
+        json.loads((comparisons.folder / "out" / "experiment.json").read_text())
+    )
 
 
 def arm_file(comparisons: Comparisons, arm: str = "random", out: str = "out") -> Path:
@@ -57,7 +59,9 @@ def test_another_experiment_or_version_in_the_folder(comparisons: Comparisons) -
     assert comparisons.content("out") == before
 
 
-def test_another_store_or_arm(comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_store_or_arm(
+    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
+) -> None:
     comparisons.run("out", arms=("dog",), trials=1)
     folder = comparisons.folder
     fake_walker.write_store(folder / "other", seed=4)
@@ -104,32 +108,52 @@ def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
     return table.set_column(column, table.schema.field(name), pa.array(values))
 
 
-def undigested(table: pa.Table, footer: dict[str, Any]) -> tuple[pa.Table, dict[str, Any]]:
+def undigested(
+    table: pa.Table, footer: dict[str, Any]
+) -> tuple[pa.Table, dict[str, Any]]:
     """As 0.2.0 wrote it before there were digests."""
     return table, {key: value for key, value in footer.items() if key != DIGEST_KEY}
 
 
 EDITS: dict[str, tuple[Edit, str]] = {
     "cheaper": (
-        lambda table, footer: (with_column(table, "cost", table["cost"].to_numpy() / 2), footer),
-        "does not fit the digest"),
+        lambda table, footer: (
+            with_column(table, "cost", table["cost"].to_numpy() / 2),
+            footer,
+        ),
+        "does not fit the digest",
+    ),
     "of two arms": (
         lambda table, footer: undigested(
-            with_column(table, "arm", ["dog"] + ["random"] * (len(table) - 1)), footer),
-        "of random, and of no other arm"),
+            with_column(table, "arm", ["dog"] + ["random"] * (len(table) - 1)), footer
+        ),
+        "of random, and of no other arm",
+    ),
     "with a gap": (
-        lambda table, footer: undigested(table.take([0, 2, *range(3, len(table))]), footer),
-        "without a gap"),
-    "from trial 1": (lambda table, footer: undigested(table.slice(1), footer), "without a gap"),
-    "less a column": (lambda table, footer: undigested(table.drop_columns("notes"), footer),
-                      "of random, in this version's form"),
-    "of nothing": (lambda table, footer: (table, {}),
-                   "whose format is 1; in the file's footer: None"),
-}  # fmt: skip
+        lambda table, footer: undigested(
+            table.take([0, 2, *range(3, len(table))]), footer
+        ),
+        "without a gap",
+    ),
+    "from trial 1": (
+        lambda table, footer: undigested(table.slice(1), footer),
+        "without a gap",
+    ),
+    "less a column": (
+        lambda table, footer: undigested(table.drop_columns("notes"), footer),
+        "of random, in this version's form",
+    ),
+    "of nothing": (
+        lambda table, footer: (table, {}),
+        "whose format is 1; in the file's footer: None",
+    ),
+}
 
 
 @pytest.mark.parametrize(("edit", "message"), EDITS.values(), ids=EDITS)
-def test_an_arm_that_was_edited(edit: Edit, message: str, comparisons: Comparisons) -> None:
+def test_an_arm_that_was_edited(
+    edit: Edit, message: str, comparisons: Comparisons
+) -> None:
     comparisons.run("out", arms=("random",), trials=3)
     before = comparisons.content("out")
     rewrite(arm_file(comparisons), edit)
@@ -163,7 +187,9 @@ def test_a_folder_of_before_digests_goes_on(comparisons: Comparisons) -> None:
 
 def test_trials_that_the_sampler_did_not_propose(comparisons: Comparisons) -> None:
     comparisons.run("out", arms=("random",), trials=4)
-    with ExperimentFolder.claim(comparisons.folder / "out", document(comparisons)) as folder:
+    with ExperimentFolder.claim(
+        comparisons.folder / "out", document(comparisons)
+    ) as folder:
         table = folder.read_arm("random")
         renamed = with_column(table, "arm", ["cmaes-cold"] * len(table))
         folder.write_arm("cmaes-cold", renamed)

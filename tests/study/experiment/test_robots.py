@@ -45,7 +45,14 @@ SILENT = lambda done, total: None  # noqa: E731
 @pytest.fixture(scope="module")
 def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("robots")
-    make_store(robot.Cart, folder / "cart", workers=1, samples=60, seed=3, families={"gale": GALE})
+    make_store(
+        robot.Cart,
+        folder / "cart",
+        workers=1,
+        samples=60,
+        seed=3,
+        families={"gale": GALE},
+    )
     shutil.copy(robot.__file__, folder / "carts.py")
     (folder / "carts.toml").write_text(TOML.format(store=folder / "cart"))
     return folder / "carts.toml"
@@ -57,12 +64,20 @@ def experiment(config: Path) -> RobotExperiment:
 
 
 @pytest.fixture(scope="module")
-def trials(experiment: RobotExperiment, tmp_path_factory: pytest.TempPathFactory) -> pa.Table:
-    return compare_robots(experiment, tmp_path_factory.mktemp("out"), IN_PROCESS, SILENT)
+def trials(
+    experiment: RobotExperiment, tmp_path_factory: pytest.TempPathFactory
+) -> pa.Table:
+    return compare_robots(
+        experiment, tmp_path_factory.mktemp("out"), IN_PROCESS, SILENT
+    )
 
 
-def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trials: Any) -> None:
-    assert len(trials) == 4 * 4 * 6 and trials["trial"].to_pylist()[:6] == list(range(6))
+def test_a_trial_is_a_run_in_the_robots_world(
+    experiment: RobotExperiment, trials: Any
+) -> None:
+    assert len(trials) == 4 * 4 * 6 and trials["trial"].to_pylist()[:6] == list(
+        range(6)
+    )
     rows = trials.to_pandas()
     for run, own in rows.groupby("run"):
         world = experiment.rule.draw([stream(5, Purpose.WORLD, run)])
@@ -73,14 +88,32 @@ def test_a_trial_is_a_run_in_the_robots_world(experiment: RobotExperiment, trial
         assert own["cost"].tolist() == cost.tolist()
     factor = rows["measured"] / rows["cost"]
     assert 0.05 < np.log(factor).std() < 0.2
-    assert rows.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max() == 1
+    assert (
+        rows.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max()
+        == 1
+    )
 
 
-@pytest.mark.parametrize(("before", "after", "match"), [
-    ('["slow", "fast"]', '["fast", "slow"]', r"^store\.gains\.mode: .*slow.* allowed: .*fast"),
-    ("IntDistribution(1, 5)", "FloatDistribution(1, 5)", r"^store\.gains\.gear: .*Int.* allowed"),
-    ("FloatDistribution(-1.0, 1.0)", "FloatDistribution(-1.0, 0.5)", r"^store\.gains\.steer: "),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("before", "after", "match"),
+    [
+        (
+            '["slow", "fast"]',
+            '["fast", "slow"]',
+            r"^store\.gains\.mode: .*slow.* allowed: .*fast",
+        ),
+        (
+            "IntDistribution(1, 5)",
+            "FloatDistribution(1, 5)",
+            r"^store\.gains\.gear: .*Int.* allowed",
+        ),
+        (
+            "FloatDistribution(-1.0, 1.0)",
+            "FloatDistribution(-1.0, 0.5)",
+            r"^store\.gains\.steer: ",
+        ),
+    ],
+)
 def test_a_store_that_means_something_else_to_the_simulator_is_refused(
     before: str, after: str, match: str, config: Path, tmp_path: Path
 ) -> None:
@@ -95,9 +128,13 @@ def test_a_store_that_means_something_else_to_the_simulator_is_refused(
         read_robots(tmp_path / "carts.toml")
 
 
-def test_the_ranking_is_by_the_mean_over_worlds(experiment: RobotExperiment, trials: Any) -> None:
+def test_the_ranking_is_by_the_mean_over_worlds(
+    experiment: RobotExperiment, trials: Any
+) -> None:
     store = open_store(experiment.store)
-    lasted, speed = (store.outcomes("gale", name) for name in ("survived_fraction", "speed_mps"))
+    lasted, speed = (
+        store.outcomes("gale", name) for name in ("survived_fraction", "speed_mps")
+    )
     cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
     ran = ~np.isnan(lasted).any(axis=1)
     mean = np.log1p((cost / cost[ran].min() - 1.0) / 0.3).mean(axis=1)
@@ -117,14 +154,18 @@ def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
         compare_robots(read_robots(config), tmp_path, IN_PROCESS, SILENT)
     shown: list[tuple[int, int]] = []
     again = compare_robots(
-        read_robots(config, arms="random,worlds"), tmp_path, IN_PROCESS,
+        read_robots(config, arms="random,worlds"),
+        tmp_path,
+        IN_PROCESS,
         lambda done, total: shown.append((done, total)),
-    )  # fmt: skip
+    )
     assert shown[0] == (4, 8) and shown[-1] == (8, 8) and len(again) == (8 + 4) * 6
     with local_pool(2) as pool:
         whole = compare_robots(read_robots(config), tmp_path, pool, SILENT)
     assert whole.equals(trials)
-    longer = compare_robots(read_robots(config, trials=7, runs=1), tmp_path, IN_PROCESS, SILENT)
+    longer = compare_robots(
+        read_robots(config, trials=7, runs=1), tmp_path, IN_PROCESS, SILENT
+    )
     kept = longer.filter(pa.compute.less(longer["trial"], 6))
     assert len(longer) == len(trials) + 4
     assert kept.select(["arm", "run"]).equals(trials.select(["arm", "run"]))
@@ -146,38 +187,68 @@ def test_the_command_writes_a_report(
     assert f"| ranking | the ranking | {at_once} |" in printed
     with refused(r"^folder: .* a comparison of the walker; on robots"):
         read_results(tmp_path / "out")
-    for option, value in (("--storage", "sqlite:///x.db"), ("--arch", "cpu"), ("--store", "x")):
+    for option, value in (
+        ("--storage", "sqlite:///x.db"),
+        ("--arch", "cpu"),
+        ("--store", "x"),
+    ):
         with refused(f"^{option[2:]}: .* none: "):
             main(parser_of("compare").parse_args([*words, option, value]))
 
 
 @pytest.mark.parametrize("arm", ["worlds", "ranking"])
-def test_a_live_study_has_these_trials(arm: str, config: Path, trials: Any, tmp_path: Path) -> None:
+def test_a_live_study_has_these_trials(
+    arm: str, config: Path, trials: Any, tmp_path: Path
+) -> None:
     url = f"sqlite:///{tmp_path / 'live.db'}"
-    words = ["--config", str(config), "--storage", url, "--run", "2", "--out", str(tmp_path)]
+    words = [
+        "--config",
+        str(config),
+        "--storage",
+        url,
+        "--run",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
     for count in ("3", "6"):
-        study_command(parser_of("study").parse_args([*words, "--arm", arm, "--trials", count]))
+        study_command(
+            parser_of("study").parse_args([*words, "--arm", arm, "--trials", count])
+        )
     study = optuna.load_study(study_name=f"carts/{arm}/run-002", storage=url)
     known = trials.to_pandas().query(f"arm == '{arm}' and run == 2")
     assert [trial.values[0] for trial in study.trials] == known["measured"].tolist()
-    assert json.loads((tmp_path / f"{arm}-run-002-best.json").read_text()) == study.best_params
-    for more, match in (("--arm cmaes", "^arm: "), ("--run 9", "^run: 9 .* 0 to 3"),
-                        ("--seed 7", "^seed: 7 .* 5, as the study carts/")):  # fmt: skip
+    assert (
+        json.loads((tmp_path / f"{arm}-run-002-best.json").read_text())
+        == study.best_params
+    )
+    for more, match in (
+        ("--arm cmaes", "^arm: "),
+        ("--run 9", "^run: 9 .* 0 to 3"),
+        ("--seed 7", "^seed: 7 .* 5, as the study carts/"),
+    ):
         asked = [*words, "--arm", arm, *more.split()]
         with refused(match):
             study_command(parser_of("study").parse_args(asked))
 
 
-@pytest.mark.parametrize(("old", "new", "match"), [
-    ('"speed_mps"', '"lift"', r"^objective\.cost: 'lift' .* speed_mps"),
-    ("fell_cost = 4.0", "fell_cost = 0.0", r"^objective\.fell_cost: 0\.0"),
-    ('"worlds",', '"dog",', "^arm.*: 'dog' .* worlds, ranking"),
-    ("wind =", "rain =", r"^world\.rain: .* only the keys wind"),
-    ("seed = 5", 'seed = 5\nname = "../up"', "^name: "),
-    ("runs = 4", "runs = 0", "^runs: 0"), ("runs", "robots", "^robots: 4"),
-    ('cart"', 'no"', "^store: "), ("carts.py:Cart", "carts.py:Boat", "^simulator"),
-])  # fmt: skip
-def test_configurations_that_are_refused(config: Path, old: str, new: str, match: str) -> None:
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ('"speed_mps"', '"lift"', r"^objective\.cost: 'lift' .* speed_mps"),
+        ("fell_cost = 4.0", "fell_cost = 0.0", r"^objective\.fell_cost: 0\.0"),
+        ('"worlds",', '"dog",', "^arm.*: 'dog' .* worlds, ranking"),
+        ("wind =", "rain =", r"^world\.rain: .* only the keys wind"),
+        ("seed = 5", 'seed = 5\nname = "../up"', "^name: "),
+        ("runs = 4", "runs = 0", "^runs: 0"),
+        ("runs", "robots", "^robots: 4"),
+        ('cart"', 'no"', "^store: "),
+        ("carts.py:Cart", "carts.py:Boat", "^simulator"),
+    ],
+)
+def test_configurations_that_are_refused(
+    config: Path, old: str, new: str, match: str
+) -> None:
     bad = config.with_name("bad.toml")
     bad.write_text(config.read_text().replace(old, new, 1))
     with refused(match):

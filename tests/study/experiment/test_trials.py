@@ -40,10 +40,18 @@ def test_attributes_are_plain_values_and_make_a_sentence() -> None:
     rows = fake_walker.simulate(PUBLISHED_GAINS, duration_s=8.0).rows
     found = trials.attributes(rows)
     assert {name: type(value) for name, value in found.items()} == {
-        "duration_s": float, "distance_m": float, "mean_speed_mps": float, "end_reason": str,
-        "walked": bool, "phi_printed": float, "phi_corrected": float, "survived_fraction": float,
-    }  # fmt: skip
-    assert found["distance_m"] == pytest.approx(found["duration_s"] * found["mean_speed_mps"])
+        "duration_s": float,
+        "distance_m": float,
+        "mean_speed_mps": float,
+        "end_reason": str,
+        "walked": bool,
+        "phi_printed": float,
+        "phi_corrected": float,
+        "survived_fraction": float,
+    }
+    assert found["distance_m"] == pytest.approx(
+        found["duration_s"] * found["mean_speed_mps"]
+    )
     known = {"duration_s": 8.0, "distance_m": 10.0, "mean_speed_mps": 1.25}
     for reason, words in (("completed", "walked"), ("fell", "fell after")):
         text = trials.outcome_text(known | {"end_reason": reason})
@@ -63,5 +71,9 @@ def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> No
         chosen = call["terrains"][call["terrain_index"][place]]
         np.testing.assert_array_equal(chosen.height_m, ground.height_m)
     assert len(call["terrains"]) == 2
-    assert (call["duration_s"], call["record"], call["low_level_gains"]) == (20.0, (), None)
+    assert (call["duration_s"], call["record"], call["low_level_gains"]) == (
+        20.0,
+        (),
+        None,
+    )
     assert rows[0] == rows[2] != rows[1]

@@ -31,23 +31,42 @@ def until(comparisons: Comparisons) -> Comparisons:
     return comparisons
 
 
-def test_studies_end_with_first_walker(until: Comparisons, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_studies_end_with_first_walker(
+    until: Comparisons, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Interrupted any number of times, in blocks of any size, grown trial by trial."""
     request: dict[str, Any] = {"arms": ARMS, "trials": TRIALS}
-    until.run("all", experiment=replace(until.experiment, until_walker=False), **request)
+    until.run(
+        "all", experiment=replace(until.experiment, until_walker=False), **request
+    )
     rows = frame(until.table("all"))
-    earlier = rows.groupby(["arm", "run"]).walked.transform(lambda walked: walked.cumsum() - walked)
-    expected = rows[earlier == 0].reset_index(drop=True)  # of each study, up to its first walker
+    earlier = rows.groupby(["arm", "run"]).walked.transform(
+        lambda walked: walked.cumsum() - walked
+    )
+    expected = rows[earlier == 0].reset_index(
+        drop=True
+    )  # of each study, up to its first walker
     fake_walker.calls.clear()
     until.run("whole", **request)
     whole = frame(until.table("whole"))
-    columns = ["arm", "run", "trial", "cost", "best_cost", "walked", "row", "duration_s"]
+    columns = [
+        "arm",
+        "run",
+        "trial",
+        "cost",
+        "best_cost",
+        "walked",
+        "row",
+        "duration_s",
+    ]
     assert len(whole) == len(expected) and whole[columns].equals(expected[columns])
     assert sum(len(call["gains"]) for call in fake_walker.calls) == len(expected)
     # Both happen: some never find one, some find one early, and of those each has one.
     last = whole.groupby(["arm", "run"]).walked.agg(["sum", "last", "size"])
     assert 0 < last["last"].sum() < len(last) == 3 * len(ARMS)
-    assert (last["sum"] == last["last"]).all() and (last["size"][~last["last"]] == TRIALS).all()
+    assert (last["sum"] == last["last"]).all() and (
+        last["size"][~last["last"]] == TRIALS
+    ).all()
     monkeypatch.setattr(comparing, "BLOCK_STUDIES", 3)
     monkeypatch.setattr(comparing, "STRETCH_TRIALS", 2)
     assert until.stop_and_run("pieces", 7, **request) > 2
@@ -59,7 +78,9 @@ def test_studies_end_with_first_walker(until: Comparisons, monkeypatch: pytest.M
         assert until.content(name) == until.content("whole")
 
 
-def test_progress_counts_what_there_is_to_do_and_the_report_reads(until: Comparisons) -> None:
+def test_progress_counts_what_there_is_to_do_and_the_report_reads(
+    until: Comparisons,
+) -> None:
     """A study that has ended has no trials before it; at the end all is done."""
     told: list[Progress] = []
     request = Request(until.folder / "out", arms=ARMS, trials=TRIALS)
@@ -68,8 +89,12 @@ def test_progress_counts_what_there_is_to_do_and_the_report_reads(until: Compari
     done, walkers = len(until.table("out")), int(frame(until.table("out")).walked.sum())
     assert told[-1] == Progress(done, done, 3 * len(ARMS), walkers)
     assert all(one.total >= two.total for one, two in pairwise(told))
-    compare(until.experiment, replace(request, arms=ARMS[:2], runs=1, trials=1), told.append)
-    assert told[-1].trials == told[-1].total > told[-1].studies == 2  # of a smaller request
+    compare(
+        until.experiment, replace(request, arms=ARMS[:2], runs=1, trials=1), told.append
+    )
+    assert (
+        told[-1].trials == told[-1].total > told[-1].studies == 2
+    )  # of a smaller request
     results = read_results(until.folder / "out")
     assert results.complete and results.trials == TRIALS and results.runs == 3
     rows = frame(until.table("out"))

@@ -15,7 +15,16 @@ WALKS = "window.walk_player?.shown"
 @contextmanager
 def explorer(folder: Path, *words: str, errors: IO[str] | None = None) -> Iterator[str]:
     """The address of its page; `words` are options, `errors` takes what it prints of errors."""
-    command = ("-m", "taichi_nmm", "explore", folder, "--port", 0, "--no-browser", *words)
+    command = (
+        "-m",
+        "taichi_nmm",
+        "explore",
+        folder,
+        "--port",
+        0,
+        "--no-browser",
+        *words,
+    )
     with serving(*command, stderr=errors, cwd=ROOT) as said:
         yield said.readline().split()[1]
 

@@ -40,12 +40,17 @@ def page() -> Iterator[Any]:
     """Of this file alone: it is larger than others."""
     with opened_page(1500, 1250) as page:
         said: list[str] = []
-        page.on("console", lambda line: said.append(line.text) if line.type == "error" else None)
+        page.on(
+            "console",
+            lambda line: said.append(line.text) if line.type == "error" else None,
+        )
         asked: list[str] = []
         page.on("request", lambda request: asked.append(request.url))
         yield page
         assert said == []
-        assert [url for url in asked if "://127.0.0.1:" not in url and url[:5] != "blob:"] == []
+        assert [
+            url for url in asked if "://127.0.0.1:" not in url and url[:5] != "blob:"
+        ] == []
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +69,10 @@ TEX = r"$$\href{javascript:window.ran=1}{onerror}$$"
 def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> None:
     """A store comes from anybody: what its columns are called is shown and never run."""
     store = open_store(folders / "store")
-    table, names = store.table(), [f"{name}_survived_fraction_mean" for name in (SCRIPT, TEX)]
+    table, names = (
+        store.table(),
+        [f"{name}_survived_fraction_mean" for name in (SCRIPT, TEX)],
+    )
     for name in names:
         table = table.append_column(name, table["mean_speed_mps"])
     specification = store.specification | {"columns": columns_of(table.schema)}
@@ -74,13 +82,19 @@ def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> N
     write_table(hostile, table, footer)
     with opened(page, hostile):
         for slot, name in enumerate((*names, *names, names[0])):
-            page.evaluate(f"(name) => {{ {MODEL}('column-{slot}').value = name }}", name)
+            page.evaluate(
+                f"(name) => {{ {MODEL}('column-{slot}').value = name }}", name
+            )
         page.wait_for_function(f"{MODEL}('column-4').value.includes('onerror')")
         for name in (SCRIPT, TEX):
-            page.evaluate(f"(text) => {{ {MODEL}('selection').value = text }}", f"{name} 0..1")
+            page.evaluate(
+                f"(text) => {{ {MODEL}('selection').value = text }}", f"{name} 0..1"
+            )
             page.get_by_text(f"selection: {repr(name)[:9]}").wait_for()  # the message
         axes = "Bokeh.index.query((view) => view.model.type === 'LinearAxis')"
-        drawn = page.evaluate(f"[...{axes}].map((one) => one._axis_label_view?.model.type)")
+        drawn = page.evaluate(
+            f"[...{axes}].map((one) => one._axis_label_view?.model.type)"
+        )
         assert "PlainText" in drawn and "TeX" not in drawn
         headings = page.locator(".slick-column-name").all_inner_texts()
         assert sum("onerror" in heading for heading in headings) == 5
@@ -102,7 +116,9 @@ def frame(page: Any, name: str) -> tuple[float, float, float, float]:
     return left, top, width, height
 
 
-def drag(page: Any, name: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+def drag(
+    page: Any, name: str, start: tuple[float, float], end: tuple[float, float]
+) -> None:
     """Draw a box in a figure: corners as shares of what lies within its axes."""
     left, top, width, height = frame(page, name)
     page.mouse.move(left + start[0] * width, top + start[1] * height)
@@ -114,8 +130,15 @@ def drag(page: Any, name: str, start: tuple[float, float], end: tuple[float, flo
 def at(page: Any, name: str, x: float, y: float) -> tuple[float, float]:
     """Where on the screen a figure has these coordinates."""
     left, top, width, height = frame(page, name)
-    ends = [model(page, name, f"{axis}_range.{end}") for axis in "xy" for end in ("start", "end")]
-    across, up = (x - ends[0]) / (ends[1] - ends[0]), (y - ends[2]) / (ends[3] - ends[2])
+    ends = [
+        model(page, name, f"{axis}_range.{end}")
+        for axis in "xy"
+        for end in ("start", "end")
+    ]
+    across, up = (
+        (x - ends[0]) / (ends[1] - ends[0]),
+        (y - ends[2]) / (ends[3] - ends[2]),
+    )
     return left + across * width, top + (1.0 - up) * height
 
 
@@ -123,7 +146,9 @@ def point(page: Any, row: int) -> tuple[float, float]:
     """Where on the screen a row is in the cloud."""
     rows = f"{MODEL}('rows').data"
     place = page.evaluate(f"{rows}.row.indexOf({row})")
-    return at(page, "cloud", *page.evaluate(f"[{rows}.c0[{place}], {rows}.c1[{place}]]"))
+    return at(
+        page, "cloud", *page.evaluate(f"[{rows}.c0[{place}], {rows}.c1[{place}]]")
+    )
 
 
 def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
@@ -140,7 +165,9 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     page.wait_for_function("window.store_view.chosen < window.store_view.inside.length")
     chosen = page.evaluate("window.store_view.chosen")
     text = model(page, "selection", "value")
-    low, high = read_selection(text, ("mean_speed_mps", "phi_printed"))["mean_speed_mps"]
+    low, high = read_selection(text, ("mean_speed_mps", "phi_printed"))[
+        "mean_speed_mps"
+    ]
     speeds = page.evaluate(f"[...{MODEL}('listed').data.c0]")
     assert 0 < len(speeds) == min(chosen, 200)
     assert all(low <= value <= high for value in speeds)
@@ -156,7 +183,9 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     listed = page.locator(".slick-row").first.inner_text()
     assert float(listed.split()[1]) == pytest.approx(table[table <= 0.5][0], abs=1e-4)
     change(page, "selection", "value", "speed of light")
-    page.wait_for_function(f"{MODEL}('selection-message').text.includes('column low..high')")
+    page.wait_for_function(
+        f"{MODEL}('selection-message').text.includes('column low..high')"
+    )
     assert page.evaluate("window.store_view.all")  # and nothing is selected by it
     change(page, "selection", "value", "")
     page.wait_for_function(f"{MODEL}('selection-message').text === ''")
@@ -169,14 +198,23 @@ def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
     first, time = page.screenshot(clip=stage), page.evaluate("window.walk_player.time")
     page.wait_for_function(f"window.walk_player.time !== {time}")
     # The walk repeats: one later picture may be as the first, all of them cannot.
-    later = (page.wait_for_timeout(170) or page.screenshot(clip=stage) for _ in range(8))
+    later = (
+        page.wait_for_timeout(170) or page.screenshot(clip=stage) for _ in range(8)
+    )
     assert any(picture != first for picture in later)
     walks(page, lambda: page.mouse.click(*point(page, 40)))
     rows, row = f"{MODEL}('rows').data", model(page, "row", "value")
-    shown = [page.evaluate(f"{rows}.c{slot}[{rows}.row.indexOf({row})]") for slot in range(5)]
+    shown = [
+        page.evaluate(f"{rows}.c{slot}[{rows}.row.indexOf({row})]") for slot in range(5)
+    ]
     assert [model(page, "rings", f"data.{axis}[0]") for axis in "xy"] == shown[:2]
-    assert row != 17 and [model(page, f"at-{slot}", "location") for slot in range(5)] == shown
-    assert model(page, "listed", f"data.row[{MODEL}('listed').selected.indices[0]]") == row
+    assert (
+        row != 17
+        and [model(page, f"at-{slot}", "location") for slot in range(5)] == shown
+    )
+    assert (
+        model(page, "listed", f"data.row[{MODEL}('listed').selected.indices[0]]") == row
+    )
     walks(page, lambda: page.mouse.click(*point(page, row)))  # again
     walks(page, page.locator(".slick-cell.selected").first.click)
 
@@ -184,13 +222,18 @@ def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
 def test_another_column_is_drawn_and_ranges_last(page: Any, store: Path) -> None:
     change(page, "selection", "value", "mean_speed_mps 0..0.5")
     page.wait_for_function("!window.store_view.all")
-    chosen, text = page.evaluate("window.store_view.chosen"), model(page, "selection", "value")
+    chosen, text = (
+        page.evaluate("window.store_view.chosen"),
+        model(page, "selection", "value"),
+    )
     labels = {"distance_m": "distance (m)", "mean_speed_mps": "mean speed (m/s)"}
     values = open_store(store).table([*labels]).to_pydict()
     for column, label in labels.items():
         change(page, "column-0", "value", column)
         page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {values[column][0]!r}")
-        first = next(n for n, speed in enumerate(values["mean_speed_mps"]) if speed <= 0.5)
+        first = next(
+            n for n, speed in enumerate(values["mean_speed_mps"]) if speed <= 0.5
+        )
         listed = f"{values[column][first]:.4f}".rstrip("0")
         page.get_by_text(listed).first.wait_for()  # in the table
         assert model(page, "cloud", "below[0].axis_label.text") == label
@@ -201,7 +244,9 @@ def test_another_column_is_drawn_and_ranges_last(page: Any, store: Path) -> None
 
 def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
     change(page, "find", "value_input", "knee swing rad")
-    page.wait_for_function(f"{MODEL}('column-0').options.gait?.[0][1] === 'knee peak swing (rad)'")
+    page.wait_for_function(
+        f"{MODEL}('column-0').options.gait?.[0][1] === 'knee peak swing (rad)'"
+    )
     assert model(page, "column-0", "value") == "mean_speed_mps"  # and still there
     change(page, "find", "value_input", "")
 
@@ -210,7 +255,9 @@ def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
 def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 1250})
     page.wait_for_timeout(1000)
-    wide, apart, beside = page.evaluate((ASSETS / "edges.js").read_text(encoding="utf-8"))
+    wide, apart, beside = page.evaluate(
+        (ASSETS / "edges.js").read_text(encoding="utf-8")
+    )
     page.set_viewport_size({"width": 1500, "height": 1250})
     assert wide <= width and apart and beside == (width > 1000)
 
@@ -252,7 +299,9 @@ def test_a_slider_changes_the_gait_within_its_bounds(page: Any, store: Path) -> 
 
 
 @cases("out-of-bounds.toml", "field", "text", "said")
-def test_out_of_bounds_is_said(page: Any, store: Path, field: str, text: str, said: str) -> None:
+def test_out_of_bounds_is_said(
+    page: Any, store: Path, field: str, text: str, said: str
+) -> None:
     change(page, "part", "active", 0)
     page.wait_for_function(f"{MODEL}('number-K_SOL') !== null")
     held = model(page, field, "value") or 0
@@ -316,7 +365,9 @@ def standing(page: Any, store: Path) -> None:
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("muscle", PLACES)
-def test_a_muscle_is_named_where_it_is(page: Any, standing: None, muscle: str, side: str) -> None:
+def test_a_muscle_is_named_where_it_is(
+    page: Any, standing: None, muscle: str, side: str
+) -> None:
     """With its own activation and thickness; found by its place, not by its number."""
     change(page, "play", "active", False)
     behind = muscle == "HFL"  # seen best on the leg that is behind
@@ -420,7 +471,9 @@ def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) 
         page.get_by_text("store: ").first.wait_for()
 
 
-def test_a_head_of_the_table_sorts_all_rows(page: Any, folders: Path, tmp_path: Path) -> None:
+def test_a_head_of_the_table_sorts_all_rows(
+    page: Any, folders: Path, tmp_path: Path
+) -> None:
     """Not only those that the table lists: a store may have any number."""
     path = tmp_path / "many"
     fake_walker.write_store(path, samples=450)
@@ -429,7 +482,10 @@ def test_a_head_of_the_table_sorts_all_rows(page: Any, folders: Path, tmp_path: 
     head = page.locator(".slick-header-column", has_text="mean speed")
     with opened(page, path):
         assert page.evaluate(first) == speeds[:200].tolist()
-        for order, way in ((np.sort(speeds), "least"), (np.sort(speeds)[::-1], "largest")):
+        for order, way in (
+            (np.sort(speeds), "least"),
+            (np.sort(speeds)[::-1], "largest"),
+        ):
             head.click()
             told = f"450 of 450 rows; the table has the first 200 by mean speed (m/s), {way}"
             page.get_by_text(told).wait_for()
@@ -439,11 +495,15 @@ def test_a_head_of_the_table_sorts_all_rows(page: Any, folders: Path, tmp_path: 
         walks(page, page.locator(".slick-row").first.click)
         fastest = speeds[page.evaluate(f"{MODEL}('row').value")]
         assert fastest == speeds.max()
-        change(page, "selection", "value", "mean_speed_mps 0..0.5")  # and of those selected
+        change(
+            page, "selection", "value", "mean_speed_mps 0..0.5"
+        )  # and of those selected
         page.wait_for_function("!window.store_view.all")
         below = np.sort(speeds[speeds <= 0.5])[::-1][:200]
         assert page.evaluate(first) == below.tolist()
-        change(page, "column-0", "value", "distance_m")  # other heads, which do not sort yet
+        change(
+            page, "column-0", "value", "distance_m"
+        )  # other heads, which do not sort yet
         page.locator(".slick-header-column", has_text="distance").click()
         distances = open_store(path).table(["distance_m"])["distance_m"].to_numpy()
         least = np.sort(distances[speeds <= 0.5])[:200].tolist()

@@ -34,7 +34,10 @@ def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
     columns = first_columns(cart)
     assert len(set(columns)) == 5 and columns[2] == "gale_survived_fraction_mean"
     text = numbers_text(cart, 3)
-    assert f"<td>thrust_n</td><td>{cart.gains()[3, 0]:.4g}</td>" in text and "_worlds" not in text
+    assert (
+        f"<td>thrust_n</td><td>{cart.gains()[3, 0]:.4g}</td>" in text
+        and "_worlds" not in text
+    )
 
 
 HOT = {"settings": 4, "min_survival_s": 0.0, "world": {"heat_k": [340.0, 370.0]}}
@@ -44,33 +47,62 @@ WARM = {"settings": 2, "min_survival_s": 3000.0}
 def test_what_a_failed_run_did_not_give_is_unknown(tmp_path: Path) -> None:
     """A battery that burns has lost no 0 J: not on the page, and not in a family's mean."""
     simulation: dict[str, Any] = {"duration_s": 3000.0}
-    store = make_store(plants.Battery, tmp_path / "b", workers=1, samples=16, simulation=simulation,
-                       families={"hot": HOT, "warm": WARM}, world={"heat_k": 365.0})  # fmt: skip
+    store = make_store(
+        plants.Battery,
+        tmp_path / "b",
+        workers=1,
+        samples=16,
+        simulation=simulation,
+        families={"hot": HOT, "warm": WARM},
+        world={"heat_k": 365.0},
+    )
     rows, losses = store.numpy(), store.outcomes("hot", "loss_j")
     failed, some = rows["run_ended"] == "failed", np.isnan(losses).any(axis=1)
-    assert 0 < failed.sum() < 16 and some.sum() > 0 and not np.isnan(losses).all(axis=1).any()
+    assert (
+        0 < failed.sum() < 16
+        and some.sum() > 0
+        and not np.isnan(losses).all(axis=1).any()
+    )
     assert np.array_equal(np.isnan(numbers_of(store, "loss_j")), failed)
-    assert np.array_equal(numbers_of(store, "survived_fraction"), rows["survived_fraction"])
-    assert rows["hot_loss_j_mean"] == pytest.approx(np.nanmean(losses, axis=1), rel=1e-12)
-    assert rows["hot_loss_j_sd"] == pytest.approx(np.nanstd(losses, axis=1), rel=1e-9, abs=1e-9)
+    assert np.array_equal(
+        numbers_of(store, "survived_fraction"), rows["survived_fraction"]
+    )
+    assert rows["hot_loss_j_mean"] == pytest.approx(
+        np.nanmean(losses, axis=1), rel=1e-12
+    )
+    assert rows["hot_loss_j_sd"] == pytest.approx(
+        np.nanstd(losses, axis=1), rel=1e-9, abs=1e-9
+    )
     ran = rows["warm_evaluated"]
     assert 0 < ran.sum() < 16
     assert np.isnan(numbers_of(store, "warm_loss_j_mean"))[~ran].all()
     text = numbers_text(store, int(np.flatnonzero(failed)[0]))
-    assert "<td>loss_j</td><td>-</td>" in text and "<td>warm_loss_j_mean</td><td>-</td>" in text
+    assert (
+        "<td>loss_j</td><td>-</td>" in text
+        and "<td>warm_loss_j_mean</td><td>-</td>" in text
+    )
 
 
-def test_rows_that_mean_something_else_to_a_simulator_are_not_filmed(tmp_path: Path) -> None:
+def test_rows_that_mean_something_else_to_a_simulator_are_not_filmed(
+    tmp_path: Path,
+) -> None:
     simulation: dict[str, Any] = {"duration_s": 0.1}
     wide = rail.made(parameters=rail.PARAMETERS | {"beats": IntDistribution(1, 9)})
-    store = make_store(wide, tmp_path / "rail", workers=1, samples=4, simulation=simulation)
+    store = make_store(
+        wide, tmp_path / "rail", workers=1, samples=4, simulation=simulation
+    )
     with pytest.raises(InputError, match=r"^store\.gains\.beats: .*'high': 4\.0"):
         page_of(store.path, simulator="tests/storage/rail.py:Rail")
 
 
 def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
     store = make_store(
-        robot.Cart, tmp_path / "cart", workers=1, samples=8, robust=GALE, world={"wind": 2.0}
+        robot.Cart,
+        tmp_path / "cart",
+        workers=1,
+        samples=8,
+        robust=GALE,
+        world={"wind": 2.0},
     )
     worlds, drawn = worlds_of(store), store.specification["robust"]["drawn"]
     assert worlds["robust 1"] == {name: float(each[1]) for name, each in drawn.items()}
@@ -78,7 +110,10 @@ def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
 
 
 def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
-    for name, allowed in (("robot.py:Cart", "a MujocoSimulator"), ("rail.py:Rail", "thrust_n")):
+    for name, allowed in (
+        ("robot.py:Cart", "a MujocoSimulator"),
+        ("rail.py:Rail", "thrust_n"),
+    ):
         with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
             page_of(cart.path, simulator=f"tests/storage/{name}")
 
@@ -86,14 +121,26 @@ def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
 @pytest.mark.slow
 def test_a_click_shows_numbers_and_films_the_row(tmp_path: Path) -> None:
     simulation: dict[str, Any] = {"duration_s": 0.5}
-    store = make_store(rail.Rail, tmp_path / "rail", workers=1, samples=8, simulation=simulation,
-                       families={"heavy": HEAVY})  # fmt: skip
+    store = make_store(
+        rail.Rail,
+        tmp_path / "rail",
+        workers=1,
+        samples=8,
+        simulation=simulation,
+        families={"heavy": HEAVY},
+    )
     asked = ("--simulator", "tests/storage/rail.py:Rail")
     with explorer(store.path, *asked) as address, opened_page(1500, 900) as page:
         page.goto(address)
-        page.wait_for_function("window.Bokeh?.documents[0]?.get_model_by_name('numbers')")
+        page.wait_for_function(
+            "window.Bokeh?.documents[0]?.get_model_by_name('numbers')"
+        )
         page.evaluate(f"{MODEL}('row').value = 5")
         page.wait_for_function(f"{MODEL}('numbers').text.includes('kp')")
         drawn = f"{MODEL}('film').text.includes('video/mp4')"
         page.wait_for_function(f"{drawn} || {MODEL}('message').text.includes('OpenGL')")
-        assert page.evaluate(f"{MODEL}('world').options") == [BASE, "heavy 0", "heavy 1"]
+        assert page.evaluate(f"{MODEL}('world').options") == [
+            BASE,
+            "heavy 0",
+            "heavy 1",
+        ]

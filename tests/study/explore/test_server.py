@@ -19,9 +19,11 @@ pytestmark = pytest.mark.slow
 
 LACKED = "libX11.so.6: cannot open shared object file: No such file or directory"
 SOCKET = {
-    "Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13",
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec-WebSocket-Version": "13",
     "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +43,9 @@ def address(tmp_path_factory: pytest.TempPathFactory, errors: Path) -> Iterator[
 
 def status(address: str, path: str, headers: dict[str, str]) -> int:
     place = urlsplit(address)
-    connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=30)
+    connection = http.client.HTTPConnection(
+        place.hostname or "", place.port, timeout=30
+    )
     connection.putrequest("GET", path, skip_host="Host" in headers)
     for name, value in headers.items():
         connection.putheader(name, value)
@@ -58,11 +62,18 @@ def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -
     for name in ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}"):
         assert status(address, "/", {"Host": name}) == 200
     # Other sites cannot embed the page.
-    for path in ("/autoload.js?bokeh-autoload-element=1", "/metadata", "/robots.txt", "/static"):
+    for path in (
+        "/autoload.js?bokeh-autoload-element=1",
+        "/metadata",
+        "/robots.txt",
+        "/static",
+    ):
         assert status(address, path, {}) == 404
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""])
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""]
+)
 @pytest.mark.parametrize("path", ["/", "/static/js/bokeh.min.js", "/ws", "/metadata"])
 def test_other_names_find_nothing(address: str, host: str, path: str) -> None:
     assert status(address, path, {"Host": host}) in (400, 404)
@@ -76,19 +87,40 @@ def token_of(lasts_s: int = 300) -> str:
 
 
 def open_socket(address: str, words: str, origin: str | None = None) -> int:
-    headers = {**SOCKET, "Origin": origin or address.rstrip("/"), "Sec-WebSocket-Protocol": words}
+    headers = {
+        **SOCKET,
+        "Origin": origin or address.rstrip("/"),
+        "Sec-WebSocket-Protocol": words,
+    }
     return status(address, "/ws", headers)
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "null"])
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "http://127.0.0.1:1", "null"]
+)
 def test_a_socket_of_another_page_is_refused(address: str, origin: str) -> None:
     assert open_socket(address, f"bokeh, {token_of()}", origin) == 403
 
 
-def test_a_socket_without_a_page_s_token_finds_nothing(address: str, errors: Path) -> None:
-    assert open_socket(address, f"bokeh, {token_of()}") == 101  # the page's own way works
+def test_a_socket_without_a_page_s_token_finds_nothing(
+    address: str, errors: Path
+) -> None:
+    assert (
+        open_socket(address, f"bokeh, {token_of()}") == 101
+    )  # the page's own way works
     huge = "W" * 60_000
-    wrong = ["x", "e30", "W10", "IiI", "bnVsbA", "*", "", huge, token_of(lasts_s=-1), "a, b"]
+    wrong = [
+        "x",
+        "e30",
+        "W10",
+        "IiI",
+        "bnVsbA",
+        "*",
+        "",
+        huge,
+        token_of(lasts_s=-1),
+        "a, b",
+    ]
     for words in ["", "bokeh", *(f"bokeh, {token}" for token in wrong)]:
         assert open_socket(address, words) == 404, words[:40]
     time.sleep(0.2)  # a traceback would be printed after the answer
@@ -103,7 +135,9 @@ def start() -> tuple[Latest, Mock, list[Future[Any]]]:
     return Latest(all_else, all_else, all_else.done, all_else.failed), all_else, calls
 
 
-def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing() -> None:
+def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing() -> (
+    None
+):
     latest, seen, calls = start()
     for number in range(5):
         latest.ask(print, number)
@@ -131,13 +165,22 @@ def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing
     assert not seen.done.called and seen.submit.call_count == 1
 
 
-@pytest.mark.parametrize(("error", "said"), [
-    (ModuleNotFoundError("No module named 'mujoco'", name="mujoco"),
-     "package: 'mujoco' is not installed; allowed: an environment that has it"),
-    (ImportError(LACKED, name="taichi_python", path="/lib/taichi_python.abi3.so"),
-     f"taichi_python: '{LACKED}' cannot be used; "
-     "allowed: a machine with the libraries that taichi_python needs (README.md)"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            ModuleNotFoundError("No module named 'mujoco'", name="mujoco"),
+            "package: 'mujoco' is not installed; allowed: an environment that has it",
+        ),
+        (
+            ImportError(
+                LACKED, name="taichi_python", path="/lib/taichi_python.abi3.so"
+            ),
+            f"taichi_python: '{LACKED}' cannot be used; "
+            "allowed: a machine with the libraries that taichi_python needs (README.md)",
+        ),
+    ],
+)
 def test_what_the_machine_lacks_is_said(error: ImportError, said: str) -> None:
     message = Message("message")
     message.failed(error)
@@ -146,6 +189,8 @@ def test_what_the_machine_lacks_is_said(error: ImportError, said: str) -> None:
 
 def test_a_mistake_of_ours_is_called_so(capsys: pytest.CaptureFixture[str]) -> None:
     message = Message("message")
-    message.failed(ImportError("cannot import name 'x'", name="study.view", path="/study/view.py"))
+    message.failed(
+        ImportError("cannot import name 'x'", name="study.view", path="/study/view.py")
+    )
     assert message.layout.text == OURS
     assert "cannot import name 'x'" in capsys.readouterr().err

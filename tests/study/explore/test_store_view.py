@@ -15,14 +15,21 @@ def test_a_text_and_its_ranges() -> None:
     assert ranges == {"speed": (-0.5, 1.25), "phi_printed": (10.0, np.inf)}
     assert read_selection("", COLUMNS) == {}
     values = {"speed": np.array([0.0, 1.0, 2.0, np.nan]), "phi_printed": np.arange(4.0)}
-    inside = selected({"speed": (0.0, 1.0), "phi_printed": (1.0, np.inf)}, values.__getitem__, 4)
+    inside = selected(
+        {"speed": (0.0, 1.0), "phi_printed": (1.0, np.inf)}, values.__getitem__, 4
+    )
     assert inside.tolist() == [False, True, False, False]
     assert selected({}, values.__getitem__, 4).all()
 
 
-@pytest.mark.parametrize(("text", "named"), [
-    (text, named) for named, texts in asset("refused-selections.toml").items() for text in texts
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (text, named)
+        for named, texts in asset("refused-selections.toml").items()
+        for text in texts
+    ],
+)
 def test_what_is_no_selection(text: str, named: str) -> None:
     with pytest.raises(InputError, match=named):
         read_selection(text, COLUMNS)

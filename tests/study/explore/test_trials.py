@@ -29,9 +29,14 @@ from tests.study.explore.serving import MODEL, opened
 
 
 def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> None:
-    journal = optuna.storages.JournalStorage(JournalFileBackend(str(tmp_path / "mine.log")))
+    journal = optuna.storages.JournalStorage(
+        JournalFileBackend(str(tmp_path / "mine.log"))
+    )
     mine = optuna.create_study(storage=journal, directions=["maximize", "minimize"])
-    space = {"value": FloatDistribution(0, 1), "leg-kind": CategoricalDistribution(["soft"])}
+    space = {
+        "value": FloatDistribution(0, 1),
+        "leg-kind": CategoricalDistribution(["soft"]),
+    }
     for number in range(4):
         trial = mine.ask(space)
         for name, value in {"score": number, "note": "no number"}.items():
@@ -42,14 +47,21 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
     optuna.copy_study(from_study_name=name, from_storage=journal, to_storage=url)
     for file in ("mine.log", "mine.db"):
         rows = open_rows(tmp_path / file)
-        assert isinstance(rows, Trials) and rows.simulator == f"study {name}" and rows.best == 2
+        assert (
+            isinstance(rows, Trials)
+            and rows.simulator == f"study {name}"
+            and rows.best == 2
+        )
         named = ("trial", "state", "value", "value_1", "value_", "leg_kind", "score")
         assert rows.columns == named and rows.gain_names == named[4:6]
         assert first_columns(rows) == ["trial", "value", "value_1", "score", "value_"]
         table = rows.table()
         assert table["state"].to_pylist() == ["complete"] * 3 + ["fail"]
         np.testing.assert_equal(table["value"].to_numpy(), [0.0, 1.0, 2.0, np.nan])
-    one, document = optuna.create_study(storage=f"sqlite:///{tmp_path / 'one.db'}"), Document()
+    one, document = (
+        optuna.create_study(storage=f"sqlite:///{tmp_path / 'one.db'}"),
+        Document(),
+    )
     one.tell(one.ask(space), 0.5)
     page_of(tmp_path / "one.db")(Executor(), Executor(), document)
     assert document.title.endswith(f"one.db: 1 trial of {one.study_name}")
@@ -57,7 +69,9 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
 
 def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
     for name in ("toy/dog/run-000", "toy/tpe/run-000"):
-        study = optuna.create_study(study_name=name, storage=f"sqlite:///{tmp_path / 'two.db'}")
+        study = optuna.create_study(
+            study_name=name, storage=f"sqlite:///{tmp_path / 'two.db'}"
+        )
         study.tell(study.ask(), state=TrialState.FAIL)
     (tmp_path / "empty.db").touch()
     (tmp_path / "broken.log").write_text('{"op_code": 77}\n')
@@ -68,14 +82,20 @@ def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(tmp_path: Path) -> None:
-    (tmp_path / "own.toml").write_text(config_path("prosthesis").read_text().replace("100.", "1."))
+def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "own.toml").write_text(
+        config_path("prosthesis").read_text().replace("100.", "1.")
+    )
     experiment = read_experiment(tmp_path / "own.toml")
     (arm,) = check_arms(experiment, ("random",), 2)
     run_study(experiment, arm, 1, 2, open_studies(f"sqlite:///{tmp_path / 'own.db'}"))
     rows = open_rows(tmp_path / "own.db")
     assert isinstance(rows, Trials)
-    setting = chosen_setting(OWN, OWN, experiment.seed, OWN, "taichi", 1.0, rows.document)
+    setting = chosen_setting(
+        OWN, OWN, experiment.seed, OWN, "taichi", 1.0, rows.document
+    )
     walked = walk(gains_at(rows, 1, 1), setting)
     assert walked.gains.name == "prosthesis-random-run-001-trial-1" and walked.run == 1
     assert setting.world(1).prosthesis.any()

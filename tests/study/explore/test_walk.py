@@ -28,7 +28,10 @@ def same_robot(one: Experiment, other: Experiment) -> None:
     np.testing.assert_array_equal(one.world(0).strength, other.world(0).strength)
     np.testing.assert_array_equal(one.terrain(0).height_m, other.terrain(0).height_m)
     conditions = one.conditions, other.conditions
-    assert conditions[0].as_written()["simulation"] == conditions[1].as_written()["simulation"]
+    assert (
+        conditions[0].as_written()["simulation"]
+        == conditions[1].as_written()["simulation"]
+    )
 
 
 def reread(experiment: Experiment, folder: Path) -> Experiment:
@@ -57,7 +60,9 @@ def test_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
     assert as_written(again) == as_written(experiment)
 
 
-def test_a_seed_that_no_configuration_takes_and_tables_within_tables(tmp_path: Path) -> None:
+def test_a_seed_that_no_configuration_takes_and_tables_within_tables(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(InputError, match="seed: -1"):
         chosen_setting("flat", "nominal", -1, "nominal", "taichi", 5.0)
     tables = {"a": {"b": {"c": 1.5}, "d": [1, 2]}, "e": "x\ty", "f": True}
@@ -68,7 +73,9 @@ def test_a_seed_that_no_configuration_takes_and_tables_within_tables(tmp_path: P
 @pytest.fixture(scope="module")
 def fell() -> Walk:
     """The published gains on stairs, on which it falls."""
-    setting = chosen_setting("stairs up, 10 cm a step", "within 15 %", 3, "nominal", "taichi", 20.0)
+    setting = chosen_setting(
+        "stairs up, 10 cm a step", "within 15 %", 3, "nominal", "taichi", 20.0
+    )
     return walk(gains_of_source("published"), setting)
 
 
@@ -77,7 +84,12 @@ def test_a_fall_has_frames_and_a_reason(fell: Walk) -> None:
     frames, trajectory = fell.frames, fell.trajectory
     count = len(frames["time_s"])
     assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
-    assert frames["muscles"].shape[:2] == (count, 14) and frames["forces"].shape == (count, 2, 2, 2)
+    assert frames["muscles"].shape[:2] == (count, 14) and frames["forces"].shape == (
+        count,
+        2,
+        2,
+        2,
+    )
     hip = np.interp(frames["time_s"], trajectory.time_s, trajectory.q[:, 0])
     np.testing.assert_allclose(frames["near"][:, 0, 0], hip, atol=1e-4)
     np.testing.assert_allclose(frames["far"][:, 0, 0], hip, atol=1e-4)
@@ -97,12 +109,18 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
     q[50:] = np.nan
     terrain = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 5.0).terrain(0)
     frames = walking.frames_of(replace(trajectory, q=q), terrain)
-    assert np.isfinite(frames["near"]).all() and frames["time_s"][-1] <= trajectory.time_s[50]
+    assert (
+        np.isfinite(frames["near"]).all()
+        and frames["time_s"][-1] <= trajectory.time_s[50]
+    )
 
 
 @pytest.mark.slow
 def test_what_is_taken_walks_the_same_to_the_bit(
-    fell: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    fell: Walk,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for wanted in walking.NAMES:
@@ -113,9 +131,16 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     more = ("--movie-seconds", "0", "--json", "--out", "pictures")
     assert run_tool(monkeypatch, "walk", *words[2:], *more) == 0
     found = json.loads(capsys.readouterr().out)
-    for field in ("duration_s", "distance_m", "phi_printed", "cost_of_transport_jpkgpm"):
+    for field in (
+        "duration_s",
+        "distance_m",
+        "phi_printed",
+        "cost_of_transport_jpkgpm",
+    ):
         assert found[field] == fell.row[field], field
-    assert found["gains"] == dict(zip(GAIN_NAMES, fell.gains.gains.tolist(), strict=True))
+    assert found["gains"] == dict(
+        zip(GAIN_NAMES, fell.gains.gains.tolist(), strict=True)
+    )
     assert Path("walk.sto").read_bytes().startswith(b"gains\n")
 
 
@@ -140,5 +165,8 @@ def test_numbers_of_a_walk_that_made_no_step_are_unknown() -> None:
     text = score_text(fallen, walk(gains_of_source("reference"), level))
     number = r"align=left>([^<]*)</th><td align=right>[^<]*<td align=right>([^<]*)"
     cells = dict(re.findall(number, text))
-    assert cells["M1 (knee flexion) mean"] == "-" and cells["score phi (as printed)"] == "0"
+    assert (
+        cells["M1 (knee flexion) mean"] == "-"
+        and cells["score phi (as printed)"] == "0"
+    )
     assert float(cells["mass of the whole body, which divides the energy (kg)"]) == 80.0

@@ -28,7 +28,10 @@ def row(end_reason: int = FELL) -> np.void:
 @cache
 def reference() -> Trajectory:
     walk = taichi_nmm.simulate(
-        gains_of_source("reference").gains, duration_s=4.0, record=[0], record_rate_hz=100.0
+        gains_of_source("reference").gains,
+        duration_s=4.0,
+        record=[0],
+        record_rate_hz=100.0,
     )
     return walk.trajectories[0]
 
@@ -77,9 +80,13 @@ def fell(ground: Terrain = LEVEL, friction: float = 0.8, **gains: float) -> str:
     """What is said of the gait `reference` with other gains, on a ground; it falls."""
     named = named_gains("other", gains_of_source("reference").as_document() | gains)
     result = taichi_nmm.simulate(
-        named.gains, duration_s=8.0, terrains=ground, record=[0], record_rate_hz=100.0,
+        named.gains,
+        duration_s=8.0,
+        terrains=ground,
+        record=[0],
+        record_rate_hz=100.0,
         worlds=WorldRanges(friction=(friction, friction)).draw([1]),
-    )  # fmt: skip
+    )
     assert result.end_reason[0] == "fell"
     return fall_text(result.rows[0], result.trajectories[0], ground)
 
@@ -90,7 +97,8 @@ def test_a_toe_that_meets_a_step(riser_m: float) -> None:
     step = Terrain("step", 0.15 * np.clip((GRID_X_M - riser_m) / 0.1, 0.0, 1.0))
     text = fell(step)
     told = re.search(
-        r"toe caught the edge of a step up \(15 cm\) at (\d\.\d\d) m, (\d\.\d\d) s", text
+        r"toe caught the edge of a step up \(15 cm\) at (\d\.\d\d) m, (\d\.\d\d) s",
+        text,
     )
     assert told, text
     assert riser_m - 0.06 <= float(told[1]) <= riser_m + 0.16 and float(told[2]) < 1.5
@@ -99,7 +107,9 @@ def test_a_toe_that_meets_a_step(riser_m: float) -> None:
 
 def test_ice_and_weak_muscles() -> None:
     text = fell(friction=0.1)
-    slipped = re.search(r"the (left|right) foot slipped (\d+) cm forwards, from \d\.\d\d s", text)
+    slipped = re.search(
+        r"the (left|right) foot slipped (\d+) cm forwards, from \d\.\d\d s", text
+    )
     assert slipped and int(slipped[2]) >= 10 and text.startswith(": backwards; "), text
     for weak in ({"K_SOL": 0.0}, {"K_VAS": 0.0}):
         text = fell(**weak)

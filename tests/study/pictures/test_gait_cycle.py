@@ -9,7 +9,13 @@ from matplotlib.image import imread
 
 from study.pictures import gait_cycle as cycle
 from study.pictures import write_gait_cycle
-from study.pictures.gait_cycle import PANELS, PERCENT, human_distances, strides_of, subtitle
+from study.pictures.gait_cycle import (
+    PANELS,
+    PERCENT,
+    human_distances,
+    strides_of,
+    subtitle,
+)
 from study.pictures.style import PNG_DPI
 from taichi_nmm.result import COLUMNS, MUSCLES, Trajectory
 from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, STRIDE_S, WALK
@@ -50,15 +56,21 @@ def test_strides_are_cut_at_heel_strikes_in_clinical_signs(side: int) -> None:
         (strides.dorsiflexion_deg, PANELS["dorsiflexion_deg"], 0.3),
     ):
         expected = human.at(PERCENT)[0]
-        np.testing.assert_allclose(curves[:, inner], [expected[inner]] * 3, atol=tolerance)
+        np.testing.assert_allclose(
+            curves[:, inner], [expected[inner]] * 3, atol=tolerance
+        )
     np.testing.assert_allclose(strides.take_off_percent, 60.0)
 
 
-def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval() -> None:
+def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval() -> (
+    None
+):
     strides = strides_of(WALK, BODY_WEIGHT_N)
     half_interval = 100.0 * 0.005 / STRIDE_S
     expected = PANELS["vertical_bw"].at(np.minimum(PERCENT + half_interval, 100.0))[0]
-    np.testing.assert_allclose(strides.vertical_bw.mean(axis=0)[5:-5], expected[5:-5], atol=0.01)
+    np.testing.assert_allclose(
+        strides.vertical_bw.mean(axis=0)[5:-5], expected[5:-5], atol=0.01
+    )
     assert strides.forward_bw.min() < -0.1 and strides.forward_bw.max() > 0.15
     strides = strides_of(GLIMPSE, BODY_WEIGHT_N)
     assert len(strides) == 0 and not strides.enough
@@ -69,19 +81,34 @@ def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval()
 def test_the_numbers_of_people_in_a_result_are_those_of_their_curves() -> None:
     """Peaks of the curves, and the ankle at the strike and as the foot leaves the ground."""
     knee, ankle, up, forward = (
-        np.array(PANELS[name].at(PERCENT)) for name in
-        ("knee_flexion_deg", "dorsiflexion_deg", "vertical_bw", "forward_bw")
-    )  # fmt: skip
+        np.array(PANELS[name].at(PERCENT))
+        for name in (
+            "knee_flexion_deg",
+            "dorsiflexion_deg",
+            "vertical_bw",
+            "forward_bw",
+        )
+    )
     stance = knee[:, PERCENT < 40.0]
     expected = [
         *(np.radians(curve[:, curve[0].argmax()]) for curve in (knee, stance)),
-        *(np.radians(ankle[:, percent == PERCENT].T[0]) * (-1.0, 1.0) for percent in (0.0, 62.0)),
+        *(
+            np.radians(ankle[:, percent == PERCENT].T[0]) * (-1.0, 1.0)
+            for percent in (0.0, 62.0)
+        ),
         up[:, up[0].argmax()],
-        *(sign * forward[:, (sign * forward[0]).argmax()] * (1.0, sign) for sign in (-1.0, 1.0)),
+        *(
+            sign * forward[:, (sign * forward[0]).argmax()] * (1.0, sign)
+            for sign in (-1.0, 1.0)
+        ),
     ]
     least = np.radians(3.0), 0.05  # the tables' accuracy
-    for (name, numbers), (mean, sd) in zip(COLUMNS["human"].items(), expected, strict=True):
-        np.testing.assert_allclose(numbers, [mean, max(sd, least[name.endswith("bw")])], atol=6e-4)
+    for (name, numbers), (mean, sd) in zip(
+        COLUMNS["human"].items(), expected, strict=True
+    ):
+        np.testing.assert_allclose(
+            numbers, [mean, max(sd, least[name.endswith("bw")])], atol=6e-4
+        )
 
 
 def shifted(shifts: dict[str, float], deviations: float = 0.0) -> cycle.Strides:
@@ -89,9 +116,13 @@ def shifted(shifts: dict[str, float], deviations: float = 0.0) -> cycle.Strides:
     curves = {}
     for name, panel in PANELS.items():
         mean, sd = panel.at(PERCENT)
-        curves[name] = np.tile(mean + shifts.get(name, 0.0) + deviations * sd, (COUNT, 1))
+        curves[name] = np.tile(
+            mean + shifts.get(name, 0.0) + deviations * sd, (COUNT, 1)
+        )
     curves["activation"] = np.zeros((7, COUNT, len(PERCENT)))
-    return cycle.Strides(**curves, take_off_percent=np.zeros(0), duration_s=np.ones(COUNT))
+    return cycle.Strides(
+        **curves, take_off_percent=np.zeros(0), duration_s=np.ones(COUNT)
+    )
 
 
 def test_a_shift_is_its_own_distance() -> None:
@@ -103,7 +134,9 @@ def test_a_shift_is_its_own_distance() -> None:
     found = human_distances(shifted({}, deviations=1.0))
     angles = [found[name].deviations for name in PANELS if name.endswith("_deg")]
     assert angles == pytest.approx([1.0, 1.0, 1.0])
-    assert 0.0 < found["vertical_bw"].deviations < 1.0  # less than the tables' accuracy in the air
+    assert (
+        0.0 < found["vertical_bw"].deviations < 1.0
+    )  # less than the tables' accuracy in the air
     few = shifted({})
     assert human_distances(replace(few, duration_s=few.duration_s[:2])) == {}
 
@@ -111,7 +144,11 @@ def test_a_shift_is_its_own_distance() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("trajectory", [WALK, GLIMPSE], ids=["walk", "glimpse"])
 def test_a_gait_cycle_is_drawn(tmp_path: Path, trajectory: Trajectory) -> None:
-    path = write_gait_cycle(tmp_path / "cycle.png", trajectory, BODY_WEIGHT_N, "a title")
+    path = write_gait_cycle(
+        tmp_path / "cycle.png", trajectory, BODY_WEIGHT_N, "a title"
+    )
     picture = imread(path)
-    assert picture.shape[:2] == tuple(round(inches * PNG_DPI) for inches in cycle.SIZE_IN[::-1])
+    assert picture.shape[:2] == tuple(
+        round(inches * PNG_DPI) for inches in cycle.SIZE_IN[::-1]
+    )
     assert picture[..., :3].std() > 0.03

@@ -27,7 +27,9 @@ def test_standing_upright_is_drawn_upright() -> None:
 
 
 @pytest.mark.parametrize(("column", "point", "moves"), TURNS)
-def test_positive_angles_turn_clockwise(column: int, point: str, moves: tuple[int, int]) -> None:
+def test_positive_angles_turn_clockwise(
+    column: int, point: str, moves: tuple[int, int]
+) -> None:
     q = np.zeros(9)
     before = getattr(leg(q, 0), point)
     q[column] = 0.3
@@ -35,7 +37,9 @@ def test_positive_angles_turn_clockwise(column: int, point: str, moves: tuple[in
 
 
 def test_muscles_lie_along_their_bones() -> None:
-    outlines = dict(zip(MUSCLES, muscle_outlines(np.array([0, 1.0, *[0.0] * 7]), 1), strict=True))
+    outlines = dict(
+        zip(MUSCLES, muscle_outlines(np.array([0, 1.0, *[0.0] * 7]), 1), strict=True)
+    )
     assert outlines["TA"][:, 0].max() > 0 > outlines["SOL"][:, 0].min()
     assert outlines["VAS"][:, 0].max() > 0 > outlines["HAM"][:, 0].min()
     assert outlines["HFL"][:, 1].min() > 0.8 and outlines["SOL"][:, 1].max() < 0.5
@@ -46,7 +50,10 @@ def test_the_end_of_the_walk_is_shown() -> None:
     poses_s = last_stretch(WALK, flat()).poses_s
     assert poses_s[-1] == WALK.time_s[-1]
     assert np.ptp(poses_s) == pytest.approx(SHOWN_M / SPEED_MPS, abs=0.03)
-    assert last_stretch(GLIMPSE, flat()).poses_s.tolist() == [GLIMPSE.time_s[0], GLIMPSE.time_s[-1]]
+    assert last_stretch(GLIMPSE, flat()).poses_s.tolist() == [
+        GLIMPSE.time_s[0],
+        GLIMPSE.time_s[-1],
+    ]
     assert np.ptp(motion_of(WALK, flat(), 2.0, 20).time_s) == pytest.approx(2.0)
     assert motion_of(GLIMPSE, flat(), 2.0, 20).time_s[0] == GLIMPSE.time_s[0]
     q = WALK.q.copy()

@@ -15,30 +15,44 @@ from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, WALK, walk
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("terrain", [flat(), rough(1), ramp()], ids=lambda terrain: terrain.name)
+@pytest.mark.parametrize(
+    "terrain", [flat(), rough(1), ramp()], ids=lambda terrain: terrain.name
+)
 @pytest.mark.parametrize("trajectory", [WALK, GLIMPSE], ids=["walk", "glimpse"])
-def test_a_strip_is_drawn(tmp_path: Path, trajectory: Trajectory, terrain: Terrain) -> None:
-    picture = imread(write_strip(tmp_path / "strip.png", trajectory, terrain, "a title"))
+def test_a_strip_is_drawn(
+    tmp_path: Path, trajectory: Trajectory, terrain: Terrain
+) -> None:
+    picture = imread(
+        write_strip(tmp_path / "strip.png", trajectory, terrain, "a title")
+    )
     height, width = picture.shape[:2]
     assert width >= 5 * PNG_DPI and 2 * PNG_DPI < height < width
     assert picture[..., :3].std() > 0.03
 
 
-def test_uneven_ground_has_a_profile_below_and_pictures_are_the_same_twice(tmp_path: Path) -> None:
+def test_uneven_ground_has_a_profile_below_and_pictures_are_the_same_twice(
+    tmp_path: Path,
+) -> None:
     level, uneven = (
         imread(write_strip(tmp_path / "strip.png", GLIMPSE, terrain, dpi=50)).shape[0]
         for terrain in (flat(), rough(1, flat_start_m=0.0))
     )
     assert uneven > level + 50  # an inch and more
-    first, second = (write_strip(tmp_path / name, WALK, flat()) for name in ("1.png", "2.png"))
+    first, second = (
+        write_strip(tmp_path / name, WALK, flat()) for name in ("1.png", "2.png")
+    )
     assert first.read_bytes() == second.read_bytes()
 
 
-@pytest.mark.parametrize("terrain", [rough(1, flat_start_m=1.0), ramp()], ids=["rough", "ramp"])
+@pytest.mark.parametrize(
+    "terrain", [rough(1, flat_start_m=1.0), ramp()], ids=["rough", "ramp"]
+)
 def test_two_walks_are_drawn_on_one_ground(tmp_path: Path, terrain: Terrain) -> None:
     fell = Shown("taichi", "taichi: fell", walk(0.3, 50.0))
     walked = Shown("mujoco", "mujoco: walked", walk(12.0, 50.0))
-    file = save_png(strips_figure((fell, walked), terrain, "made-up"), tmp_path / "strips.png")
+    file = save_png(
+        strips_figure((fell, walked), terrain, "made-up"), tmp_path / "strips.png"
+    )
     assert file.stat().st_size > 50_000
 
 

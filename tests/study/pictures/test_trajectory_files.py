@@ -34,10 +34,18 @@ def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
     assert text.startswith("a walk\nversion=1\n") and keys["inDegrees"] == "yes"
     assert "Angles are in degrees" in text and "Units are S.I. units" in text
     np.testing.assert_array_equal(columns["time"], WALK.time_s)
-    degrees = np.rad2deg(WALK.joint_rad)  # extension, flexion, plantarflexion +; left, then right
+    degrees = np.rad2deg(
+        WALK.joint_rad
+    )  # extension, flexion, plantarflexion +; left, then right
     np.testing.assert_allclose(columns["pelvis_tx"], WALK.q[:, 0], atol=1e-12)
-    np.testing.assert_allclose(columns["pelvis_tilt"], -np.rad2deg(WALK.q[:, 2]), atol=1e-12)
-    for name, joint in (("hip_flexion_l", 0), ("knee_angle_r", 4), ("ankle_angle_r", 5)):
+    np.testing.assert_allclose(
+        columns["pelvis_tilt"], -np.rad2deg(WALK.q[:, 2]), atol=1e-12
+    )
+    for name, joint in (
+        ("hip_flexion_l", 0),
+        ("knee_angle_r", 4),
+        ("ankle_angle_r", 5),
+    ):
         np.testing.assert_allclose(columns[name], -degrees[:, joint], atol=1e-12)
 
 
@@ -49,7 +57,8 @@ def test_states_by_the_paths_of_opensim_4(tmp_path: Path) -> None:
     name = "/forceset/vasti_r/activation"
     np.testing.assert_array_equal(columns[name], WALK.activation[:, right_vastus])
     np.testing.assert_array_equal(
-        columns["/forceset/soleus_l/fiber_length"], WALK.fibre_length_m[:, MUSCLES.index("SOL")]
+        columns["/forceset/soleus_l/fiber_length"],
+        WALK.fibre_length_m[:, MUSCLES.index("SOL")],
     )
     speed = columns["/jointset/knee_l/knee_angle_l/speed"]
     np.testing.assert_array_equal(speed, WALK.qdot[:, 3] - WALK.qdot[:, 4])
@@ -58,25 +67,49 @@ def test_states_by_the_paths_of_opensim_4(tmp_path: Path) -> None:
 
 def test_csv_has_all_samples_by_names_with_units(tmp_path: Path) -> None:
     write_trajectory(tmp_path / "walk.csv", WALK)
-    names, *rows = [line.split(",") for line in (tmp_path / "walk.csv").read_text().splitlines()]
+    names, *rows = [
+        line.split(",") for line in (tmp_path / "walk.csv").read_text().splitlines()
+    ]
     table = np.array(rows, dtype=float)
-    wide = [WALK.time_s[:, None], WALK.q, WALK.qdot, WALK.joint_rad, WALK.activation,
-            WALK.muscle_force_n, WALK.ground_force_n, WALK.stance,
-            WALK.joint_torque_nm, WALK.swing_torque_nm, WALK.device_torque_nm,
-            WALK.fibre_length_m, WALK.fibre_velocity_mps, WALK.delayed]  # fmt: skip
+    wide = [
+        WALK.time_s[:, None],
+        WALK.q,
+        WALK.qdot,
+        WALK.joint_rad,
+        WALK.activation,
+        WALK.muscle_force_n,
+        WALK.ground_force_n,
+        WALK.stance,
+        WALK.joint_torque_nm,
+        WALK.swing_torque_nm,
+        WALK.device_torque_nm,
+        WALK.fibre_length_m,
+        WALK.fibre_velocity_mps,
+        WALK.delayed,
+    ]
     np.testing.assert_array_equal(table, np.hstack(wide))
     assert len(set(names)) == table.shape[1]
-    assert {"time_s", "x_m", "thigh_l_rad", "r_knee_flexion_rad", "l_SOL_force_n"} <= set(names)
+    assert {
+        "time_s",
+        "x_m",
+        "thigh_l_rad",
+        "r_knee_flexion_rad",
+        "l_SOL_force_n",
+    } <= set(names)
 
 
 def test_markers_of_motion_capture_read_back(tmp_path: Path) -> None:
-    ezc3d = pytest.importorskip("ezc3d", reason="no ezc3d: pip install 'taichi-nmm[c3d]'")
+    ezc3d = pytest.importorskip(
+        "ezc3d", reason="no ezc3d: pip install 'taichi-nmm[c3d]'"
+    )
     write_trajectory(tmp_path / "walk.c3d", WALK)
     read = ezc3d.c3d(str(tmp_path / "walk.c3d"))
     about, (x, y, z, _) = read["parameters"]["POINT"], read["data"]["points"]
     assert about["UNITS"]["value"] == ["mm"] and about["RATE"]["value"] == [100.0]
     assert about["LABELS"]["value"] == trajectory_files.MARKERS and not y.any()
-    found_mm = dict(zip(trajectory_files.MARKERS, np.stack([x, z], axis=2), strict=True))
+    found_mm = dict(
+        zip(trajectory_files.MARKERS, np.stack([x, z], axis=2), strict=True)
+    )
     np.testing.assert_allclose(found_mm["SHOULDER"], 1e3 * trunk(WALK.q)[0], atol=1e-3)
     np.testing.assert_allclose(found_mm["HIP"], 1e3 * WALK.q[:, :2], atol=1e-3)
     np.testing.assert_allclose(found_mm["L_HEEL"], 1e3 * leg(WALK.q, 0).heel, atol=1e-3)
@@ -86,7 +119,9 @@ def test_markers_of_motion_capture_read_back(tmp_path: Path) -> None:
         write_trajectory(tmp_path / "walk.c3d", long)
 
 
-def test_a_file_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name in ("walk.txt", "walk", "walk.MOT"):
         with refused(r"trajectory: .*\.csv, \.c3d, \.mot, \.sto"):
             require_trajectory_file(tmp_path / name)

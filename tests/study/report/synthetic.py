@@ -12,16 +12,24 @@ from numpy.typing import NDArray
 from study.report.runs import ArmRuns, Results
 
 Chances = dict[str, tuple[float, float]]
-# Of each arm: how likely a trial walks at first, and how much likelier with every trial.
+# Of each arm: how likely a trial walks at first, and how much likelier with every
+# trial.
 ARMS = {
-    "random": (0.004, 0.0), "cmaes-cold": (0.005, 0.0004), "cmaes-warm": (0.02, 0.0006),
-    "bo-euclidean": (0.006, 0.0003), "tpe": (0.006, 0.0005), "dog": (0.02, 0.002),
-    "worlds-stairs": (0.015, 0.003), "worlds": (0.4, 0.01),
+    "random": (0.004, 0.0),
+    "cmaes-cold": (0.005, 0.0004),
+    "cmaes-warm": (0.02, 0.0006),
+    "bo-euclidean": (0.006, 0.0003),
+    "tpe": (0.006, 0.0005),
+    "dog": (0.02, 0.002),
+    "worlds-stairs": (0.015, 0.003),
+    "worlds": (0.4, 0.01),
     "ranking": (0.4, 0.0),
-}  # fmt: skip
+}
 
 
-def columns(arms: Chances, runs: int, trials: int, cost: str) -> dict[str, NDArray[Any]]:
+def columns(
+    arms: Chances, runs: int, trials: int, cost: str
+) -> dict[str, NDArray[Any]]:
     """The columns of trials.parquet that a report reads, sorted by arm, run, trial."""
     rng = np.random.default_rng(0)
     n = len(arms) * runs * trials
@@ -33,18 +41,29 @@ def columns(arms: Chances, runs: int, trials: int, cost: str) -> dict[str, NDArr
     chance = luck * np.minimum(first + slope * trial, 0.9)
     completed = (rng.random(n) < chance) | (first >= 1.0)
     least, walks, most = (0.012, 0.03, 0.8) if cost == "smooth" else (4.0, 80.0, 300.0)
-    value = np.where(completed, rng.uniform(least, walks, n), rng.uniform(walks, most, n))
+    value = np.where(
+        completed, rng.uniform(least, walks, n), rng.uniform(walks, most, n)
+    )
     best = np.minimum.accumulate(value.reshape(-1, trials), axis=1).ravel()
     return {
-        "experiment": np.full(n, "made-up"), "arm": arm, "run": run, "trial": trial,
-        "cost": value, "best_cost": best, "walked": completed,
-    }  # fmt: skip
+        "experiment": np.full(n, "made-up"),
+        "arm": arm,
+        "run": run,
+        "trial": trial,
+        "cost": value,
+        "best_cost": best,
+        "walked": completed,
+    }
 
 
 def write(
-    folder: Path, arms: Chances = ARMS, runs: int = 50, trials: int = 100,
-    cost: str = "smooth", name: str = "made-up",
-) -> Path:  # fmt: skip
+    folder: Path,
+    arms: Chances = ARMS,
+    runs: int = 50,
+    trials: int = 100,
+    cost: str = "smooth",
+    name: str = "made-up",
+) -> Path:
     """Such a folder: trials.parquet and experiment.json."""
     folder.mkdir(parents=True, exist_ok=True)
     made = columns(arms, runs, trials, cost)

@@ -31,7 +31,9 @@ def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> Non
 
 
 @cases("spread-labels.toml", "places", "apart", "high", "expected")
-def test_spread_out(places: list[float], apart: float, high: float, expected: list[float]) -> None:
+def test_spread_out(
+    places: list[float], apart: float, high: float, expected: list[float]
+) -> None:
     assert spread_out(places, apart, 0.0, high) == expected
 
 
@@ -51,7 +53,9 @@ def test_every_run_has_a_dot_of_its_own() -> None:
 
 
 @pytest.mark.slow
-def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_are_written_twice_alike(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(style, "PNG_DPI", 80)
     arms = {"dog": (0.1, 0.01), "random": (0.0, 0.0), "worlds-stairs": (0.9, 0.0)}
     results = read_results(synthetic.write(tmp_path / "data", arms, 6, 12, "walking"))
@@ -60,17 +64,25 @@ def test_figures_are_written_twice_alike(tmp_path: Path, monkeypatch: pytest.Mon
         assert first.read_bytes() == second.read_bytes()
 
 
-@pytest.mark.parametrize(("cost", "sign", "scale"), [
-    ("smooth", 1, "log"), ("walking", 1, "linear"), ("weighted", 1, "log"),
-    ("weighted", -1, "linear"), ("front", -1, "linear"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("cost", "sign", "scale"),
+    [
+        ("smooth", 1, "log"),
+        ("walking", 1, "linear"),
+        ("weighted", 1, "log"),
+        ("weighted", -1, "linear"),
+        ("front", -1, "linear"),
+    ],
+)
 def test_costs_have_the_axis_of_their_kind(
     cost: str, sign: int, scale: str, results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The line below which all walk to the end is that of the walking cost alone."""
     seen: list[Figure] = []
     monkeypatch.setattr(style, "save_png", lambda figure, *_: seen.append(figure))
-    arms = {name: replace(arm, best=sign * arm.best) for name, arm in results.arms.items()}
+    arms = {
+        name: replace(arm, best=sign * arm.best) for name, arm in results.arms.items()
+    }
     figures.write_best_cost(Path(), replace(results, cost=cost, arms=arms))
     (axes,) = seen[0].axes
     levels = [np.asarray(line.get_ydata())[0] for line in axes.lines]
@@ -79,22 +91,31 @@ def test_costs_have_the_axis_of_their_kind(
 
 
 @pytest.mark.slow
-def test_labels_stay_within_the_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_labels_stay_within_the_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Those of all arms fit right of the lines; of lines with one end they stay apart, by rank."""
     results = counted(*(arm(name, [3, 17, np.inf]) for name in ARMS))
     seen: list[Figure] = []
     monkeypatch.setattr(style, "save_png", lambda figure, *_: seen.append(figure))
     figures.write_best_cost(tmp_path / "1.png", results)
     figures.write_first_walker(tmp_path / "2.png", results)
-    texts = [(figure, text) for figure in seen for axes in figure.axes for text in axes.texts]
+    texts = [
+        (figure, text) for figure in seen for axes in figure.axes for text in axes.texts
+    ]
     assert len(texts) > 2 * len(results.arms)
     for figure, text in texts:
         box = text.get_window_extent()
         assert box.x0 >= 0 and box.x1 <= figure.bbox.width, text.get_text()
     labels = [text for figure, text in texts if figure is seen[0]]
     boxes = sorted((label.get_window_extent().y0, label.get_text()) for label in labels)
-    assert [text.rpartition(" ")[0] for _, text in boxes] == [arm.label for arm in ARMS.values()]
-    assert np.diff([y for y, _ in boxes]).min() >= figures.LABEL_SPACING_PT * seen[0].dpi / 72 - 0.5
+    assert [text.rpartition(" ")[0] for _, text in boxes] == [
+        arm.label for arm in ARMS.values()
+    ]
+    assert (
+        np.diff([y for y, _ in boxes]).min()
+        >= figures.LABEL_SPACING_PT * seen[0].dpi / 72 - 0.5
+    )
 
 
 # A report is written whole or not at all.
@@ -104,10 +125,14 @@ LONE = counted(arm("random", [np.inf], trials=2))
 
 def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
     write_report(replace(LONE, folder=tmp_path), {})
-    assert "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report" / "report.md").read_text()
+    assert (
+        "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report" / "report.md").read_text()
+    )
 
 
-def test_a_failed_report_changes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_report_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fails(path: Path, results: Results) -> None:
         path.touch()
         raise InputError("disk", "full", "space")

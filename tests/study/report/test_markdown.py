@@ -20,7 +20,9 @@ from tests.study.report.synthetic import arm, counted
 
 def rows(text: str) -> dict[str, list[str]]:
     """The rows of the first table in a text, by their first cell."""
-    lines = [line for line in text.split("\n\n")[0].splitlines() if line.startswith("|")]
+    lines = [
+        line for line in text.split("\n\n")[0].splitlines() if line.startswith("|")
+    ]
     cells = [[cell.strip() for cell in line[1:-1].split(" | ")] for line in lines]
     return {row[0]: row for row in cells}
 
@@ -42,15 +44,26 @@ def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
     for first, test in ((4, against.cost), (8, against.walkers)):  # no p without its n
         assert row[first : first + 2] == [str(test.pairs), str(test.unequal)]
         assert row[first + 3] == ("< 1e-4" if test.p < 1e-4 else f"{test.p:.2g}")
-    assert "bootstrap" in text and "Wilson" in text and "Holm" in text and "SeedSequence" in text
+    assert (
+        "bootstrap" in text
+        and "Wilson" in text
+        and "Holm" in text
+        and "SeedSequence" in text
+    )
     assert all(ARMS[name].label in text for name in synthetic.ARMS)
 
 
 def test_few_trials_a_missing_paper_and_an_unfinished_experiment() -> None:
-    results = counted(arm("dog", [1, 2], trials=4), arm("random", [np.inf, 3], trials=4))
+    results = counted(
+        arm("dog", [1, 2], trials=4), arm("random", [np.inf, 3], trials=4)
+    )
     text = report_text(results, numbers(results), {})
     costs = rows(text.partition("## Best cost\n\n")[2])
-    assert costs["arm"][1:] == ["median best smooth cost after the last trial", "interval", "ms"]
+    assert costs["arm"][1:] == [
+        "median best smooth cost after the last trial",
+        "interval",
+        "ms",
+    ]
     assert len(costs["dog (DoG, as printed)"]) == 4
     results = counted(arm("tpe", [3, 4]))
     found = numbers(results)
@@ -65,7 +78,9 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
     folder = synthetic.write(tmp_path, {"dog": (0.1, 0.0)}, 2, 3)
     machine = {"system": "Linux", "cores": 2}
     session = {"trials": 3, "wall_s": 90.0, "machine": machine}
-    sessions = [session | {"started": f"2026-11-{day}T10:00:00+00:00"} for day in (21, 22)]
+    sessions = [
+        session | {"started": f"2026-11-{day}T10:00:00+00:00"} for day in (21, 22)
+    ]
     (folder / "run.json").write_text(json.dumps({"sessions": sessions}))
     found = facts(read_results(folder))
     assert found["date"] == "2026-11-21 to 2026-11-22"
@@ -82,7 +97,10 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
 
 def test_facts_say_what_a_goal_weighs_and_what_is_searched() -> None:
     known = {"searched": ["exo_peak"], "objective": {"terms": {"mean_speed_mps": 2.0}}}
-    for more, where in (({}, "beside the 16 gains"), ({"fixed_gains": {"K_GAS": 1.0}}, "alone")):
+    for more, where in (
+        ({}, "beside the 16 gains"),
+        ({"fixed_gains": {"K_GAS": 1.0}}, "alone"),
+    ):
         found = facts(Results(Path(), "exo", "weighted", {}, known | more))
         assert found["what it weighs"] == "mean_speed_mps 2.0"
         assert found[f"searched {where}"] == "exo_peak"
@@ -91,31 +109,67 @@ def test_facts_say_what_a_goal_weighs_and_what_is_searched() -> None:
 def test_one_table_a_quantity_of_several_experiments() -> None:
     stairs = arm("worlds-stairs", [1, 1, 1, 4], trials=10)
     first = counted(arm("dog", [2] * 4, trials=10), stairs, name="a")
-    second = counted(arm("dog", [np.inf] * 4, trials=10), arm("tpe", [1] * 4, trials=10), name="b")
+    second = counted(
+        arm("dog", [np.inf] * 4, trials=10), arm("tpe", [1] * 4, trials=10), name="b"
+    )
     text = overview_text([numbers(first), numbers(second)])
     tables = [rows(part) for part in text.split("\n\n") if part.startswith("|")]
     assert len(tables) == 4
     for found in tables:
-        assert found["experiment"][1:] == ["DoG, as printed", "TPE", "worlds, stairs' store"]
+        assert found["experiment"][1:] == [
+            "DoG, as printed",
+            "TPE",
+            "worlds, stairs' store",
+        ]
     assert [found["a"][3] for found in tables] == ["4", "3", "3", "1"]
-    assert [found["b"][1:] for found in tables] == [["0", "4", ""]] * 3 + [["> 10", "1", ""]]
+    assert [found["b"][1:] for found in tables] == [["0", "4", ""]] * 3 + [
+        ["> 10", "1", ""]
+    ]
 
 
 def test_the_condensed_table_has_the_numbers() -> None:
     dog, best = arm("dog", [9] * 20, cost=2.0), arm("worlds-stairs", [1] * 20, cost=1.5)
     found = numbers(counted(dog, best, arm("random", [30.0] + [np.inf] * 19, cost=3.0)))
     table = rows(condensed_table(found))
-    assert list(table)[2:] == ["`worlds-stairs`", "`dog`", "`random`"]  # most walkers, the soonest
+    assert list(table)[2:] == [
+        "`worlds-stairs`",
+        "`dog`",
+        "`random`",
+    ]  # most walkers, the soonest
     cost = found.arms[0].cost_after[30]
     assert table["`worlds-stairs`"] == [
-        "`worlds-stairs`", "20", "20", "84 to 100", "1", "1 to 1", "20", "20", "20", "20", "20",
-        f"{found.arms[0].cost_after[10].value:.4g}", "-0.5", "< 1e-4", f"{cost.value:.4g}", "-0.5",
+        "`worlds-stairs`",
+        "20",
+        "20",
+        "84 to 100",
+        "1",
+        "1 to 1",
+        "20",
+        "20",
+        "20",
+        "20",
+        "20",
+        f"{found.arms[0].cost_after[10].value:.4g}",
+        "-0.5",
         "< 1e-4",
-    ]  # fmt: skip
-    assert table["`dog`"][10] == "20" and table["`random`"][10] == "-"  # known without 60 trials
+        f"{cost.value:.4g}",
+        "-0.5",
+        "< 1e-4",
+    ]
+    assert (
+        table["`dog`"][10] == "20" and table["`random`"][10] == "-"
+    )  # known without 60 trials
     assert table["`dog`"][12:14] == table["`dog`"][15:] == ["-", "-"]
-    short = rows(condensed_table(numbers(counted(arm("worlds-stairs", [1, 1], trials=12)))))
-    assert short["`worlds-stairs`"][12:] == ["-", "-", "-", "-", "-"]  # one arm, 12 trials
+    short = rows(
+        condensed_table(numbers(counted(arm("worlds-stairs", [1, 1], trials=12))))
+    )
+    assert short["`worlds-stairs`"][12:] == [
+        "-",
+        "-",
+        "-",
+        "-",
+        "-",
+    ]  # one arm, 12 trials
 
 
 def test_a_comparison_ends_with_a_line_an_arm(tmp_path: Path) -> None:
@@ -133,9 +187,15 @@ def test_a_comparison_ends_with_a_line_an_arm(tmp_path: Path) -> None:
     dog, older, random = markdown.arms_documents(made, {})
     best = next(arm for arm in made.arms if arm.arm == "dog").best_cost.value
     assert dog == {
-        "arm": "dog", "saw": "base setting of the store flat", "runs": 3, "trials": 12,
-        "walkers": 3, "first_walker": 1.0, "best_cost": best, "proposal_ms": 20.0,
-    }  # fmt: skip
+        "arm": "dog",
+        "saw": "base setting of the store flat",
+        "runs": 3,
+        "trials": 12,
+        "walkers": 3,
+        "first_walker": 1.0,
+        "best_cost": best,
+        "proposal_ms": 20.0,
+    }
     assert (older["saw"], older["proposal_ms"]) == ("", None)
     assert (random["walkers"], random["first_walker"]) == (0, None)
 
@@ -147,22 +207,33 @@ def trials(best: dict[str, list[list[float]]], walked_below: float) -> pa.Table:
     """The best costs of each arm's runs, so far; a trial that costs less than that walked."""
     rows = [
         {
-            "experiment": "tiny", "arm": arm, "run": run, "trial": trial,
-            "cost": cost, "best_cost": cost, "walked": cost < walked_below,
+            "experiment": "tiny",
+            "arm": arm,
+            "run": run,
+            "trial": trial,
+            "cost": cost,
+            "best_cost": cost,
+            "walked": cost < walked_below,
         }
         for arm, runs in best.items()
         for run, costs in enumerate(runs)
         for trial, cost in enumerate(costs)
-    ]  # fmt: skip
+    ]
     return pa.Table.from_pylist(rows)
 
 
 def test_a_row_has_medians_over_runs() -> None:
-    best = {"random": [[290.0, 280.0]] * 2, "dog": [[300.0, 90.0], [290.0, 280.0], [90.0, 80.0]]}
+    best = {
+        "random": [[290.0, 280.0]] * 2,
+        "dog": [[300.0, 90.0], [290.0, 280.0], [90.0, 80.0]],
+    }
     note = markdown.dashboard_summary("tiny", trials(best, 100.0), True, {})
     assert "10 trials (all trials)" in note
     rows = [line for line in note.splitlines() if line.startswith("| ")][2:4]
-    assert rows == ["| dog | 3 | 2 | 67 | 2 | 90 |", "| random | 2 | 0 | 0 | > 2 | 280 |"]
+    assert rows == [
+        "| dog | 3 | 2 | 67 | 2 | 90 |",
+        "| random | 2 | 0 | 0 | > 2 | 280 |",
+    ]
     best = {"dog": [[300.0, 90.0, 90.0], [290.0, 280.0]]}
     note = markdown.dashboard_summary("tiny", trials(best, 100.0), False, {})
     assert "5 trials (so far" in note
@@ -184,7 +255,9 @@ def test_a_table_leads_to_every_study() -> None:
 
 def test_every_arm_can_be_renewed_once_a_minute() -> None:
     """25 arms, 50 runs, 100 trials: 2 s are allowed, of the process that compares."""
-    table = pa.table(synthetic.columns(dict.fromkeys(ARMS, (0.05, 0.0)), 50, 100, "smooth"))
+    table = pa.table(
+        synthetic.columns(dict.fromkeys(ARMS, (0.05, 0.0)), 50, 100, "smooth")
+    )
     ids = {study_name("all", arm, run): run for arm in ARMS for run in range(50)}
     before = time.process_time()
     note = markdown.dashboard_summary("all", table, False, ids)

@@ -10,7 +10,11 @@ from tests.study.report.synthetic import arm, counted
 
 
 def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
-    few, late, early = arm("tpe", [1, np.inf]), arm("random", [9, 9]), arm("cmaes-warm", [4, 4])
+    few, late, early = (
+        arm("tpe", [1, np.inf]),
+        arm("random", [9, 9]),
+        arm("cmaes-warm", [4, 4]),
+    )
     ours = arm("worlds-stairs", [1, 1])
     assert counts.best_peer([few, late, early, ours]) == "cmaes-warm"
     ranked = counts.by_rank({each.arm: each for each in (few, late, early, ours)})
@@ -32,7 +36,9 @@ def test_walkers_are_counted() -> None:
     assert list(numbers(counted(arm("dog", [1], trials=10))).arms[0].cost_after) == [10]
     assert found.cost_after[30].value == pytest.approx(1.0 + 2 + 1.0 - 29 / 39)
     assert found.best_cost.value == pytest.approx(1.0 + 2)
-    found = numbers(counted(arm("dog", [1, 2, 5], trials=8))).arms[0]  # all have walkers
+    found = numbers(counted(arm("dog", [1, 2, 5], trials=8))).arms[
+        0
+    ]  # all have walkers
     assert found.within == {1: 1, 3: 2, 10: 3, 30: 3, 60: 3, 100: 3}
     assert 10 not in numbers(counted(arm("dog", [1, np.inf], trials=8))).arms[0].within
 
@@ -41,12 +47,18 @@ def test_arms_are_compared_with_ours_or_the_papers_on_the_same_runs() -> None:
     paper = arm("dog", [40] * 12, cost=2.0)
     better = arm("worlds-stairs", [1] * 10, cost=1.5)
     found = numbers(counted(paper, better)).comparisons
-    assert [(each.arm, each.after) for each in found] == [("worlds-stairs", n) for n in (10, 30)]
+    assert [(each.arm, each.after) for each in found] == [
+        ("worlds-stairs", n) for n in (10, 30)
+    ]
     assert found[0].cost.pairs == found[1].cost.pairs == 10
     assert found[0].difference.value == pytest.approx(-0.5)
-    assert found[0].cost.p == pytest.approx(2 / 2**10, rel=0.2)  # ties: all differ by as much
+    assert found[0].cost.p == pytest.approx(
+        2 / 2**10, rel=0.2
+    )  # ties: all differ by as much
     assert found[0].walkers.unequal == 0
-    arms = [arm(name, [1] * 10, cost=1.5) for name in ("worlds-stairs", "tpe", "random")]
+    arms = [
+        arm(name, [1] * 10, cost=1.5) for name in ("worlds-stairs", "tpe", "random")
+    ]
     found = numbers(counted(arm("dog", [40] * 10, cost=2.0), *arms)).comparisons
     assert len(found) == 6
     for each in found:
@@ -67,7 +79,9 @@ def test_wilson_has_the_closed_form(successes: int, count: int) -> None:
         assert (p - share) ** 2 == pytest.approx(z * z * p * (1 - p) / count, abs=1e-12)
 
 
-def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_certain() -> None:
+def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_certain() -> (
+    None
+):
     same = median(np.full(20, 3.0))
     assert (same.value, same.low, same.high) == (3.0, 3.0, 3.0)
     most = median([1.0, 2.0, 5.0, np.inf, np.inf, np.inf, np.inf])
@@ -80,7 +94,11 @@ def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_cert
 
 def test_medians_interval_agrees_with_scipys_bootstrap_and_covers_the_truth() -> None:
     sample = np.random.default_rng(5).exponential(10.0, 50)
-    how = {"method": "percentile", "n_resamples": 10_000, "rng": np.random.default_rng(0)}
+    how = {
+        "method": "percentile",
+        "n_resamples": 10_000,
+        "rng": np.random.default_rng(0),
+    }
     theirs = stats.bootstrap((sample,), np.median, **how).confidence_interval
     ours = median(sample)
     assert ours.value == np.median(sample)

@@ -52,7 +52,9 @@ def test_arrays_are_those_of_the_table(comparison: Path, results: Results) -> No
     np.testing.assert_array_equal(arm.best[7], seventh["best_cost"].to_numpy())
     walked = np.flatnonzero(seventh["walked"].to_numpy())
     assert arm.first_walker[7] == (walked[0] + 1 if len(walked) else np.inf)
-    assert results.complete and results.found == results.planned == 50 * 100 * len(synthetic.ARMS)
+    assert results.complete and results.found == results.planned == 50 * 100 * len(
+        synthetic.ARMS
+    )
     assert (results.name, results.cost) == ("made-up", "smooth")
 
 
@@ -60,11 +62,17 @@ def test_the_order_of_the_rows_does_not_matter(folder: Path, table: pa.Table) ->
     known = read_results(folder).arms
     shuffled = table.take(np.random.default_rng(0).permutation(len(table)))
     rewrite(folder, shuffled)
-    for found in (read_results(folder).arms, runs_of(shuffled)):  # of the file, and in memory
+    for found in (
+        read_results(folder).arms,
+        runs_of(shuffled),
+    ):  # of the file, and in memory
         assert list(found) == list(known)
         for arm, theirs in known.items():
             np.testing.assert_array_equal(found[arm].best, theirs.best)
-            assert (found[arm].walkers, found[arm].found) == (theirs.walkers, theirs.found)
+            assert (found[arm].walkers, found[arm].found) == (
+                theirs.walkers,
+                theirs.found,
+            )
 
 
 def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> None:
@@ -73,7 +81,9 @@ def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> 
     results = read_results(folder)  # runs count as far as all have come
     assert results.arms["dog"].best.shape == (4, 4) and not results.complete
     (folder / "arms").mkdir()
-    pq.write_table(table.filter(pc.equal(table["arm"], "dog")), folder / "arms" / "dog.parquet")
+    pq.write_table(
+        table.filter(pc.equal(table["arm"], "dog")), folder / "arms" / "dog.parquet"
+    )
     (folder / "arms" / ".random.parquet.1.tmp").write_bytes(b"half")
     rewrite(folder, table.filter(pc.less(table["trial"], 2)))
     results = read_results(folder)
@@ -84,15 +94,23 @@ def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> 
     assert list(read_results(folder).arms) == ["dog"]
 
 
-def test_stores_that_still_are_what_the_results_were_made_with_are_known(tmp_path: Path) -> None:
+def test_stores_that_still_are_what_the_results_were_made_with_are_known(
+    tmp_path: Path,
+) -> None:
     paths = {name: tmp_path / f"{name}.parquet" for name in ("flat", "mild", "ramps")}
     for name in ("flat", "mild"):
         paths[name].write_text(name)
     digests = {key: store_digest(paths["flat"]) for key in paths}
-    made = read_results(synthetic.write(tmp_path / "made-up", {"dog": (0.1, 0.0)}, 1, 3))
+    made = read_results(
+        synthetic.write(tmp_path / "made-up", {"dog": (0.1, 0.0)}, 1, 3)
+    )
 
     def known(*sessions: dict[str, str]) -> dict[str, Path]:
-        noted = [{"trials": 1}, *({"stores": stores} for stores in sessions), {"trials": 0}]
+        noted = [
+            {"trials": 1},
+            *({"stores": stores} for stores in sessions),
+            {"trials": 0},
+        ]
         return known_stores(replace(made, facts={"stores": digests, "sessions": noted}))
 
     where = {key: str(path) for key, path in paths.items()}
@@ -102,12 +120,16 @@ def test_stores_that_still_are_what_the_results_were_made_with_are_known(tmp_pat
     assert known() == known_stores(replace(made, facts={})) == {}
 
 
-def test_no_trials_one_less_or_one_more(folder: Path, table: pa.Table, tmp_path: Path) -> None:
+def test_no_trials_one_less_or_one_more(
+    folder: Path, table: pa.Table, tmp_path: Path
+) -> None:
     assert "nowhere" in refusal(tmp_path / "nowhere")
     rewrite(folder, table.slice(0, 0))
     for empty in (folder, tmp_path):
         message = refusal(empty)
-        assert message.startswith("folder: ") and "trials.parquet, with trials" in message
+        assert (
+            message.startswith("folder: ") and "trials.parquet, with trials" in message
+        )
     rewrite(folder, table.drop_columns(["best_cost"]))
     assert "column: 'best_cost'" in refusal(folder)
     (folder / "trials.parquet").write_bytes(b"PAR1 and no more")
@@ -127,27 +149,52 @@ def test_documents_that_are_no_objects(folder: Path, name: str, text: str) -> No
     assert refusal(folder).startswith(f"{name}: ")
 
 
-@pytest.mark.parametrize("part", [
-    *asset("bad-facts.toml")["parts"], {"sessions": [None]},
-    {"simulation": {"duration_s": 10**400}}, {"sessions": [{"trials": 10**400}]},
-    {"sessions": None}, {"sessions": [{"stores": {"flat": None}}]}, {"terrain": None},
-    {"sessions": [{"wall_s": None}]}, {"simulation": {"duration_s": None}},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "part",
+    [
+        *asset("bad-facts.toml")["parts"],
+        {"sessions": [None]},
+        {"simulation": {"duration_s": 10**400}},
+        {"sessions": [{"trials": 10**400}]},
+        {"sessions": None},
+        {"sessions": [{"stores": {"flat": None}}]},
+        {"terrain": None},
+        {"sessions": [{"wall_s": None}]},
+        {"simulation": {"duration_s": None}},
+    ],
+)
 def test_parts_of_another_form(folder: Path, part: dict[str, Any]) -> None:
     name = "run.json" if "sessions" in part else "experiment.json"
     (folder / name).write_text(json.dumps(part))
     assert refusal(folder).startswith(f"{name}: {next(iter(part))}")
 
 
-@pytest.mark.parametrize(("name", "values"), [
-    ("arm", [None, *["dog"] * (COUNT - 1)]), ("arm", ["<script>"] * COUNT),
-    ("arm", ["a|b"] * COUNT), ("arm", ["$\\frac$"] * COUNT), ("arm", [1] * COUNT),
-    ("arm", [None] * COUNT), ("experiment", ["a\nb"] * COUNT),
-    ("run", [None, *[0] * (COUNT - 1)]), ("run", [-1] * COUNT), ("trial", [0.5] * COUNT),
-    ("walked", [1] * COUNT), ("cost", [np.nan] * COUNT), ("cost", [1e308] * COUNT),
-    ("best_cost", [np.nan, *[1.0] * (COUNT - 1)]), ("best_cost", [np.inf] * COUNT),
-    ("best_cost", ["cheap"] * COUNT),
-])  # fmt: skip
-def test_columns_of_another_kind(folder: Path, table: pa.Table, name: str, values: Any) -> None:
-    rewrite(folder, table.set_column(table.schema.get_field_index(name), name, pa.array(values)))
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("arm", [None, *["dog"] * (COUNT - 1)]),
+        ("arm", ["<script>"] * COUNT),
+        ("arm", ["a|b"] * COUNT),
+        ("arm", ["$\\frac$"] * COUNT),
+        ("arm", [1] * COUNT),
+        ("arm", [None] * COUNT),
+        ("experiment", ["a\nb"] * COUNT),
+        ("run", [None, *[0] * (COUNT - 1)]),
+        ("run", [-1] * COUNT),
+        ("trial", [0.5] * COUNT),
+        ("walked", [1] * COUNT),
+        ("cost", [np.nan] * COUNT),
+        ("cost", [1e308] * COUNT),
+        ("best_cost", [np.nan, *[1.0] * (COUNT - 1)]),
+        ("best_cost", [np.inf] * COUNT),
+        ("best_cost", ["cheap"] * COUNT),
+    ],
+)
+def test_columns_of_another_kind(
+    folder: Path, table: pa.Table, name: str, values: Any
+) -> None:
+    rewrite(
+        folder,
+        table.set_column(table.schema.get_field_index(name), name, pa.array(values)),
+    )
     assert refusal(folder).startswith(f"trials.parquet: {name}: ")

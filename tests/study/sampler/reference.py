@@ -42,7 +42,9 @@ class Columns(kernels.Kernel):  # type: ignore[misc]
     def bounds(self) -> Any:
         return self.kernel.bounds
 
-    def __call__(self, X: Floats, Y: Floats | None = None, eval_gradient: bool = False) -> Any:  # noqa: N803
+    def __call__(
+        self, X: Floats, Y: Floats | None = None, eval_gradient: bool = False  # noqa: N803
+    ) -> Any:
         other = None if Y is None else Y[:, self.columns]
         return self.kernel(X[:, self.columns], other, eval_gradient=eval_gradient)
 
@@ -77,7 +79,9 @@ def conditioned(
     return GaussianProcessRegressor(kernel, alpha=gp.JITTER, optimizer=None).fit(x, y)
 
 
-def misfit(covariance: gp.Covariance, x: Floats, y: Floats, theta: Floats) -> tuple[float, Floats]:
+def misfit(
+    covariance: gp.Covariance, x: Floats, y: Floats, theta: Floats
+) -> tuple[float, Floats]:
     """`gp.misfit`, by scikit-learn."""
     regressor = conditioned(covariance, theta, x, y)
     likelihood, gradient = regressor.log_marginal_likelihood(theta, eval_gradient=True)
@@ -88,19 +92,28 @@ def misfit(covariance: gp.Covariance, x: Floats, y: Floats, theta: Floats) -> tu
 def learned(covariance: gp.Covariance, x: Floats, y: Floats) -> Floats:
     """Theta by scikit-learn's own fit, L-BFGS on likelihood times prior; y in standard units."""
 
-    def optimizer(objective: Any, start: Floats, bounds: Floats) -> tuple[Floats, float]:
+    def optimizer(
+        objective: Any, start: Floats, bounds: Floats
+    ) -> tuple[Floats, float]:
         def penalised(theta: Floats) -> tuple[float, Floats]:
             value, gradient = objective(theta, eval_gradient=True)
             z = (theta - covariance.modes) / covariance.spreads
             return float(value + 0.5 * z @ z), gradient + z / covariance.spreads
 
         found = []
-        for shift in gp.NOISE_STARTS if len(y) <= gp.SECOND_START_TRIALS else gp.NOISE_STARTS[:1]:
+        for shift in (
+            gp.NOISE_STARTS if len(y) <= gp.SECOND_START_TRIALS else gp.NOISE_STARTS[:1]
+        ):
             theta = start.copy()
             theta[-1] += shift
             options = {"maxiter": gp.ITERATIONS, "ftol": 1e-5}
             theta = np.clip(theta, *bounds.T)
-            given = {"jac": True, "method": "L-BFGS-B", "bounds": bounds, "options": options}
+            given = {
+                "jac": True,
+                "method": "L-BFGS-B",
+                "bounds": bounds,
+                "options": options,
+            }
             found.append(minimize(penalised, theta, **given))
         best = min(found, key=lambda result: float(result.fun))
         return best.x, float(best.fun)

@@ -22,10 +22,15 @@ Objective = Callable[[optuna.Trial], Any]
 
 
 def study_of(
-    features: Any = None, objective: Objective | None = None, trials: int = 0, *,
-    enqueued: Iterable[dict[str, Any]] = (), seed: int = 1, direction: str = "minimize",
+    features: Any = None,
+    objective: Objective | None = None,
+    trials: int = 0,
+    *,
+    enqueued: Iterable[dict[str, Any]] = (),
+    seed: int = 1,
+    direction: str = "minimize",
     **options: Any,
-) -> optuna.Study:  # fmt: skip
+) -> optuna.Study:
     """A study with our sampler, after some trials."""
     sampler = FeatureKernelSampler(features, seed=seed, **options)
     study = optuna.create_study(sampler=sampler, direction=direction)
@@ -46,7 +51,9 @@ def params_of(study: optuna.Study) -> list[dict[str, Any]]:
     return [trial.params for trial in study.get_trials(states=(TrialState.COMPLETE,))]
 
 
-def run_code(code: str, *words: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_code(
+    code: str, *words: str, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """A program in a process of its own."""
     command, env = [sys.executable, "-c", code, *words], os.environ | environment
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=env)
@@ -60,7 +67,10 @@ def without_warning(study: optuna.Study, objective: Objective, trials: int) -> N
 
 
 def resumed(
-    new_sampler: Callable[[], Any], objective: Objective, trials: int, study: optuna.Study
+    new_sampler: Callable[[], Any],
+    objective: Objective,
+    trials: int,
+    study: optuna.Study,
 ) -> optuna.Study:
     """A study of which a new sampler runs each trial, as another process would."""
     for _ in range(trials):

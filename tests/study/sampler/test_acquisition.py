@@ -33,7 +33,9 @@ def test_expected_improvement_is_its_integral(mean, sd):
 def test_the_largest_value_wins_and_equal_ones_are_drawn_evenly(value):
     values = np.array([value, -1.0, value * (1 + 1e-12), value])
     rng = np.random.default_rng(0)
-    counts = np.bincount([argmax_random_tie(values, rng) for _ in range(3000)], minlength=4)
+    counts = np.bincount(
+        [argmax_random_tie(values, rng) for _ in range(3000)], minlength=4
+    )
     assert counts[1] == 0
     assert_allclose(counts[[0, 2, 3]], 1000, atol=120)
     assert argmax_random_tie(np.array([-np.inf, 3.0]), rng) == 1
@@ -55,10 +57,14 @@ def test_log_improvement_is_finite_and_falls():
 def test_log_improvement_has_the_tail_of_its_series(z):
     found = log_expected_improvement(np.array([-z]), np.ones(1), best=0.0)[0]
     if z > -30:
-        exact, _ = quad(lambda t: (z - t) * norm.pdf(t), z - 12, z, epsabs=0, epsrel=1e-12)
+        exact, _ = quad(
+            lambda t: (z - t) * norm.pdf(t), z - 12, z, epsabs=0, epsrel=1e-12
+        )
         assert_allclose(found, np.log(exact), rtol=1e-8)
     else:  # phi(z) / z^2 (1 - 3/z^2 + ...)
-        assert_allclose(found, norm.logpdf(z) - 2 * np.log(-z) + np.log1p(-3 / z**2), rtol=1e-7)
+        assert_allclose(
+            found, norm.logpdf(z) - 2 * np.log(-z) + np.log1p(-3 / z**2), rtol=1e-7
+        )
 
 
 # The model.
@@ -69,7 +75,9 @@ def model_of(seen: Points, cost: Any, kernel: Kernel, ensemble: Any = None) -> M
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_candidates(kernel):
+def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_candidates(
+    kernel,
+):
     """Costs at random; where parameters are looked at, candidates that are alike are the same."""
     seen = Points(np.zeros((40, 1)), np.full((40, 2), 0.5))
     cost = np.random.default_rng(0).uniform(1.0, 2.0, 40)
@@ -90,7 +98,9 @@ def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
     model = model_of(seen, cost, WORLDS, ensemble)
     looked_at = model._looked_at(many, np.ones(len(many), dtype=bool), rng)
     assert len(looked_at) == acquisition.MOST_IN_WORLDS
-    best = np.argsort(ensemble.mean)[:200]  # half of what is looked at: ten times as many
+    best = np.argsort(ensemble.mean)[
+        :200
+    ]  # half of what is looked at: ten times as many
     assert len(set(best) & set(looked_at)) > 190
 
 
@@ -110,8 +120,8 @@ def test_limits_are_the_constraints_that_trials_have_and_are_kept_with_the_norma
 def test_a_sampler_that_knows_breaks_limits_less_often(kernel, told, fewer):
     """The cost falls towards a region that is forbidden, and a little into it.
 
-    Told how far it was, by 4 trials or more of 20; told only whether, less often: a smooth process
-    over the parameters cannot have a step.
+    Told how far it was, by 4 trials or more of 20; told only whether, less often: a
+    smooth process over the parameters cannot have a step.
     """
     a, side = np.random.default_rng(0).uniform(size=(2, 300))
     table = FeatureTable.from_arrays({"a": a, "side": side}, a)

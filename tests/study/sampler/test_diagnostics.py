@@ -21,7 +21,9 @@ from study.sampler.transforms import Points
 from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import Floats, params_of, study_of
 
-pytestmark = pytest.mark.filterwarnings("ignore:FeatureTable")  # features that are constant
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:FeatureTable"
+)  # features that are constant
 
 ROWS = 200
 NAMES = ("error", "nothing", "constant")
@@ -35,7 +37,9 @@ def cost_of(a: Any, b: Any) -> Any:
 
 
 def objective(trial: optuna.Trial) -> float:
-    return float(cost_of(trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5)))
+    return float(
+        cost_of(trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5))
+    )
 
 
 def columns() -> dict[str, Floats]:
@@ -51,7 +55,9 @@ def good_features() -> Floats:
     return np.column_stack([error, rng.normal(size=ROWS), np.ones(ROWS)])
 
 
-def new_table(features: Floats | None = None, names: tuple[str, ...] = NAMES) -> FeatureTable:
+def new_table(
+    features: Floats | None = None, names: tuple[str, ...] = NAMES
+) -> FeatureTable:
     made = good_features() if features is None else features
     return FeatureTable.from_arrays(columns(), made, list(names), space=SPACE)
 
@@ -76,7 +82,9 @@ def drawn_rows(trials: int, rng: np.random.Generator | None = None) -> optuna.St
     return study
 
 
-def worth_of(study: optuna.Study, features: Any = TABLE, **options: Any) -> diagnostics.Worth:
+def worth_of(
+    study: optuna.Study, features: Any = TABLE, **options: Any
+) -> diagnostics.Worth:
     return FeatureKernelSampler(features, seed=1, **options).worth(study)
 
 
@@ -122,10 +130,15 @@ def test_infinite_features_are_extreme_missing_ones_left_out_and_few_trials_not_
     assert few.high > 0.5 and many.high < -0.95
 
 
-@pytest.mark.parametrize(("feature", "cost"), [
-    (np.arange(3.0), np.arange(3.0)), (np.ones(9), np.arange(9.0)), (np.arange(9.0), np.ones(9)),
-    (np.array([1.0, 2, 3, np.nan, np.nan]), np.arange(5.0)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("feature", "cost"),
+    [
+        (np.arange(3.0), np.arange(3.0)),
+        (np.ones(9), np.arange(9.0)),
+        (np.arange(9.0), np.ones(9)),
+        (np.array([1.0, 2, 3, np.nan, np.nan]), np.arange(5.0)),
+    ],
+)
 def test_without_enough_there_is_no_correlation(feature, cost):
     assert RankCorrelation.of(feature, cost) is None
 
@@ -142,7 +155,9 @@ def test_leaving_out_is_that_of_refits_with_the_same_constants(kernel, monkeypat
         refit = gp.condition(*kept, noisy=False)
         missed.append(y[left] - refit.mean(Points(x[[left]], x[[left], :0]))[0])
     assert_allclose(residuals(posterior), missed, rtol=1e-6, atol=1e-9)
-    assert_allclose(residuals_of_constant(np.array([1.0, 2.0, 6.0])), [1 - 4, 2 - 3.5, 6 - 1.5])
+    assert_allclose(
+        residuals_of_constant(np.array([1.0, 2.0, 6.0])), [1 - 4, 2 - 3.5, 6 - 1.5]
+    )
 
 
 # Features of known worth.
@@ -169,7 +184,9 @@ def test_features_without_worth_are_rarely_praised(kernel):
         worth = worth_of(drawn_rows(20, rng), useless, kernel=kernel)
         assert worth.errors is not None
         ratios.append(worth.errors.model / (worth.errors.without or 1.0))
-        praised += worth.verdict.startswith(("The features explain", "The costs follow"))
+        praised += worth.verdict.startswith(
+            ("The features explain", "The costs follow")
+        )
     assert stats.binomtest(praised, 60, 0.1, alternative="greater").pvalue > 0.001
     assert np.median(ratios) > 0.9
 
@@ -226,16 +243,19 @@ BY_HAND = new_table(by_hand(np.column_stack(list(columns().values()))), ("error"
 FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
     "table": lambda: FeatureKernelSampler(TABLE, seed=1),
     "dog": lambda: DoGSampler(new_table(good_features()[:, :1], ("error",)), seed=1),
-    "off_grid":
-        lambda: FeatureKernelSampler(BY_HAND, seed=1, feature_function=by_hand, off_grid=20),
+    "off_grid": lambda: FeatureKernelSampler(
+        BY_HAND, seed=1, feature_function=by_hand, off_grid=20
+    ),
     "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
     "function, found": lambda: FeatureKernelSampler(by_hand, seed=1),
     "function, rbf": lambda: FeatureKernelSampler(by_hand, seed=1, kernel="rbf"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_proposed(form):
+def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_proposed(
+    form,
+):
     study, not_looked = (optuna.create_study(sampler=FORMS[form]()) for _ in range(2))
     sampler = study.sampler
     for _ in range(9):
@@ -251,7 +271,9 @@ def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_propos
     assert worth.correlations[0] is not None and worth.correlations[0].value > 0.5
     assert FORMS[form]().worth(study) == worth == sampler.worth(study)
     assert study.get_trials() == before
-    assert not study.user_attrs and not study._storage.get_study_system_attrs(study._study_id)
+    assert not study.user_attrs and not study._storage.get_study_system_attrs(
+        study._study_id
+    )
     study.ask().suggest_float("a", -1, 1)  # one that is running is not counted
     assert sampler.worth(study).trials == 9
 
@@ -259,7 +281,9 @@ def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_propos
 @pytest.mark.parametrize("trials", [0, 1, 4])
 @pytest.mark.parametrize("space", [None, SPACE])
 def test_a_function_with_few_trials_is_no_error(trials, space):
-    worth = worth_of(study_of(by_hand, objective, trials, space=space), by_hand, space=space)
+    worth = worth_of(
+        study_of(by_hand, objective, trials, space=space), by_hand, space=space
+    )
     assert worth.verdict == f"too few trials: {trials} of 5"
     assert worth.names == (("feature_0", "feature_1") if trials else ())
     assert str(worth) and worth.markdown()
@@ -282,7 +306,9 @@ def test_trials_off_the_table_are_not_counted_and_infinite_costs_are():
     study.optimize(objective, n_trials=1)
     assert worth_of(study).trials == 6
     first = worth_of(drawn_rows(20), by_hand, space=SPACE).correlations[0]
-    assert first is not None and first.value == 1.0  # without a note, the function is called
+    assert (
+        first is not None and first.value == 1.0
+    )  # without a note, the function is called
     study = drawn_rows(10)
     add(study, 50, np.inf)
     add(study, 51, -np.inf)
@@ -291,8 +317,12 @@ def test_trials_off_the_table_are_not_counted_and_infinite_costs_are():
     assert worth.errors is not None and np.isfinite(worth.errors.model)
 
 
-@pytest.mark.parametrize(("features", "options"), [(None, {}), (TABLE, {"kernel": "euclidean"})])
-def test_without_features_or_with_several_objectives_there_is_no_worth(features, options):
+@pytest.mark.parametrize(
+    ("features", "options"), [(None, {}), (TABLE, {"kernel": "euclidean"})]
+)
+def test_without_features_or_with_several_objectives_there_is_no_worth(
+    features, options
+):
     sampler = FeatureKernelSampler(features, **options)
     with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*nothing to report$"):
         sampler.worth(optuna.create_study())

@@ -57,7 +57,10 @@ def studied(form: str, trials: int, sampler: Any = None, seed: int = 3) -> optun
 
 def volume(study: optuna.Study) -> float:
     """The area that the trials dominate, up to a cost of 2 each."""
-    signs = [1.0 if d is optuna.study.StudyDirection.MINIMIZE else -1.0 for d in study.directions]
+    signs = [
+        1.0 if d is optuna.study.StudyDirection.MINIMIZE else -1.0
+        for d in study.directions
+    ]
     costs = np.array([np.multiply(signs, trial.values) for trial in study.trials])
     front, area, reach = costs[np.lexsort(costs.T[::-1])], 0.0, 2.0
     for first, second in front:
@@ -66,7 +69,9 @@ def volume(study: optuna.Study) -> float:
     return area
 
 
-def test_the_one_cost_is_the_largest_weighted_excess_and_a_twentieth_of_the_sum() -> None:
+def test_the_one_cost_is_the_largest_weighted_excess_and_a_twentieth_of_the_sum() -> (
+    None
+):
     goals = Goals(np.array([0.25, 0.75]), np.array([1.0, 10.0]), np.array([2.0, 5.0]))
     costs = np.array([[3.0, 10.0], [1.0, 20.0], [np.inf, 10.0]])
     found = goals.cost(costs)
@@ -82,7 +87,9 @@ def test_the_one_cost_is_the_largest_weighted_excess_and_a_twentieth_of_the_sum(
 def test_fronts_are_better_than_those_of_random_trials(form: str) -> None:
     """Nearer to the whole front than to them; where nothing is known, just better."""
     study = studied(form, 25)
-    random = np.median([volume(studied("none", 25, RandomSampler(seed=s))) for s in range(5)])
+    random = np.median(
+        [volume(studied("none", 25, RandomSampler(seed=s))) for s in range(5)]
+    )
     share = 0.0 if form == "none" else 0.5
     assert volume(study) > random + share * (volume_of_the_front() - random)
     firsts = [trial.params["x"] for trial in study.best_trials]
@@ -103,14 +110,20 @@ def test_a_trial_of_worlds_begins_at_the_front() -> None:
     assert trial.params["y"] == pytest.approx(0.3, abs=0.1)
 
 
-@pytest.mark.parametrize(("given", "goals", "message"), [
-    ({"outcomes": WORLDS}, 1, "table.outcomes: 'costs of 2' .* 1 goals"),
-    ({"outcomes": WORLDS}, 3, "table.outcomes: 'costs of 2' .* 3 goals"),
-    ({"outcomes": WORLDS[..., 0]}, 2, "table.outcomes: 'costs of 1' .* 2 goals"),
-])  # fmt: skip
-def test_worlds_have_as_many_goals_as_the_study(given: Any, goals: int, message: str) -> None:
+@pytest.mark.parametrize(
+    ("given", "goals", "message"),
+    [
+        ({"outcomes": WORLDS}, 1, "table.outcomes: 'costs of 2' .* 1 goals"),
+        ({"outcomes": WORLDS}, 3, "table.outcomes: 'costs of 2' .* 3 goals"),
+        ({"outcomes": WORLDS[..., 0]}, 2, "table.outcomes: 'costs of 1' .* 2 goals"),
+    ],
+)
+def test_worlds_have_as_many_goals_as_the_study(
+    given: Any, goals: int, message: str
+) -> None:
     study = optuna.create_study(
-        directions=["minimize"] * goals, sampler=FeatureKernelSampler(table(**given), seed=1)
+        directions=["minimize"] * goals,
+        sampler=FeatureKernelSampler(table(**given), seed=1),
     )
     with pytest.raises(InputError, match=message):
         study.ask(SPACE)
@@ -129,7 +142,10 @@ def test_what_needs_one_goal_is_refused() -> None:
     study = optuna.create_study(directions=["minimize"] * 2, sampler=sampler)
     with pytest.raises(InputError, match=r"success: 0.5 .* none in a study of 2 goals"):
         study.ask(SPACE)
-    for outcomes, better in ((WORLDS, "lower"), ({"a": WORLDS, "b": WORLDS[..., 0]}, None)):
+    for outcomes, better in (
+        (WORLDS, "lower"),
+        ({"a": WORLDS, "b": WORLDS[..., 0]}, None),
+    ):
         with pytest.raises(InputError, match=r"table.outcomes.*shape"):
             table(outcomes=outcomes, better=better)
 

@@ -14,16 +14,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from optuna import distributions
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from tests.cases import ASSETS
 
 KERNELS = ("additive", "rbf", "euclidean")
 SPACE: dict[str, distributions.BaseDistribution] = {
-    "a": FloatDistribution(-1.0, 1.0), "b": FloatDistribution(1e-3, 1e1, log=True),
-    "c": IntDistribution(1, 9), "d": CategoricalDistribution(("x", "y", "z")),
-}  # fmt: skip
+    "a": FloatDistribution(-1.0, 1.0),
+    "b": FloatDistribution(1e-3, 1e1, log=True),
+    "c": IntDistribution(1, 9),
+    "d": CategoricalDistribution(("x", "y", "z")),
+}
 FEATURES = ("f0", "f1", "f2")
 Proposal = dict[str, Any]
 Cost = Callable[[Proposal, int], float]
@@ -32,7 +38,12 @@ Cost = Callable[[Proposal, int], float]
 def cost_of(p: Proposal, number: int) -> float:
     """A bowl with a shift by choice."""
     shift = {"x": 0.0, "y": 0.3, "z": -0.4}[p["d"]]
-    return (p["a"] - 0.3) ** 2 + 0.1 * math.log(p["b"]) ** 2 + 0.05 * abs(p["c"] - 4) + shift
+    return (
+        (p["a"] - 0.3) ** 2
+        + 0.1 * math.log(p["b"]) ** 2
+        + 0.05 * abs(p["c"] - 4)
+        + shift
+    )
 
 
 def extreme(p: Proposal, number: int) -> float:
@@ -55,15 +66,23 @@ def failing(p: Proposal, number: int) -> float:
 def columns(n: int, seed: int) -> dict[str, list[Any]]:
     """Rows of the space."""
     rng = np.random.default_rng(seed)
-    a, b = np.round(rng.uniform(-1, 1, n), 6), np.round(10 ** rng.uniform(-2.9, 0.9, n), 6)
-    c, d = rng.integers(1, 10, n).tolist(), [("x", "y", "z")[i] for i in rng.integers(0, 3, n)]
+    a, b = (
+        np.round(rng.uniform(-1, 1, n), 6),
+        np.round(10 ** rng.uniform(-2.9, 0.9, n), 6),
+    )
+    c, d = (
+        rng.integers(1, 10, n).tolist(),
+        [("x", "y", "z")[i] for i in rng.integers(0, 3, n)],
+    )
     return {"a": a.tolist(), "b": b.tolist(), "c": c, "d": d}
 
 
 def features_of(points: np.ndarray) -> np.ndarray:
     """Features of points [n, 4], the last a choice's index: [n, 3]."""
     a, b, c, d = np.asarray(points, dtype=np.float64).T
-    return np.column_stack([(a - 0.2) ** 2 + 0.1 * d, np.log(b) ** 2, np.abs(c - 4) * (1 + a)])
+    return np.column_stack(
+        [(a - 0.2) ** 2 + 0.1 * d, np.log(b) ** 2, np.abs(c - 4) * (1 + a)]
+    )
 
 
 def featured(n: int, seed: int) -> tuple[dict[str, list[Any]], np.ndarray]:
@@ -73,7 +92,9 @@ def featured(n: int, seed: int) -> tuple[dict[str, list[Any]], np.ndarray]:
     return rows, features_of(np.column_stack([rows["a"], rows["b"], rows["c"], index]))
 
 
-def table(n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3) -> FeatureTable:
+def table(
+    n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3
+) -> FeatureTable:
     """Rows with features; some of them unknown or infinite."""
     rows, features = featured(n, seed)
     if gaps:
@@ -83,7 +104,9 @@ def table(n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3) ->
         features[::20] = np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return FeatureTable.from_arrays(rows, features[:, :count], FEATURES[:count], space=SPACE)
+        return FeatureTable.from_arrays(
+            rows, features[:, :count], FEATURES[:count], space=SPACE
+        )
 
 
 def file_table(n: int = 80) -> FeatureTable:
@@ -98,19 +121,29 @@ def file_table(n: int = 80) -> FeatureTable:
 
 
 def proposals(
-    sampler: optuna.samplers.BaseSampler, trials: int, cost: Cost = cost_of, *,
-    limit: Cost | None = None, enqueued: tuple[Proposal, ...] = (), pending: int = 0,
+    sampler: optuna.samplers.BaseSampler,
+    trials: int,
+    cost: Cost = cost_of,
+    *,
+    limit: Cost | None = None,
+    enqueued: tuple[Proposal, ...] = (),
+    pending: int = 0,
     maximise: bool = False,
-) -> Iterator[dict[str, Any]]:  # fmt: skip
+) -> Iterator[dict[str, Any]]:
     """What a sampler proposes in a study, and the row that it noted."""
-    study = optuna.create_study(sampler=sampler, direction="maximize" if maximise else "minimize")
+    study = optuna.create_study(
+        sampler=sampler, direction="maximize" if maximise else "minimize"
+    )
     for params in enqueued:
         study.enqueue_trial(params)
     waiting: list[tuple[optuna.Trial, Proposal]] = []
     for _ in range(trials):
         trial = study.ask(SPACE)
         params = trial.params
-        yield {"params": params, "row": study.trials[trial.number].user_attrs.get("row")}
+        yield {
+            "params": params,
+            "row": study.trials[trial.number].user_attrs.get("row"),
+        }
         waiting.append((trial, params))
         if len(waiting) > pending:
             told, shown = waiting.pop(0)
@@ -133,16 +166,24 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
     fks = FeatureKernelSampler
     near: dict[str, Any] = {"feature_function": features_of, "off_grid": 50}
     rows = columns(120, 1)
-    two_rows = tuple({name: column[row] for name, column in rows.items()} for row in (17, 44))
+    two_rows = tuple(
+        {name: column[row] for name, column in rows.items()} for row in (17, 44)
+    )
     return {
-        **{f"table-{kernel}": lambda k=kernel: proposals(fks(table(), kernel=k, seed=1), 14)
-           for kernel in KERNELS},
+        **{
+            f"table-{kernel}": lambda k=kernel: proposals(
+                fks(table(), kernel=k, seed=1), 14
+            )
+            for kernel in KERNELS
+        },
         "space-baseline": lambda: proposals(fks(space=SPACE, seed=2), 10),
         "space-unknown": lambda: proposals(fks(seed=3), 8, maximise=True),
         "space-additive": lambda: proposals(fks(features_of, space=SPACE, seed=4), 9),
         "off-grid": lambda: proposals(fks(table(60), seed=6, **near), 12),
         "constraints": lambda: proposals(fks(table(), seed=10), 10, limit=limit_of),
-        "constraints-space": lambda: proposals(fks(space=SPACE, seed=11), 8, limit=limit_of),
+        "constraints-space": lambda: proposals(
+            fks(space=SPACE, seed=11), 8, limit=limit_of
+        ),
         "enqueued": lambda: proposals(fks(table(), seed=12), 8, enqueued=two_rows),
         "gaps": lambda: proposals(fks(table(gaps=True), seed=13), 12),
         "pending": lambda: proposals(fks(table(), seed=15), 10, pending=2),
@@ -156,7 +197,7 @@ def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
         "survival": lambda: proposals(fks(survival_rows(), seed=25), 8),
         "large": lambda: proposals(fks(table(6000, 9), seed=26), 6),
         "many-trials": lambda: proposals(fks(table(60), seed=28), 40, tied),
-    }  # fmt: skip
+    }
 
 
 def survival_rows() -> FeatureTable:
@@ -165,7 +206,9 @@ def survival_rows() -> FeatureTable:
     rng = np.random.default_rng(3)
     features = rng.random((70, 2))
     ranking: dict[str, Any] = {"outcomes": features[:, 0], "better": "higher"}
-    return FeatureTable.from_arrays(rows, features[:, 1], ["speed"], space=SPACE, **ranking)
+    return FeatureTable.from_arrays(
+        rows, features[:, 1], ["speed"], space=SPACE, **ranking
+    )
 
 
 GOLDEN = json.loads((ASSETS / "golden-proposals.json").read_text())

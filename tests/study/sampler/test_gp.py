@@ -48,7 +48,9 @@ def test_kernels_are_scikit_learns(form):
     assert_allclose(ours.bounds, theirs.bounds)
     noise = np.exp(theta[-1])
     assert_allclose(ours.gram(theta, X)[0] + noise * np.eye(12), theirs(X), atol=1e-12)
-    assert_allclose(ours.towards(theta, X, np.float64)(X[:5]), theirs(X, X[:5]), atol=1e-12)
+    assert_allclose(
+        ours.towards(theta, X, np.float64)(X[:5]), theirs(X, X[:5]), atol=1e-12
+    )
     assert_allclose(ours.variance(theta, X) + noise * np.ones(12), theirs.diag(X))
     half = ours.towards(theta, X, np.float32)(X[:5])
     assert half.dtype == np.float32
@@ -70,21 +72,34 @@ def test_a_pull_weighs_the_derivatives_of_all_entries(form):
     assert_allclose(pull(np.tril(weights)) + pull(np.triu(weights, 1)), pull(weights))
 
 
-@pytest.mark.parametrize(("form", "same_features", "same_parameters"), [
-    ("rbf", 1, 0), ("euclidean", 0, 1), ("nearness", 0, 1), ("additive", 1, 1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("form", "same_features", "same_parameters"),
+    [
+        ("rbf", 1, 0),
+        ("euclidean", 0, 1),
+        ("nearness", 0, 1),
+        ("additive", 1, 1),
+    ],
+)
 def test_kernels_see_their_columns(form, same_features, same_parameters):
     built = covariance_of(form)
     a = np.zeros((1, 7))
     other_parameters, other_features = a.copy(), a.copy()
     other_parameters[:, 3:] = other_features[:, :3] = 1e3
-    for other, expected in ((other_parameters, same_features), (other_features, same_parameters)):
-        assert_allclose(built.towards(built.start, a, np.float64)(other), expected, atol=1e-9)
+    for other, expected in (
+        (other_parameters, same_features),
+        (other_features, same_parameters),
+    ):
+        assert_allclose(
+            built.towards(built.start, a, np.float64)(other), expected, atol=1e-9
+        )
 
 
 def test_the_additive_one_is_its_formula():
     """v phi^T phi' + s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) + t^2 exp(-|u - u'|^2 / 2L^2)."""
-    v, s2, l1, l2, l3, t2, nearness = constants = np.array([0.2, 1.3, 0.7, 2.0, 1.1, 0.4, 0.9])
+    v, s2, l1, l2, l3, t2, nearness = constants = np.array(
+        [0.2, 1.3, 0.7, 2.0, 1.1, 0.4, 0.9]
+    )
     theta = np.append(np.log(constants), 0.0)
     phi, u = X[:, :3], X[:, 3:]
     difference = (phi[:, None] - phi[None]) / [l1, l2, l3]
@@ -112,12 +127,16 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form):
     for seed, count in enumerate((1, 2, 9, 40, 120)):
         x, y = trials(count, seed)
         for draw in range(3):  # constants within their bounds, as the priors have them
-            theta = np.random.default_rng(draw).normal(covariance.modes, covariance.spreads)
+            theta = np.random.default_rng(draw).normal(
+                covariance.modes, covariance.spreads
+            )
             theta = np.clip(theta, *covariance.bounds.T)
             expected, slopes = reference.misfit(covariance, x, y, theta)
             found, gradient = gp.misfit(covariance, x, y, theta)
             assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
-            assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max())
+            assert_allclose(
+                gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(slopes).max()
+            )
 
 
 @pytest.mark.parametrize("count", [2, 8, 30, 31, gp.LIKELIHOOD_TRIALS])
@@ -125,7 +144,9 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form):
 def test_the_constants_are_those_that_scikit_learn_finds(form, count):
     covariance = covariance_of(form)
     x, y = trials(count, seed=count)
-    assert_allclose(gp.learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6)
+    assert_allclose(
+        gp.learn(covariance, x, y), reference.learned(covariance, x, y), atol=1e-6
+    )
 
 
 def test_without_a_cholesky_factor_the_misfit_is_infinite():
@@ -140,7 +161,9 @@ def test_without_a_cholesky_factor_the_misfit_is_infinite():
 def test_the_prior_decides_after_one_trial():
     covariance = covariance_of("euclidean")
     theta = gp.learn(covariance, X[:1], np.array([2.0]))
-    assert_allclose(theta[1:5], [prior.mode for prior in covariance.constants[1:5]], atol=1e-3)
+    assert_allclose(
+        theta[1:5], [prior.mode for prior in covariance.constants[1:5]], atol=1e-3
+    )
 
 
 # The posterior.
@@ -159,7 +182,9 @@ def exact(monkeypatch):
     monkeypatch.setattr(gp, "LARGEST_RATIO", 0.0)
 
 
-def oracle(posterior: gp.Posterior, candidates: Points) -> tuple[np.ndarray, np.ndarray]:
+def oracle(
+    posterior: gp.Posterior, candidates: Points
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean and variance by scikit-learn, of the same kernel on the same trials."""
     known = posterior.covariance, posterior.theta, posterior.x, posterior.y
     mean, sd = reference.conditioned(*known).predict(candidates.matrix, return_std=True)
@@ -167,9 +192,13 @@ def oracle(posterior: gp.Posterior, candidates: Points) -> tuple[np.ndarray, np.
     return mean, sd**2
 
 
-@pytest.mark.parametrize(("form", "count"), [
-    *((form, 40) for form in reference.FORMS), *(("euclidean", n) for n in (1, 2, 7, 1000)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("form", "count"),
+    [
+        *((form, 40) for form in reference.FORMS),
+        *(("euclidean", n) for n in (1, 2, 7, 1000)),
+    ],
+)
 def test_the_posterior_is_scikit_learns(form, count, exact):
     candidates = some_points(2 * gp.BLOCK + 17, seed=2)
     posterior = fitted(covariance_of(form), count)
@@ -179,10 +208,16 @@ def test_the_posterior_is_scikit_learns(form, count, exact):
 
 
 def assert_near(
-    posterior: gp.Posterior, candidates: Points, found: tuple[np.ndarray, ...], tolerance: float
+    posterior: gp.Posterior,
+    candidates: Points,
+    found: tuple[np.ndarray, ...],
+    tolerance: float,
 ) -> None:
     """Mean and variance are scikit-learn's, within a share of the prior's scale, noise included."""
-    prior = posterior.covariance.variance(posterior.theta, candidates.matrix) + posterior.noise
+    prior = (
+        posterior.covariance.variance(posterior.theta, candidates.matrix)
+        + posterior.noise
+    )
     prior = posterior.cost_sd**2 * prior * np.ones(len(candidates))
     mean, variance = oracle(posterior, candidates)
     assert np.max(np.abs(found[0] - mean) / np.sqrt(prior)) < tolerance
@@ -205,11 +240,15 @@ def test_along_one_feature(monkeypatch, fast, tolerance, values):
     x = rng.uniform(-1, 4, (60, 1))
     y = 5.0 + 2.0 * np.sin(x[:, 0]) + 0.3 * rng.standard_normal(60)
     posterior = learned(covariance_of("rbf", (1, 0, 2)), x, y)
-    feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[:, None]
+    feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[
+        :, None
+    ]
     candidates = Points(feature, np.empty((len(feature), 0)))
 
     def along(which):
-        return along_feature(posterior, candidates, lambda points: posterior.predict(points)[which])
+        return along_feature(
+            posterior, candidates, lambda points: posterior.predict(points)[which]
+        )
 
     assert_near(posterior, candidates, (along(0), along(1)), tolerance)
 
@@ -238,7 +277,9 @@ def test_the_spread_of_equal_features_is_learned_as_noise():
 def test_the_unit_of_cost_does_not_matter_and_equal_costs_are_no_accident():
     points, candidates = some_points(20, seed=1), some_points(50, seed=2)
     x, y, covariance = points.matrix, costs(points), covariance_of("additive")
-    ours, scaled = (learned(covariance, x, c).predict(candidates) for c in (y, 1e6 * y - 7e6))
+    ours, scaled = (
+        learned(covariance, x, c).predict(candidates) for c in (y, 1e6 * y - 7e6)
+    )
     assert_allclose(scaled[0], 1e6 * ours[0] - 7e6, rtol=1e-3)
     assert_allclose(scaled[1], 1e12 * ours[1], rtol=1e-2)
     two = some_points(2, seed=0)

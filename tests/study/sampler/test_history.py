@@ -15,7 +15,14 @@ from study.sampler import history
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, generator, turn
 from study.sampler.history import OFF_TABLE, next_trial, read_history, row_of
 from taichi_nmm.errors import InputError
-from tests.study.sampler.studies import kill, params_of, resumed, rows_of, study_of, without_warning
+from tests.study.sampler.studies import (
+    kill,
+    params_of,
+    resumed,
+    rows_of,
+    study_of,
+    without_warning,
+)
 
 
 def test_turns_are_counted_as_if_nothing_had_been_killed():
@@ -55,7 +62,9 @@ def test_random_search_repeats_what_was_killed():
 
 def test_history_takes_finished_trials_and_counts_all_rows(table):
     study = optuna.create_study(direction="maximize")
-    for row, state in enumerate((TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)):
+    for row, state in enumerate(
+        (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)
+    ):
         study.enqueue_trial(table.rows.as_parameters(row))
         trial = study.ask()
         trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5)
@@ -68,7 +77,9 @@ def test_history_takes_finished_trials_and_counts_all_rows(table):
     assert history.unplaced == ()
 
 
-def test_a_finished_trial_is_looked_up_once_and_another_of_its_number_anew(table, monkeypatch):
+def test_a_finished_trial_is_looked_up_once_and_another_of_its_number_anew(
+    table, monkeypatch
+):
     rows, looked_up, known = table.rows, [], {}
 
     def counted(*given):
@@ -81,21 +92,29 @@ def test_a_finished_trial_is_looked_up_once_and_another_of_its_number_anew(table
     space = rows.space.as_dict()
     for study, order in ((one, 1), (other, -1)):
         for params in [rows.as_parameters(3), foreign][::order]:
-            study.add_trial(optuna.create_trial(params=params, distributions=space, value=1.0))
+            study.add_trial(
+                optuna.create_trial(params=params, distributions=space, value=1.0)
+            )
     for study, counts in ((one, [2, 2]), (other, [4, 4]), (one, [6, 6])):
         for count in counts:
             before = next_trial(study)
-            found = read_history(study, before, rows.space, rows, lambda *_: OFF_TABLE, known)
+            found = read_history(
+                study, before, rows.space, rows, lambda *_: OFF_TABLE, known
+            )
             assert (found.rows[found.rows >= 0].tolist(), len(found.rows)) == ([3], 2)
-            assert np.flatnonzero(found.tried).tolist() == [3] and len(looked_up) == count
+            assert (
+                np.flatnonzero(found.tried).tolist() == [3] and len(looked_up) == count
+            )
 
 
 # A table's parameters, suggested otherwise: it works where the values fit.
 RATE = np.geomspace(1e-4, 1.0, 12)
 COLUMNS = {
-    "rate": RATE, "units": np.tile([16, 32, 64, 128], 3),
-    "kind": np.array(["relu", "tanh", "gelu"] * 4), "depth": np.array([2.0, 4.0, 8.0] * 4),
-}  # fmt: skip
+    "rate": RATE,
+    "units": np.tile([16, 32, 64, 128], 3),
+    "kind": np.array(["relu", "tanh", "gelu"] * 4),
+    "depth": np.array([2.0, 4.0, 8.0] * 4),
+}
 
 
 def new_table(**options: Any) -> FeatureTable:
@@ -112,21 +131,39 @@ AS_THE_TABLE: dict[str, Suggest] = {
     "depth": lambda trial: trial.suggest_float("depth", 1, 10),
 }
 OTHERWISE: dict[str, tuple[str, Suggest]] = {
-    "a float on a logarithmic scale":
-        ("rate", lambda trial: trial.suggest_float("rate", 1e-5, 1, log=True)),
-    "an integer on a logarithmic scale":
-        ("units", lambda trial: trial.suggest_int("units", 1, 512, log=True)),
-    "integers as choices":
-        ("units", lambda trial: trial.suggest_categorical("units", [8, 16, 32, 64, 128])),
-    "integers as floats": ("units", lambda trial: trial.suggest_float("units", 16, 128)),
+    "a float on a logarithmic scale": (
+        "rate",
+        lambda trial: trial.suggest_float("rate", 1e-5, 1, log=True),
+    ),
+    "an integer on a logarithmic scale": (
+        "units",
+        lambda trial: trial.suggest_int("units", 1, 512, log=True),
+    ),
+    "integers as choices": (
+        "units",
+        lambda trial: trial.suggest_categorical("units", [8, 16, 32, 64, 128]),
+    ),
+    "integers as floats": (
+        "units",
+        lambda trial: trial.suggest_float("units", 16, 128),
+    ),
     "floats as integers": ("depth", lambda trial: trial.suggest_int("depth", 1, 8)),
-    "floats as choices": ("depth", lambda trial: trial.suggest_categorical("depth", [8, 4, 2])),
-    "another order of choices":
-        ("kind", lambda trial: trial.suggest_categorical("kind", ["gelu", "relu", "tanh"])),
-    "more choices": ("kind",
-         lambda trial: trial.suggest_categorical("kind", ["elu", "gelu", "relu", "tanh", None])),
+    "floats as choices": (
+        "depth",
+        lambda trial: trial.suggest_categorical("depth", [8, 4, 2]),
+    ),
+    "another order of choices": (
+        "kind",
+        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu", "tanh"]),
+    ),
+    "more choices": (
+        "kind",
+        lambda trial: trial.suggest_categorical(
+            "kind", ["elu", "gelu", "relu", "tanh", None]
+        ),
+    ),
     "a step": ("depth", lambda trial: trial.suggest_float("depth", 0, 8, step=0.5)),
-}  # fmt: skip
+}
 
 
 def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
@@ -150,7 +187,9 @@ def test_what_holds_the_rows_works_also_where_it_is_resumed(how, strict):
     for trial, row in zip(study.trials, rows_of(study), strict=True):
         assert trial.params == TABLE.rows.as_parameters(row)
         distribution = trial.distributions[name]
-        expected = {IntDistribution: int, FloatDistribution: float}.get(type(distribution))
+        expected = {IntDistribution: int, FloatDistribution: float}.get(
+            type(distribution)
+        )
         assert expected is None or type(trial.params[name]) is expected
     new_sampler = lambda: FeatureKernelSampler(TABLE, seed=1, strict=strict)  # noqa: E731
     pieces = resumed(new_sampler, objective(name, suggest), 8, optuna.create_study())
@@ -158,22 +197,42 @@ def test_what_holds_the_rows_works_also_where_it_is_resumed(how, strict):
 
 
 MISFITS: dict[str, tuple[str, Suggest, str]] = {
-    "too narrow, logarithmic": ("rate",
-         lambda trial: trial.suggest_float("rate", 0.01, 1, log=True),
-         r"rate: .*log=True.* a range that holds all rows: row 0 has 0.0001 .*space="),
-    "floats as integers": ("rate", lambda trial: trial.suggest_int("rate", 0, 1),
-         r"rate: 'IntDistribution.* a range that holds all rows: row 0 has 0.0001 .*space="),
-    "too few choices": ("kind", lambda trial: trial.suggest_categorical("kind", ["gelu", "relu"]),
-         r"kind: .* choices that hold all rows: row 1 has 'tanh' .*space="),
-    "too few integers": ("units", lambda trial: trial.suggest_categorical("units", [16, 32, 64]),
-         r"units: .* choices that hold all rows: row 3 has 128 .*space="),
-    "words as numbers": ("kind", lambda trial: trial.suggest_int("kind", 0, 2),
-         r"kind: .* row 0 has 'relu' .*space="),
-    "a step between": ("depth", lambda trial: trial.suggest_float("depth", 0, 9, step=3),
-         r"depth: .* row 0 has 2.0 .*space="),
-    "too narrow, as the table": ("rate", lambda trial: trial.suggest_float("rate", 0, 0.5),
-         r"rate: .* a range that holds all rows: row 11 has 1.0"),
-}  # fmt: skip
+    "too narrow, logarithmic": (
+        "rate",
+        lambda trial: trial.suggest_float("rate", 0.01, 1, log=True),
+        r"rate: .*log=True.* a range that holds all rows: row 0 has 0.0001 .*space=",
+    ),
+    "floats as integers": (
+        "rate",
+        lambda trial: trial.suggest_int("rate", 0, 1),
+        r"rate: 'IntDistribution.* a range that holds all rows: row 0 has 0.0001 .*space=",
+    ),
+    "too few choices": (
+        "kind",
+        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu"]),
+        r"kind: .* choices that hold all rows: row 1 has 'tanh' .*space=",
+    ),
+    "too few integers": (
+        "units",
+        lambda trial: trial.suggest_categorical("units", [16, 32, 64]),
+        r"units: .* choices that hold all rows: row 3 has 128 .*space=",
+    ),
+    "words as numbers": (
+        "kind",
+        lambda trial: trial.suggest_int("kind", 0, 2),
+        r"kind: .* row 0 has 'relu' .*space=",
+    ),
+    "a step between": (
+        "depth",
+        lambda trial: trial.suggest_float("depth", 0, 9, step=3),
+        r"depth: .* row 0 has 2.0 .*space=",
+    ),
+    "too narrow, as the table": (
+        "rate",
+        lambda trial: trial.suggest_float("rate", 0, 0.5),
+        r"rate: .* a range that holds all rows: row 11 has 1.0",
+    ),
+}
 
 
 @pytest.mark.parametrize("how", MISFITS)
@@ -192,18 +251,26 @@ def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning
     assert all(row in (None, -1) for row in rows_of(study))
 
 
-@pytest.mark.parametrize(("how", "distribution"), [
-    ("a float on a logarithmic scale", FloatDistribution(1e-4, 1, log=True)),
-    ("an integer on a logarithmic scale", IntDistribution(16, 128, log=True)),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("how", "distribution"),
+    [
+        ("a float on a logarithmic scale", FloatDistribution(1e-4, 1, log=True)),
+        ("an integer on a logarithmic scale", IntDistribution(16, 128, log=True)),
+    ],
+)
 def test_a_logarithmic_scale_is_the_kernels_too(how, distribution):
     """As if the table had been given it."""
     name, suggest = OTHERWISE[how]
-    tables, options = (TABLE, new_table(space={name: distribution})), {"kernel": "euclidean"}
+    tables, options = (
+        (TABLE, new_table(space={name: distribution})),
+        {"kernel": "euclidean"},
+    )
     cost = objective(name, suggest)
     found, expected = (study_of(table, cost, 8, seed=2, **options) for table in tables)
     assert params_of(found) == params_of(expected)
-    plain = study_of(TABLE, objective(name, AS_THE_TABLE[name]), 8, kernel="euclidean", seed=2)
+    plain = study_of(
+        TABLE, objective(name, AS_THE_TABLE[name]), 8, kernel="euclidean", seed=2
+    )
     assert params_of(plain) != params_of(found)
 
 
@@ -221,7 +288,9 @@ def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range
 
 def test_trials_off_the_table_are_learned_from_whatever_they_are_suggested_as():
     own = {"rate": 0.002, "units": 64, "kind": "relu", "depth": 2.0}
-    study = study_of(TABLE, enqueued=[own], feature_function=lambda params: params[:, :2])
+    study = study_of(
+        TABLE, enqueued=[own], feature_function=lambda params: params[:, :2]
+    )
     without_warning(study, objective(*OTHERWISE["integers as choices"]), 5)
     assert study.trials[0].params["rate"] == 0.002
     first, *others = rows_of(study)

@@ -45,10 +45,14 @@ def crashing(broken: float, kept: float) -> Callable[[optuna.Trial], float]:
         (1e-13, -1e-13),
     ],
 )
-def test_a_limit_that_is_broken_by_infinity_is_broken(broken: float, kept: float) -> None:
+def test_a_limit_that_is_broken_by_infinity_is_broken(
+    broken: float, kept: float
+) -> None:
     usual = study_of(TABLE, crashing(1.0, -1.0), 20)
     study = study_of(TABLE, crashing(broken, kept), 20)
-    assert [trial.params for trial in study.trials] == [trial.params for trial in usual.trials]
+    assert [trial.params for trial in study.trials] == [
+        trial.params for trial in usual.trials
+    ]
     sampler: Any = study.sampler
     assert sampler.best(study).params["x"] == LINE[99]  # 0.497
     found = sampler.predict(study)
@@ -56,7 +60,9 @@ def test_a_limit_that_is_broken_by_infinity_is_broken(broken: float, kept: float
     assert_allclose(found.kept, usual.sampler.predict(usual).kept)  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(("told", "chance"), [(INF, 1 / 5), (-INF, 4 / 5), (0.0, 4 / 5)])
+@pytest.mark.parametrize(
+    ("told", "chance"), [(INF, 1 / 5), (-INF, 4 / 5), (0.0, 4 / 5)]
+)
 def test_of_a_limit_that_all_trials_told_alike_the_chance_is_that_of_so_many(
     told: float, chance: float
 ) -> None:
@@ -71,7 +77,9 @@ def storage(request: pytest.FixtureRequest, tmp_path: Any) -> Any:
     return {
         "memory": InMemoryStorage,
         "sqlite": lambda: f"sqlite:///{tmp_path / 'study.db'}",
-        "journal": lambda: JournalStorage(JournalFileBackend(str(tmp_path / "study.log"))),
+        "journal": lambda: JournalStorage(
+            JournalFileBackend(str(tmp_path / "study.log"))
+        ),
     }[request.param]()
 
 
@@ -103,7 +111,9 @@ def test_infinite_values_are_the_worst_and_the_best_in_any_database(
     tell(160, -INF, -INF)
     best = sampler.best(study)
     assert best.number == 4 and best.value == -sign * INF
-    assert str(best).startswith(f"Trial 4, row 160: {-sign * INF:g} (interval unknown), by 1 trial")
+    assert str(best).startswith(
+        f"Trial 4, row 160: {-sign * INF:g} (interval unknown), by 1 trial"
+    )
     value = sign * sampler.predict(study).value
     assert value[160] < value[100] < min(value[[20, 60]])
     assert sampler.worth(study).trials == 5
@@ -141,7 +151,12 @@ def test_infinity_is_on_its_own_side_of_a_success(
 def test_several_goals_have_infinities_on_their_own_sides() -> None:
     sampler = FeatureKernelSampler(TABLE, seed=1)
     study = optuna.create_study(directions=["minimize", "maximize"], sampler=sampler)
-    for row, values in ((3, (INF, 2.0)), (9, (1.0, -INF)), (30, (2.0, 3.0)), (60, (-INF, INF))):
+    for row, values in (
+        (3, (INF, 2.0)),
+        (9, (1.0, -INF)),
+        (30, (2.0, 3.0)),
+        (60, (-INF, INF)),
+    ):
         study.enqueue_trial({"x": LINE[row]})
         study.tell(study.ask(TABLE.rows.space.as_dict()), values)
     policy: Any = sampler._policy
@@ -149,7 +164,9 @@ def test_several_goals_have_infinities_on_their_own_sides() -> None:
     first, second = history.costs.T  # lower is better
     assert np.argsort(first).tolist() == [3, 1, 2, 0]
     assert np.argsort(second).tolist() == [3, 2, 0, 1]
-    assert np.isfinite(history.cost).all() and study.ask(TABLE.rows.space.as_dict()).params
+    assert (
+        np.isfinite(history.cost).all() and study.ask(TABLE.rows.space.as_dict()).params
+    )
 
 
 # Worlds.
@@ -170,7 +187,9 @@ def test_what_is_infinite_in_a_world_is_worse_than_any_number(
     families = outcomes if isinstance(outcomes, dict) else {"world": outcomes}
     for better, sign in (("lower", 1.0), ("higher", -1.0), (None, 1.0)):
         given = {name: sign * np.array(part) for name, part in families.items()}
-        table = FeatureTable.from_arrays({"x": LINE[: len(order)]}, outcomes=given, better=better)
+        table = FeatureTable.from_arrays(
+            {"x": LINE[: len(order)]}, outcomes=given, better=better
+        )
         mean = table.rows.ensemble(np.ones(1)).columns[:, -1]
         assert np.argsort(mean, kind="stable").tolist() == order
         assert np.isfinite(mean).all()
@@ -184,11 +203,16 @@ def test_a_world_in_which_all_is_infinite_is_no_free_one() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:FeatureTable")
-def test_a_table_with_infinite_outcomes_has_the_digest_that_version_0_3_0_gave_it() -> None:
+def test_a_table_with_infinite_outcomes_has_the_digest_that_version_0_3_0_gave_it() -> (
+    None
+):
     """A bench that was begun with it opens."""
     outcomes = {"a": [[INF, 2.0], [1.0, 3.0], [NAN, 1.0]], "b": [[4.0], [-INF], [0.5]]}
     table = FeatureTable.from_arrays({"x": [0.0, 0.5, 1.0]}, outcomes=outcomes)
-    assert table.digest == "2bd01532a5c0997279d76d56d8ec54b9e24c7803a0c3b607ba35b5d45679c828"
+    assert (
+        table.digest
+        == "2bd01532a5c0997279d76d56d8ec54b9e24c7803a0c3b607ba35b5d45679c828"
+    )
 
 
 # Features.
@@ -201,7 +225,9 @@ def test_an_infinite_score_is_extreme_to_the_papers_sampler() -> None:
     sampler = DoGSampler(table, seed=1)
     study = optuna.create_study(sampler=sampler, direction="maximize")
     study.optimize(
-        lambda trial: (x := trial.suggest_float("x", 0, 1)) * (1.0 if x <= 0.7 else -1.0),
+        lambda trial: (
+            (x := trial.suggest_float("x", 0, 1)) * (1.0 if x <= 0.7 else -1.0)
+        ),
         n_trials=15,
     )
     assert study.best_value > 0.68

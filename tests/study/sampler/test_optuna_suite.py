@@ -22,18 +22,25 @@ NEAR = {"feature_function": lambda params: params[:, 0], "off_grid": 16}
 FORMS = {
     "table": {"features": TABLE, "strict": False},
     "paper": {"features": TABLE, "strict": False, "kernel": "rbf"},
-    "worlds": {"features": FeatureTable.from_arrays({"x": LINE, "y": LINE[::-1]}, outcomes=WORLDS),
-               "strict": False},
+    "worlds": {
+        "features": FeatureTable.from_arrays(
+            {"x": LINE, "y": LINE[::-1]}, outcomes=WORLDS
+        ),
+        "strict": False,
+    },
     "off grid": {"features": TABLE, "strict": False, **NEAR},
     "table of other names": {"features": OTHER, "strict": False},
-    "callable": {"features": two_features}, "plain": {},
-}  # fmt: skip
+    "callable": {"features": two_features},
+    "plain": {},
+}
 
 
 @pytest.mark.filterwarnings("ignore:.*the independent sampler takes over")
 @pytest.mark.filterwarnings("ignore:trials whose parameters are no row")
 class TestSampler(
-    suite.BasicSamplerTestCase, suite.RelativeSamplerTestCase, suite.MultiObjectiveSamplerTestCase
+    suite.BasicSamplerTestCase,
+    suite.RelativeSamplerTestCase,
+    suite.MultiObjectiveSamplerTestCase,
 ):
     """What Optuna asks of a sampler for one objective and for several."""
 

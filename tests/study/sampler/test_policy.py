@@ -37,7 +37,12 @@ def table_of(features: Floats, **known: Any) -> FeatureTable:
 
 
 def first_rows(
-    features: Floats, trials: int, *, seed: int = 0, kernel: str | None = None, **known: Any
+    features: Floats,
+    trials: int,
+    *,
+    seed: int = 0,
+    kernel: str | None = None,
+    **known: Any,
 ) -> list[Any]:
     """Rows of the first trials, whose costs have nothing to do with them."""
     costs = np.random.default_rng(seed).uniform(size=ROWS)
@@ -45,7 +50,9 @@ def first_rows(
     def cost(trial: optuna.Trial) -> float:
         return float(costs[trial.number] + 0 * only_x(trial))
 
-    return rows_of(study_of(table_of(features, **known), cost, trials, seed=seed, kernel=kernel))
+    return rows_of(
+        study_of(table_of(features, **known), cost, trials, seed=seed, kernel=kernel)
+    )
 
 
 @pytest.mark.parametrize("better", ["higher", "lower"])
@@ -54,8 +61,12 @@ def test_with_a_ranking_they_are_its_first_three(better, column):
     """A ranking tells no cost, so that one trial is no model yet."""
     for seed in range(3):
         features = drawn(seed)
-        best_first = np.argsort(features[:, column] * (1.0 if better == "lower" else -1.0))
-        rows = first_rows(features, 3, seed=seed, outcomes=features[:, column], better=better)
+        best_first = np.argsort(
+            features[:, column] * (1.0 if better == "lower" else -1.0)
+        )
+        rows = first_rows(
+            features, 3, seed=seed, outcomes=features[:, column], better=better
+        )
         assert rows == best_first[:3].tolist()
 
 
@@ -79,7 +90,10 @@ def test_one_feature_is_tried_at_its_ends_an_infinite_score_first_and_other_kern
     assert first_rows(features, 1, outcomes=feature, better="higher") == [5]
     assert first_rows(features, 1, outcomes=feature, better="lower") == [6]
     for kernel in ("rbf", "euclidean"):
-        first = {tuple(first_rows(drawn(0), 3, seed=seed, kernel=kernel)) for seed in range(6)}
+        first = {
+            tuple(first_rows(drawn(0), 3, seed=seed, kernel=kernel))
+            for seed in range(6)
+        }
         assert len(first) == 6
 
 
@@ -87,9 +101,14 @@ def test_one_feature_is_tried_at_its_ends_an_infinite_score_first_and_other_kern
 def test_trials_that_can_be_learned_from_count_among_them(ranked):
     """Two finished rows, enqueued: the third trial is the model's, or still the ranking's."""
     features = drawn(2)
-    table = table_of(features, outcomes=features[:, 0] if ranked else None,
-                     better="higher" if ranked else None)  # fmt: skip
-    middle = map(table.rows.as_parameters, np.argsort(features[:, 0])[[30, 40]].tolist())
+    table = table_of(
+        features,
+        outcomes=features[:, 0] if ranked else None,
+        better="higher" if ranked else None,
+    )
+    middle = map(
+        table.rows.as_parameters, np.argsort(features[:, 0])[[30, 40]].tolist()
+    )
     study = study_of(table, only_x, 3, enqueued=middle)
     assert bool(study.sampler._policy.known) is not ranked
     assert not ranked or rows_of(study)[2] == features[:, 0].argmax()
@@ -160,7 +179,9 @@ def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
         trial.set_constraint("limit", 1.0 if broken else -1.0)
         return without_success(trial) - (100.0 * trial.number if broken else 0.0)
 
-    asked = kernels_asked(study_of(FeatureTable.from_arrays(XY, FEATURES)), objective, 10)
+    asked = kernels_asked(
+        study_of(FeatureTable.from_arrays(XY, FEATURES)), objective, 10
+    )
     # Kept after number 1: 3, 4, 6, 7, ...; the third of them is told before number 7.
     assert [turn for turn, kernel in asked.items() if kernel is NEARNESS] == [7, 9]
 
@@ -201,19 +222,24 @@ def useless(unit: Floats, rng: np.random.Generator) -> Floats:
 def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feature):
     """Half the regret of rows at random, of which 24 of 400 are expected to hold the best 4 %.
 
-    At the worst 12 trials are left to a process of four parameters on a bowl of 15 coefficients.
+    At the worst 12 trials are left to a process of four parameters on a bowl of 15
+    coefficients.
     """
     ours, at_random = [], []
     names = [f"p{i}" for i in range(DIMENSION)]
 
     def bowl_of(trial):
-        return float(round_bowl(np.array([[trial.suggest_float(n, 0, 1) for n in names]]))[0])
+        return float(
+            round_bowl(np.array([[trial.suggest_float(n, 0, 1) for n in names]]))[0]
+        )
 
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         unit = rng.uniform(size=(400, DIMENSION))
         cost = round_bowl(unit)
-        table = FeatureTable.from_arrays(dict(zip(names, unit.T, strict=True)), feature(unit, rng))
+        table = FeatureTable.from_arrays(
+            dict(zip(names, unit.T, strict=True)), feature(unit, rng)
+        )
         ours.append(study_of(table, bowl_of, TRIALS, seed=seed).best_value - cost.min())
         drawn = [rng.choice(cost, TRIALS, replace=False).min() for _ in range(200)]
         at_random.append(np.mean(drawn) - cost.min())
@@ -225,7 +251,9 @@ GIVEN = 2
 
 
 def blas_threads() -> set[int]:
-    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+    return {
+        pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"
+    }
 
 
 @pytest.fixture
@@ -249,7 +277,9 @@ def watch(monkeypatch):
 @pytest.mark.parametrize("tabled", [True, False])
 def test_a_sampler_computes_on_one_thread_of_blas(tabled, table, watch):
     seen = watch(acquisition, "learn")
-    sampler = FeatureKernelSampler(table, seed=1) if tabled else FeatureKernelSampler(seed=1)
+    sampler = (
+        FeatureKernelSampler(table, seed=1) if tabled else FeatureKernelSampler(seed=1)
+    )
     with threadpool_limits(GIVEN, user_api="blas"):
         optuna.create_study(sampler=sampler).optimize(bowl, n_trials=6)
         assert blas_threads() == {GIVEN}

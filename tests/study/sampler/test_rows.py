@@ -6,7 +6,11 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.table import Rows
@@ -36,12 +40,18 @@ GRID = {"x": X, "y": Y}
         (0.05, 0.5, 0.05),
     ],
 )
-def test_every_decimal_of_a_grid_is_its_row(start: float, end: float, step: float) -> None:
+def test_every_decimal_of_a_grid_is_its_row(
+    start: float, end: float, step: float
+) -> None:
     column = np.arange(start, end + 0.5 * step, step)
     rows = rows_like({"x": column})
     decimals = [round(start + number * step, 10) for number in range(len(column))]
-    assert sum(decimal not in column for decimal in decimals) > 1  # else there is nothing to see
-    assert [rows.find({"x": decimal}) for decimal in decimals] == list(range(len(column)))
+    assert (
+        sum(decimal not in column for decimal in decimals) > 1
+    )  # else there is nothing to see
+    assert [rows.find({"x": decimal}) for decimal in decimals] == list(
+        range(len(column))
+    )
     between = [decimal + 1e-3 * step for decimal in decimals]
     assert {rows.find({"x": value}) for value in between} == {None}
 
@@ -65,7 +75,9 @@ def test_an_enqueued_decimal_is_learned_from_and_not_proposed_again() -> None:
 def test_a_fixed_decimal_gets_the_rest_of_a_row_that_has_it() -> None:
     table = FeatureTable.from_arrays(GRID, np.column_stack([X, Y]))
     study = study_of(table, enqueued=[{"x": 0.3}] * 11)
-    without_warning(study, lambda t: t.suggest_float("x", 0, 1) + t.suggest_float("y", 0, 1), 11)
+    without_warning(
+        study, lambda t: t.suggest_float("x", 0, 1) + t.suggest_float("y", 0, 1), 11
+    )
     rows = rows_of(study)
     assert sorted(rows) == np.flatnonzero(np.isclose(X, 0.3)).tolist()  # type: ignore[type-var]
     assert {trial.params["x"] for trial in study.trials} == {0.3}
@@ -97,7 +109,9 @@ def test_a_study_may_suggest_the_decimals_themselves(
     without_warning(study, lambda trial: trial._suggest("x", suggested), 7)
     assert sorted(rows_of(study)) == list(range(7))  # type: ignore[type-var]
     assert max(trial.params["x"] for trial in study.trials) == 0.6
-    rows = FeatureTable.from_arrays({"x": column}, column, bounds={"x": (0.0, 0.6)}).rows
+    rows = FeatureTable.from_arrays(
+        {"x": column}, column, bounds={"x": (0.0, 0.6)}
+    ).rows
     assert rows.parameters.max() == 0.6 and rows.find({"x": column[-1]}) == 6
 
 
@@ -115,7 +129,9 @@ def test_a_row_is_found_by_its_printed_numbers(digits: int, scale: float) -> Non
     columns = {name: scale * rng.normal(size=500) for name in "abc"}
     rows = rows_like(columns)
     for row in range(500):
-        printed = {name: float(f"{column[row]:.{digits}g}") for name, column in columns.items()}
+        printed = {
+            name: float(f"{column[row]:.{digits}g}") for name, column in columns.items()
+        }
         assert rows.find(printed) == row
     off = {name: 1.000001 * float(column[7]) for name, column in columns.items()}
     assert rows.find(off) is None
@@ -160,7 +176,10 @@ def test_on_a_logarithmic_scale_no_row_swallows_its_neighbourhood() -> None:
 # Whole numbers.
 def test_whole_numbers_are_whole() -> None:
     rows = rows_like({"id": np.array([1_000_000_001, 1_000_000_007, 3])})
-    assert rows.find({"id": 1_000_000_007}) == 1 and rows.find({"id": 1_000_000_006}) is None
+    assert (
+        rows.find({"id": 1_000_000_007}) == 1
+        and rows.find({"id": 1_000_000_006}) is None
+    )
     assert rows.find({"id": 3.0000000001}) == 2  # of a sheet of floats
     assert rows.find({"id": Decimal(3)}) == 2 and rows.find({"id": 10**400}) is None
     floats = rows_like({"id": np.array([1_000_000_001.0, 1_000_000_007.0])})
@@ -176,14 +195,19 @@ def test_whole_numbers_are_whole() -> None:
         ((9.0, 51.9), FloatDistribution(9.0, 51.9)),
     ],
 )
-def test_bounds_of_whole_numbers_hold(bounds: tuple[float, float], expected: Any) -> None:
+def test_bounds_of_whole_numbers_hold(
+    bounds: tuple[float, float], expected: Any
+) -> None:
     doses = np.arange(10, 51, 5)
     rows = rows_like({"dose": doses}, bounds={"dose": bounds})
     assert rows.space.as_dict() == {"dose": expected}
 
 
 def test_nothing_beyond_declared_bounds_is_proposed() -> None:
-    doses, costs = np.arange(10, 51, 5), np.column_stack([np.arange(9.0), np.arange(9.0) + 0.5])
+    doses, costs = (
+        np.arange(10, 51, 5),
+        np.column_stack([np.arange(9.0), np.arange(9.0) + 0.5]),
+    )
     bounds = {"dose": (9.5, 50.5)}
     table = FeatureTable.from_arrays({"dose": doses}, outcomes=costs, bounds=bounds)
     study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
@@ -196,7 +220,9 @@ def test_nothing_beyond_declared_bounds_is_proposed() -> None:
 def test_ids_that_become_the_same_float_are_refused_and_others_kept() -> None:
     large = 2**60 + np.arange(3)
     for ids in (large, large.tolist(), [-1, 2**63 + 1, 5], [2**53 + 1, 2**53, 5]):
-        with pytest.raises(InputError, match=r"^table.id\[\d\]: \d+ .* up to 2\^53, .* as choices"):
+        with pytest.raises(
+            InputError, match=r"^table.id\[\d\]: \d+ .* up to 2\^53, .* as choices"
+        ):
             rows_like({"id": ids})
     rows = rows_like({"id": 2**53 - np.arange(1, 4)})
     assert [rows.find({"id": 2**53 - step}) for step in (1, 2, 3, 4)] == [0, 1, 2, None]
@@ -204,10 +230,19 @@ def test_ids_that_become_the_same_float_are_refused_and_others_kept() -> None:
     choices = rows_like({"id": large.tolist()}, space=space)
     assert [choices.find({"id": number}) for number in large.tolist()] == [0, 1, 2]
     assert choices.find({"id": 2**60 + 3}) is None
-    assert rows_like({"id": [2**64 + number for number in range(3)]}).find({"id": 2**64 + 1}) == 1
-    with pytest.raises(InputError, match=r"^table.features: 11529\d+ .* no two are the same float"):
+    assert (
+        rows_like({"id": [2**64 + number for number in range(3)]}).find(
+            {"id": 2**64 + 1}
+        )
+        == 1
+    )
+    with pytest.raises(
+        InputError, match=r"^table.features: 11529\d+ .* no two are the same float"
+    ):
         FeatureTable.from_arrays({"x": [0.0, 1.0, 2.0]}, large)
-    assert FeatureTable.from_arrays({"x": [0.0, 1.0]}, np.array([2**60, 2**61])).rows.offered.all()
+    assert FeatureTable.from_arrays(
+        {"x": [0.0, 1.0]}, np.array([2**60, 2**61])
+    ).rows.offered.all()
 
 
 def test_decimals_are_numbers() -> None:
@@ -235,7 +270,9 @@ def test_decimals_are_numbers() -> None:
         ([("a", 1), ("b", 2)], ""),
     ],
 )
-def test_choices_that_cannot_be_told_apart_or_kept_are_refused(column: Any, value: str) -> None:
+def test_choices_that_cannot_be_told_apart_or_kept_are_refused(
+    column: Any, value: str
+) -> None:
     with pytest.raises(InputError, match=rf"^table.x(\[\d\]|.shape): {value}"):
         rows_like({"x": column})
 

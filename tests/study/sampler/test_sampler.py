@@ -23,7 +23,14 @@ from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.gp import KERNELS
 from study.sampler.worlds import Worlds
-from tests.study.sampler.studies import bowl, params_of, resumed, rows_of, run_code, study_of
+from tests.study.sampler.studies import (
+    bowl,
+    params_of,
+    resumed,
+    rows_of,
+    run_code,
+    study_of,
+)
 from tests.study.sampler.test_goals import studied
 
 Floats = NDArray[np.float64]
@@ -45,12 +52,13 @@ def small_table() -> FeatureTable:
 
 FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
     "table": lambda: FeatureKernelSampler(small_table(), seed=1),
-    "off_grid":
-        lambda: FeatureKernelSampler(small_table(), seed=1, off_grid=30, feature_function=features),
+    "off_grid": lambda: FeatureKernelSampler(
+        small_table(), seed=1, off_grid=30, feature_function=features
+    ),
     "paper": lambda: FeatureKernelSampler(small_table(), seed=1, kernel="rbf"),
     "callable": lambda: FeatureKernelSampler(features, seed=1),
     "plain": lambda: FeatureKernelSampler(seed=1),
-}  # fmt: skip
+}
 
 
 def run(form: str, trials: int = 9) -> list[dict[str, Any]]:
@@ -70,7 +78,9 @@ def test_the_state_is_in_the_trials_also_after_reseeding(form):
 
 def proposals() -> dict[str, Any]:
     """Of all forms, and of a study with two goals."""
-    return {form: run(form) for form in FORMS} | {"goals": params_of(studied("worlds", 6))}
+    return {form: run(form) for form in FORMS} | {
+        "goals": params_of(studied("worlds", 6))
+    }
 
 
 ELSEWHERE = """
@@ -105,7 +115,9 @@ def test_points_of_a_space_become_good(given):
 
 def test_points_off_the_table_beat_its_best_row():
     table = small_table()
-    best_row = (table.rows.parameters[:, 0] ** 2 + 0.01 * table.rows.parameters[:, 1]).min()
+    best_row = (
+        table.rows.parameters[:, 0] ** 2 + 0.01 * table.rows.parameters[:, 1]
+    ).min()
     calls: list[int] = []
 
     def counted(params):
@@ -123,7 +135,9 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(monkeyp
     """What is noted in trials has no infinity."""
 
     def function(params):
-        return np.column_stack([np.where(params[:, 0] < 0.5, -np.inf, 1.0), params[:, 1]])
+        return np.column_stack(
+            [np.where(params[:, 0] < 0.5, -np.inf, 1.0), params[:, 1]]
+        )
 
     learned: list[Any] = []
     looked_at = Model._looked_at
@@ -132,10 +146,18 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(monkeyp
         learned.append(model.trials.features)
         return looked_at(model, *rest)
 
-    table = FeatureTable.from_arrays({"a": [0.1, 0.9, 0.2], "b": [0.0, 0.5, 1.0]}, np.eye(3)[:, :2])
+    table = FeatureTable.from_arrays(
+        {"a": [0.1, 0.9, 0.2], "b": [0.0, 0.5, 1.0]}, np.eye(3)[:, :2]
+    )
     study = study_of(table, seed=0, off_grid=30, feature_function=function)
-    study.optimize(lambda t: t.suggest_float("a", 0.1, 0.9) + t.suggest_float("b", 0, 1), 8)
-    off = [t.number for t in study.trials if t.user_attrs["row"] == -1 and t.params["a"] < 0.5]
+    study.optimize(
+        lambda t: t.suggest_float("a", 0.1, 0.9) + t.suggest_float("b", 0, 1), 8
+    )
+    off = [
+        t.number
+        for t in study.trials
+        if t.user_attrs["row"] == -1 and t.params["a"] < 0.5
+    ]
     assert off
     monkeypatch.setattr(Model, "_looked_at", spied)
     study.ask(table.rows.space.as_dict())
@@ -151,7 +173,9 @@ def test_a_trial_off_the_table_may_have_gaps_and_none_near_it_is_tried_twice(gap
         return np.where((params[:, 0] < -0.5)[:, None], gaps, features(params))
 
     options = {"seed": 0, "feature_function": function}
-    study = study_of(small_table(), bowl, 6, enqueued=[{"a": -0.77, "b": 1.0}], **options)
+    study = study_of(
+        small_table(), bowl, 6, enqueued=[{"a": -0.77, "b": 1.0}], **options
+    )
     assert len({trial.user_attrs.get("row") for trial in study.trials}) == 6
     table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
     options = {"seed": 0, "off_grid": 50, "feature_function": lambda p: p}
@@ -175,8 +199,13 @@ def test_rows_left_out_change_no_choice(kernel):
     values[100:] = np.nan
 
     def proposed(rows):
-        columns, bounds = dict(zip("ab", params[:rows].T, strict=True)), {"a": (-1, 1), "b": (0, 5)}
-        table = FeatureTable.from_arrays(columns, values[:rows], ["size", "side"], bounds=bounds)
+        columns, bounds = (
+            dict(zip("ab", params[:rows].T, strict=True)),
+            {"a": (-1, 1), "b": (0, 5)},
+        )
+        table = FeatureTable.from_arrays(
+            columns, values[:rows], ["size", "side"], bounds=bounds
+        )
         return params_of(study_of(table, bowl, 12, seed=3, kernel=kernel))
 
     assert proposed(300) == proposed(100)
@@ -184,13 +213,17 @@ def test_rows_left_out_change_no_choice(kernel):
 
 def test_a_thousand_trials_are_no_trouble():
     rng = np.random.default_rng(0)
-    table = FeatureTable.from_arrays({"a": rng.uniform(size=3000)}, rng.normal(size=(3000, 3)))
+    table = FeatureTable.from_arrays(
+        {"a": rng.uniform(size=3000)}, rng.normal(size=(3000, 3))
+    )
     study = study_of(table, seed=0)
     space = {"a": FloatDistribution(0, 1)}
     for row in range(1000):
         params = table.rows.as_parameters(row)
         value = float(table.rows.features[row].sum())
-        study.add_trial(optuna.create_trial(params=params, distributions=space, value=value))
+        study.add_trial(
+            optuna.create_trial(params=params, distributions=space, value=value)
+        )
     start = time.perf_counter()
     study.ask(table.rows.space.as_dict())
     assert time.perf_counter() - start < 5.0  # a second on an idle machine
@@ -217,7 +250,9 @@ print(peak() - before)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc on this system")
+@pytest.mark.skipif(
+    not Path("/proc/self/status").exists(), reason="no /proc on this system"
+)
 def test_a_hundred_thousand_rows_take_little_memory():
     done = run_code(MEMORY)
     assert float(done.stdout) < 200.0, done.stderr
@@ -266,13 +301,18 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel, unknown):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         table = FeatureTable.from_arrays(columns, values)
-    near = {"feature_function": lambda p: np.column_stack([p, p.sum(axis=1)]), "off_grid": 16}
+    near = {
+        "feature_function": lambda p: np.column_stack([p, p.sum(axis=1)]),
+        "off_grid": 16,
+    }
     study = study_of(table, seed=0, kernel=kernel, **near)
     for row in range(1 if np.isnan(unknown) else 6):
         study.enqueue_trial(table.rows.as_parameters(row))
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        study.optimize(lambda t: sum(t.suggest_float(name, 0.1, 0.4) for name in columns), 9)
+        study.optimize(
+            lambda t: sum(t.suggest_float(name, 0.1, 0.4) for name in columns), 9
+        )
     assert [trial.user_attrs["row"] for trial in study.trials[6:]] == [-1, -1, -1]
 
 
@@ -300,13 +340,20 @@ def test_failed_and_pruned_trials_teach_nothing_nor_do_their_limits(table, state
     rows, expected = rows_of(lost), rows_of(clean)
     assert rows[:7] == expected
     assert rows[7] not in rows[:7]
-    score = table.rows.features[:, 0]  # it goes on where it was, as if nothing had been learned
+    score = table.rows.features[
+        :, 0
+    ]  # it goes on where it was, as if nothing had been learned
     assert abs(score[rows[7]] - score[expected[6]]) < 0.2
 
 
 def test_ties_are_broken_by_the_seed():
-    tied = FeatureTable.from_arrays({"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50))
-    seen = {rows_of(study_of(tied, bowl, 4, seed=seed, kernel="rbf"))[3] for seed in range(12)}
+    tied = FeatureTable.from_arrays(
+        {"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50)
+    )
+    seen = {
+        rows_of(study_of(tied, bowl, 4, seed=seed, kernel="rbf"))[3]
+        for seed in range(12)
+    }
     assert len(seen) > 6
 
 
@@ -314,16 +361,22 @@ def test_an_informative_score_beats_random_search():
     rng = np.random.default_rng(5)
     unit = rng.uniform(size=(3000, 8))
     depth = ((unit - 0.6) ** 2).sum(axis=1)
-    score = np.maximum(0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000))  # most are zero
+    score = np.maximum(
+        0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000)
+    )  # most are zero
     columns = {f"x{i}": unit[:, i] for i in range(8)}
-    table = FeatureTable.from_arrays(columns, score, bounds=dict.fromkeys(columns, (0.0, 1.0)))
+    table = FeatureTable.from_arrays(
+        columns, score, bounds=dict.fromkeys(columns, (0.0, 1.0))
+    )
 
     def objective(trial):
         x = np.array([trial.suggest_float(name, 0, 1) for name in columns])
         return float(1.0 - np.exp(-8.0 * ((x - 0.6) ** 2).sum()))
 
     def mean_best(new_sampler):
-        studies = [optuna.create_study(sampler=new_sampler(seed=seed)) for seed in range(6)]
+        studies = [
+            optuna.create_study(sampler=new_sampler(seed=seed)) for seed in range(6)
+        ]
         for each in studies:
             each.optimize(objective, n_trials=20)
         return np.mean([each.best_value for each in studies])
@@ -337,10 +390,16 @@ def test_an_informative_score_beats_random_search():
 LARGEST = np.finfo(np.float64).max
 LINE = np.linspace(0.0, 1.0, 30)
 EXTREMES = [
-    ((5e307, -5e307), -1.0), ((LARGEST, -LARGEST), -1.0), ((LARGEST, LARGEST), -1.0),
-    ((-LARGEST, 0.0), -1.0), ((1e155, 1.0), -1.0), ((np.inf, -LARGEST), -1.0),
-    ((1.0, 2.0), LARGEST), ((1.0, 2.0), -LARGEST), ((1.0, 2.0), 1e200),
-]  # fmt: skip
+    ((5e307, -5e307), -1.0),
+    ((LARGEST, -LARGEST), -1.0),
+    ((LARGEST, LARGEST), -1.0),
+    ((-LARGEST, 0.0), -1.0),
+    ((1e155, 1.0), -1.0),
+    ((np.inf, -LARGEST), -1.0),
+    ((1.0, 2.0), LARGEST),
+    ((1.0, 2.0), -LARGEST),
+    ((1.0, 2.0), 1e200),
+]
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
@@ -364,7 +423,9 @@ def test_extreme_costs_and_constraints_are_learned_from(costs, limit, kernel):
 def test_extreme_features_tell_rows_apart(kernel):
     features = np.where(np.arange(30) % 2, LARGEST, -LARGEST) * LINE
     table = FeatureTable.from_arrays({"x": LINE}, features)
-    study = study_of(table, lambda t: t.suggest_float("x", 0, 1), 6, seed=1, kernel=kernel)
+    study = study_of(
+        table, lambda t: t.suggest_float("x", 0, 1), 6, seed=1, kernel=kernel
+    )
     assert len({trial.params["x"] for trial in study.trials}) == 6
 
 
@@ -375,18 +436,36 @@ SHOWN = FeatureTable.from_arrays(SIXTEEN, SIX, ["survival", *"bcdef"])
 TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: survival, b, c, ...)"
 
 
-@pytest.mark.parametrize(("made", "shown"), [
-    (lambda: FeatureKernelSampler(SHOWN, seed=3), f"FeatureKernelSampler({TABLE}, seed=3)"),
-    (lambda: FeatureKernelSampler(SHOWN, kernel="rbf", strict=True, success=0.1, seed=3),
-     f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', success=0.1)"),
-    (lambda: FeatureKernelSampler(
-        features, seed=3, independent_sampler=RandomSampler(), extra_parameters=["n"]),
-     "FeatureKernelSampler(features, seed=3, extra_parameters=('n',), "
-     "independent_sampler=RandomSampler)"),
-    (lambda: FeatureKernelSampler(seed=0, space={"x": FloatDistribution(0, 1)}),
-     "FeatureKernelSampler(seed=0, space={'x': FloatDistribution("
-     "high=1.0, log=False, low=0.0, step=None)})"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("made", "shown"),
+    [
+        (
+            lambda: FeatureKernelSampler(SHOWN, seed=3),
+            f"FeatureKernelSampler({TABLE}, seed=3)",
+        ),
+        (
+            lambda: FeatureKernelSampler(
+                SHOWN, kernel="rbf", strict=True, success=0.1, seed=3
+            ),
+            f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', success=0.1)",
+        ),
+        (
+            lambda: FeatureKernelSampler(
+                features,
+                seed=3,
+                independent_sampler=RandomSampler(),
+                extra_parameters=["n"],
+            ),
+            "FeatureKernelSampler(features, seed=3, extra_parameters=('n',), "
+            "independent_sampler=RandomSampler)",
+        ),
+        (
+            lambda: FeatureKernelSampler(seed=0, space={"x": FloatDistribution(0, 1)}),
+            "FeatureKernelSampler(seed=0, space={'x': FloatDistribution("
+            "high=1.0, log=False, low=0.0, step=None)})",
+        ),
+    ],
+)
 def test_a_sampler_shows_its_seed_and_what_was_chosen_wherever_it_travels(made, shown):
     sampler = made()
     assert repr(sampler) == shown == repr(pickle.loads(pickle.dumps(sampler)))
@@ -394,5 +473,7 @@ def test_a_sampler_shows_its_seed_and_what_was_chosen_wherever_it_travels(made, 
 
 def test_presets_go_by_their_own_names_and_a_seed_that_was_drawn_is_shown():
     assert repr(DoGSampler(SHOWN, seed=1)).startswith(f"DoGSampler({TABLE}, seed=1")
-    found = re.fullmatch(r"FeatureKernelSampler\(seed=(\d+)\)", repr(FeatureKernelSampler()))
+    found = re.fullmatch(
+        r"FeatureKernelSampler\(seed=(\d+)\)", repr(FeatureKernelSampler())
+    )
     assert found and int(found[1]) > 0

@@ -21,7 +21,9 @@ COST = np.hypot(*(PLACES - [0.7, 0.2]).T) + 0.05 * np.sin(20.0 * PLACES[:, 0])
 RING = np.roll(np.eye(40), 1, axis=0) + np.roll(np.eye(40), -1, axis=0)
 
 
-def trials_to_best(table: FeatureTable, seed: int, cost: Any = COST, rank: int = 3) -> int:
+def trials_to_best(
+    table: FeatureTable, seed: int, cost: Any = COST, rank: int = 3
+) -> int:
     study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=seed))
     for number in range(1, 41):
         trial = study.ask()
@@ -36,7 +38,9 @@ def test_factors_give_the_covariance_again() -> None:
     factor = factor_of_gram(GRAM)
     assert factor.shape[1] < 150  # it is smooth
     np.testing.assert_allclose(factor @ factor.T, GRAM, atol=1e-4)
-    np.testing.assert_allclose(factor_of_gram(GRAM.astype("f4")) @ factor[7], GRAM[:, 7], atol=1e-3)
+    np.testing.assert_allclose(
+        factor_of_gram(GRAM.astype("f4")) @ factor[7], GRAM[:, 7], atol=1e-3
+    )
     plain = factor_of_gram(np.eye(5))
     np.testing.assert_array_equal(plain @ plain.T, np.eye(5))
     graph = factor_of_graph(scipy.sparse.csr_array(RING), 4.0)
@@ -71,12 +75,16 @@ def test_the_posterior_is_that_of_the_gram_matrix() -> None:
 
 def test_likeness_finds_the_best_rows_sooner_than_chance() -> None:
     table = FeatureTable.from_kernel(GRAM)
-    assert repr(table).startswith("FeatureTable(300 rows, 1 parameter, similarity of rank ")
+    assert repr(table).startswith(
+        "FeatureTable(300 rows, 1 parameter, similarity of rank "
+    )
     found = [trials_to_best(table, seed) for seed in range(6)]
     assert np.mean(found) < 20  # at random 75
     ring = np.minimum(np.arange(40), 40 - np.arange(40)) ** 1.5
     graph = FeatureTable.from_graph(RING)
-    assert np.mean([trials_to_best(graph, seed, ring, 1) for seed in range(6)]) < 15  # 20.5
+    assert (
+        np.mean([trials_to_best(graph, seed, ring, 1) for seed in range(6)]) < 15
+    )  # 20.5
 
 
 def test_rows_may_have_names_and_a_study_is_examined() -> None:
@@ -84,40 +92,73 @@ def test_rows_may_have_names_and_a_study_is_examined() -> None:
     table = FeatureTable.from_kernel(GRAM, {"name": words})
     sampler = FeatureKernelSampler(table, seed=1)
     study = optuna.create_study(sampler=sampler)
-    study.add_trial(optuna.create_trial(  # of no row: it has no likeness
-        params={"name": "other"}, value=0.0,
-        distributions={"name": optuna.distributions.CategoricalDistribution([*words, "other"])},
-    ))  # fmt: skip
+    study.add_trial(
+        optuna.create_trial(  # of no row: it has no likeness
+            params={"name": "other"},
+            value=0.0,
+            distributions={
+                "name": optuna.distributions.CategoricalDistribution([*words, "other"])
+            },
+        )
+    )
     choices = [*words, "other"]
     with pytest.warns(UserWarning, match="no row of the table are ignored"):
         study.optimize(
-            lambda t: COST[words.index(t.suggest_categorical("name", choices))], n_trials=20
+            lambda t: COST[words.index(t.suggest_categorical("name", choices))],
+            n_trials=20,
         )
-    assert "worth" in str(sampler.worth(study)) or "explain" in str(sampler.worth(study))
+    assert "worth" in str(sampler.worth(study)) or "explain" in str(
+        sampler.worth(study)
+    )
     assert sampler.best(study).row == words.index(sampler.best(study).params["name"])
 
 
 GRAPH, KERNEL = FeatureTable.from_graph, FeatureTable.from_kernel
 
 
-@pytest.mark.parametrize(("make", "given", "match"), [
-    (KERNEL, np.ones((2, 3)), r"^table.gram.shape: \(2, 3\) .* \[n, n\]"),
-    (KERNEL, [["a"]], r"^table.gram\[0, 0\]: .a. .* an array of numbers"),
-    (KERNEL, np.array([["a"]]), r"^table.gram: '<U1' .* numbers"),
-    (KERNEL, [[np.nan]], "^table.gram: 'not symmetric, or not finite' .* semidefinite"),
-    (KERNEL, [[1.0, 0.5], [0.2, 1.0]], "^table.gram: 'not symmetric, or not finite'"),
-    (KERNEL, [[1.0, 2.0], [2.0, 1.0]],
-     "^table.gram: 'no variance that row 0 can have' .* semidefinite"),
-    (KERNEL, [[1.0, 0.0], [0.0, -1.0]], r"^table.gram\[1, same\]: -1.0 .* semidefinite"),
-    (KERNEL, np.zeros((2, 2)), "^table.gram"),
-    (GRAPH, np.ones((2, 3)), r"^table.weights.shape: \(2, 3\)"),
-    (GRAPH, "road", "^table.weights: 'str' .* weights of edges"),
-    (GRAPH, -RING, "^table.weights: 'a negative or infinite weight'"),
-    (GRAPH, np.triu(RING), "^table.weights: 'not symmetric'"),
-    (lambda rows: KERNEL(GRAM, {"row": rows}), [1, 2, 3], r"^table.row.shape: \(3,\)"),
-    (lambda near: FeatureKernelSampler(KERNEL(GRAM), off_grid=near), 9,
-     r"^off_grid: 9 .* a similarity knows its rows alone"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "given", "match"),
+    [
+        (KERNEL, np.ones((2, 3)), r"^table.gram.shape: \(2, 3\) .* \[n, n\]"),
+        (KERNEL, [["a"]], r"^table.gram\[0, 0\]: .a. .* an array of numbers"),
+        (KERNEL, np.array([["a"]]), r"^table.gram: '<U1' .* numbers"),
+        (
+            KERNEL,
+            [[np.nan]],
+            "^table.gram: 'not symmetric, or not finite' .* semidefinite",
+        ),
+        (
+            KERNEL,
+            [[1.0, 0.5], [0.2, 1.0]],
+            "^table.gram: 'not symmetric, or not finite'",
+        ),
+        (
+            KERNEL,
+            [[1.0, 2.0], [2.0, 1.0]],
+            "^table.gram: 'no variance that row 0 can have' .* semidefinite",
+        ),
+        (
+            KERNEL,
+            [[1.0, 0.0], [0.0, -1.0]],
+            r"^table.gram\[1, same\]: -1.0 .* semidefinite",
+        ),
+        (KERNEL, np.zeros((2, 2)), "^table.gram"),
+        (GRAPH, np.ones((2, 3)), r"^table.weights.shape: \(2, 3\)"),
+        (GRAPH, "road", "^table.weights: 'str' .* weights of edges"),
+        (GRAPH, -RING, "^table.weights: 'a negative or infinite weight'"),
+        (GRAPH, np.triu(RING), "^table.weights: 'not symmetric'"),
+        (
+            lambda rows: KERNEL(GRAM, {"row": rows}),
+            [1, 2, 3],
+            r"^table.row.shape: \(3,\)",
+        ),
+        (
+            lambda near: FeatureKernelSampler(KERNEL(GRAM), off_grid=near),
+            9,
+            r"^off_grid: 9 .* a similarity knows its rows alone",
+        ),
+    ],
+)
 def test_what_is_refused(make: Any, given: Any, match: str) -> None:
     with pytest.raises(InputError, match=match):
         make(given)

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from optuna import distributions
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 from study.sampler.space import (
     Space,
@@ -17,19 +21,24 @@ from study.sampler.space import (
 )
 
 DISTRIBUTIONS: dict[str, distributions.BaseDistribution] = {
-    "plain": FloatDistribution(-2.0, 3.0), "log": FloatDistribution(1e-5, 10.0, log=True),
-    "step": FloatDistribution(-1.0, 1.0, step=0.25), "int": IntDistribution(3, 9),
-    "int_step": IntDistribution(0, 10, step=2), "int_log": IntDistribution(1, 1000, log=True),
-    "choice": CategoricalDistribution(["x", "y", "z"]), "single": FloatDistribution(4.0, 4.0),
-}  # fmt: skip
+    "plain": FloatDistribution(-2.0, 3.0),
+    "log": FloatDistribution(1e-5, 10.0, log=True),
+    "step": FloatDistribution(-1.0, 1.0, step=0.25),
+    "int": IntDistribution(3, 9),
+    "int_step": IntDistribution(0, 10, step=2),
+    "int_log": IntDistribution(1, 1000, log=True),
+    "choice": CategoricalDistribution(["x", "y", "z"]),
+    "single": FloatDistribution(4.0, 4.0),
+}
 SPACE = Space.of(DISTRIBUTIONS)
 
 
 def inside(points: np.ndarray) -> bool:
     return all(
         distribution._contains(distribution.to_internal_repr(SPACE.values(point)[name]))
-        for point in points for name, distribution in DISTRIBUTIONS.items()
-    )  # fmt: skip
+        for point in points
+        for name, distribution in DISTRIBUTIONS.items()
+    )
 
 
 def test_points_anywhere_are_values_of_their_distributions():
@@ -46,7 +55,9 @@ def test_points_near_others_are_near_and_inside():
     points = nearby(SPACE, centre, 800, rng)
     assert inside(points)
     distance = np.linalg.norm(SPACE.unit(points) - SPACE.unit(centre), axis=1)
-    others = np.linalg.norm(SPACE.unit(anywhere(SPACE, 800, rng)) - SPACE.unit(centre), axis=1)
+    others = np.linalg.norm(
+        SPACE.unit(anywhere(SPACE, 800, rng)) - SPACE.unit(centre), axis=1
+    )
     assert np.median(distance) < 0.3 * np.median(others)
     assert np.mean(distance > 0) > 0.8
     unmoved = np.mean(points[:, 0] == nearby(SPACE, centre, 1, rng)[0, 0])
@@ -75,19 +86,30 @@ def test_taken_points_are_left_out_unless_nothing_is_left_and_the_first_misfit_i
     assert first_not_taken(FloatDistribution(0, 9), values, IntDistribution(1, 9)) == 1
 
 
-@pytest.mark.parametrize(("distribution", "value", "expected"), [
-    (FloatDistribution(0, 1), 1, 1.0), (FloatDistribution(0, 1), 1.5, None),
-    (FloatDistribution(0, 1), True, None), (FloatDistribution(0, 1), "1", None),
-    (FloatDistribution(1, 2, log=True), 2.0, 2.0), (FloatDistribution(0, 1, step=0.1), 0.3, 0.3),
-    (FloatDistribution(0, 1, step=0.1), 0.35, None), (IntDistribution(0, 9), 3.0, 3),
-    (IntDistribution(0, 9), 3.5, None), (IntDistribution(0, 9, step=3), 4, None),
-    (IntDistribution(1, 9, log=True), 0, None), (CategoricalDistribution([4, 2, "x"]), 2.0, 2),
-    (CategoricalDistribution([4, 2, "x"]), "y", None),
-    (CategoricalDistribution([True, False]), 1, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("distribution", "value", "expected"),
+    [
+        (FloatDistribution(0, 1), 1, 1.0),
+        (FloatDistribution(0, 1), 1.5, None),
+        (FloatDistribution(0, 1), True, None),
+        (FloatDistribution(0, 1), "1", None),
+        (FloatDistribution(1, 2, log=True), 2.0, 2.0),
+        (FloatDistribution(0, 1, step=0.1), 0.3, 0.3),
+        (FloatDistribution(0, 1, step=0.1), 0.35, None),
+        (IntDistribution(0, 9), 3.0, 3),
+        (IntDistribution(0, 9), 3.5, None),
+        (IntDistribution(0, 9, step=3), 4, None),
+        (IntDistribution(1, 9, log=True), 0, None),
+        (CategoricalDistribution([4, 2, "x"]), 2.0, 2),
+        (CategoricalDistribution([4, 2, "x"]), "y", None),
+        (CategoricalDistribution([True, False]), 1, True),
+    ],
+)
 def test_values_become_what_another_distribution_has(distribution, value, expected):
     own = CategoricalDistribution([value])
-    assert first_not_taken(own, np.zeros(2), distribution) == (0 if expected is None else None)
+    assert first_not_taken(own, np.zeros(2), distribution) == (
+        0 if expected is None else None
+    )
     if isinstance(value, int | float):
         numeric, numbers = FloatDistribution(-9, 9), np.array([float(value)])
         flag = isinstance(value, bool)  # a number to NumPy
@@ -102,12 +124,22 @@ def test_values_become_what_another_distribution_has(distribution, value, expect
 
 
 @pytest.mark.parametrize(
-    "values", [{}, {"plain": "0"}, {"plain": True}, {"plain": None}, {"choice": "q"}, {"log": -1.0}]
+    "values",
+    [
+        {},
+        {"plain": "0"},
+        {"plain": True},
+        {"plain": None},
+        {"choice": "q"},
+        {"log": -1.0},
+    ],
 )
 def test_what_a_space_has_no_number_for_is_no_row(values):
     whole = SPACE.values(anywhere(SPACE, 1, np.random.default_rng(0))[0])
     assert SPACE.row(whole) is not None
-    broken = {name: v for name, v in whole.items() if name != "int"} if not values else whole
+    broken = (
+        {name: v for name, v in whole.items() if name != "int"} if not values else whole
+    )
     assert SPACE.row(broken | values) is None
 
 
@@ -128,7 +160,9 @@ def test_the_unit_cube_has_ranges_of_one_choices_one_apart_and_edges():
     a, b = space.unit(np.array(rows))
     assert_allclose(np.abs(a - b)[:2], 1.0)
     assert_allclose(np.linalg.norm((a - b)[2:]), 1.0)
-    space = Space.of({name: DISTRIBUTIONS[name] for name in ("plain", "log", "int", "single")})
+    space = Space.of(
+        {name: DISTRIBUTIONS[name] for name in ("plain", "log", "int", "single")}
+    )
     rows = np.array([[5.5, 1e3, 9.0, 4.0], [0.5, 1e-2, 12.0, 5.0]])
     edges = [[1.0, 1.0, 6.5 / 7, 0.0], [0.5, 0.5, 6.5 / 7, 0.0]]
     np.testing.assert_allclose(space.unit(rows), edges)

@@ -8,7 +8,11 @@ import optuna
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
 import taichi_nmm
 from storage import open_store
@@ -25,7 +29,9 @@ MIXED = {"rate": [0.1, 0.01, 1.0], "units": [3, 1, 2], "kind": ["relu", "tanh", 
 
 
 def test_arrays_make_rows_of_native_values():
-    rows = FeatureTable.from_arrays(MIXED, np.arange(6.0).reshape(3, 2), ["p", "q"]).rows
+    rows = FeatureTable.from_arrays(
+        MIXED, np.arange(6.0).reshape(3, 2), ["p", "q"]
+    ).rows
     assert rows.as_parameters(1) == {"rate": 0.01, "units": 1, "kind": "tanh"}
     assert [type(v) for v in rows.as_parameters(1).values()] == [float, int, str]
     own = FloatDistribution(0.01, 1.0), IntDistribution(1, 3)
@@ -38,7 +44,10 @@ def test_arrays_make_rows_of_native_values():
     rows = FeatureTable.from_arrays(TWO, [1, 3]).rows  # one feature may be a column
     assert rows.feature_names == ("feature_0",)
     assert rows.standard.standard(rows.features).tolist() == [[-1.0], [1.0]]
-    given = {"rate": FloatDistribution(1e-3, 1.0, log=True), "units": FloatDistribution(0.0, 4.0)}
+    given = {
+        "rate": FloatDistribution(1e-3, 1.0, log=True),
+        "units": FloatDistribution(0.0, 4.0),
+    }
     rows = FeatureTable.from_arrays(MIXED, [1, 2, 3], space=given).rows
     assert rows.space.distributions[:2] == tuple(given.values())
     assert type(rows.as_parameters(0)["units"]) is float
@@ -57,7 +66,9 @@ def test_rows_are_found_by_their_values():
 
 def test_a_data_frame_gives_named_columns():
     frame = pd.DataFrame(MIXED | {"p": [1, 2, 4], "q": [0.5, np.nan, 1.5]})
-    table = FeatureTable.from_dataframe(frame, parameters=list(MIXED), features=["p", "q"])
+    table = FeatureTable.from_dataframe(
+        frame, parameters=list(MIXED), features=["p", "q"]
+    )
     assert table.rows.feature_names == ("p", "q")
     assert_allclose(table.rows.features, [[1.0, 0.5], [2.0, np.nan], [4.0, 1.5]])
 
@@ -65,7 +76,9 @@ def test_a_data_frame_gives_named_columns():
 def test_any_parquet_file_or_folder_will_do(tmp_path):
     frame = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]})
     for part in range(2):
-        frame.assign(units=frame.units + 3 * part).to_parquet(tmp_path / f"part-{part}.parquet")
+        frame.assign(units=frame.units + 3 * part).to_parquet(
+            tmp_path / f"part-{part}.parquet"
+        )
     whole = FeatureTable.from_parquet(tmp_path, features=["p"], parameters=list(MIXED))
     assert whole.rows.parameters[:, 1].tolist() == [3, 1, 2, 6, 4, 5]
     given = {"features": ["p"], "parameters": ["rate"], "bounds": {"rate": (0, 2)}}
@@ -75,16 +88,21 @@ def test_any_parquet_file_or_folder_will_do(tmp_path):
     assert pickle.loads(pickle.dumps(whole)).rows.as_parameters(4)["kind"] == "tanh"
 
 
-@pytest.mark.parametrize(("file", "parameters", "message"), [
-    ("missing.parquet", ["rate"], "store: .*missing.parquet"),
-    ("text.parquet", ["rate"], "store: .*a Parquet file"),
-    ("good.parquet", ["speed"], "column: 'speed' .*rate"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("file", "parameters", "message"),
+    [
+        ("missing.parquet", ["rate"], "store: .*missing.parquet"),
+        ("text.parquet", ["rate"], "store: .*a Parquet file"),
+        ("good.parquet", ["speed"], "column: 'speed' .*rate"),
+    ],
+)
 def test_bad_parquet_is_refused(tmp_path, file, parameters, message):
     (tmp_path / "text.parquet").write_text("no")
     pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]}).to_parquet(tmp_path / "good.parquet")
     with pytest.raises(InputError, match=message):
-        FeatureTable.from_parquet(tmp_path / file, features=["p"], parameters=parameters)
+        FeatureTable.from_parquet(
+            tmp_path / file, features=["p"], parameters=parameters
+        )
 
 
 def test_a_table_of_arrays_pickles_with_its_arrays_alone():
@@ -99,14 +117,20 @@ def test_a_table_of_arrays_pickles_with_its_arrays_alone():
 
 def test_a_feature_without_information_weighs_nothing_and_half_of_the_others_offer_a_row():
     features = np.column_stack([[1.0, 2.0, 3.0], [7.0] * 3, [np.nan] * 3])
-    with pytest.warns(UserWarning, match="without information are ignored: feature_1, feature_2"):
+    with pytest.warns(
+        UserWarning, match="without information are ignored: feature_1, feature_2"
+    ):
         rows = FeatureTable.from_arrays(MIXED, features).rows
     for by_order in (False, True):
-        assert_allclose(rows.scale(by_order=by_order).standard(rows.features)[:, 1:], 0.0)
+        assert_allclose(
+            rows.scale(by_order=by_order).standard(rows.features)[:, 1:], 0.0
+        )
     assert rows.offered.all()
     nan, inf = np.nan, np.inf
     features = [[nan, 1.0, 7.0], [2.0, nan, 7.0], [nan, nan, 7.0], [inf, -inf, nan]]
-    with pytest.warns(UserWarning, match="1 rows that lack more than half .* ignored: feature_2"):
+    with pytest.warns(
+        UserWarning, match="1 rows that lack more than half .* ignored: feature_2"
+    ):
         table = FeatureTable.from_arrays({"a": np.arange(4.0)}, features)
     assert table.rows.offered.tolist() == [True, True, False, True]
 
@@ -131,53 +155,105 @@ def test_features_of_any_scale():
     huge = FeatureTable.from_arrays(TWO, [1e30, 3e30]).rows
     for by_order in (False, True):
         scales = [rows.scale(by_order=by_order) for rows in (tiny, huge)]
-        assert_allclose(scales[0].standard(tiny.features), scales[1].standard(huge.features))
+        assert_allclose(
+            scales[0].standard(tiny.features), scales[1].standard(huge.features)
+        )
 
 
-@pytest.mark.parametrize(("parameters", "features", "options", "message"), [
-    ({}, [1.0], {}, "table.parameters"), ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
-    ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"), ({"a": []}, [1.0], {}, "table.a.shape"),
-    ({"a": [float("nan")]}, [1.0], {}, r"table.a\[0\]"),
-    ({"a": [0.0, None]}, [1.0, 2.0], {}, r"table.a\[1\]"),
-    ({"a": [0.0]}, [], {}, "table.features.shape"),
-    ({"a": [0.0]}, [[[1.0]]], {}, "table.features.shape"),
-    (TWO, [1, 3], {"bounds": {"a": (0, 1), "b": (0, 5.5)}}, r"table.b\[1\]: 6.0 .* 0 to 5.5"),
-    (TWO, [1, 3], {"bounds": {"c": (0, 1)}}, "table.bounds: 'c'"),
-    ({"a": ["0.5", "0.7", "1O"]}, [1, 3, 5], {}, r"table.a\[0\]: '0.5' .*row 2 has '1O'"),
-    ({"a": ["r\u00f6t", "blue", "ro\u0308t "]}, [1, 3, 5], {}, r"table.a\[2\]: .* in row 0"),
-    ({"a": pd.array([1, None], dtype="Int64")}, [1, 3], {}, r"table.a\[1\]: nan"),
-    ({"a": [Decimal(2**60)]}, [1], {}, r"table.a\[0\]: 115.* up to 2\^53"),
-    (TWO, [1, 3], {"bounds": {"a": (1, 0)}}, "table.bounds.a"),
-    (MIXED, [1, 2, 3], {"bounds": {"kind": (1, 2)}}, "table.bounds.kind: .* categorical"),
-    (TWO, [1, 3], {"space": {"c": FloatDistribution(0, 1)}}, "table.space: 'c'"),
-    (TWO, [1, 3], {"space": {"a": FloatDistribution(0.5, 1)}}, r"table.a\[0\]: 0.0 .* 0.5 to 1"),
-    (TWO, [1, 3], {"space": {"a": FloatDistribution(0, 0.9, step=0.3)}}, r"table.a\[1\]: 1.0"),
-    (TWO, [1, 3], {"space": {"a": CategoricalDistribution([0.0, 2.0])}}, r"table.a\[1\]: 1.0"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("parameters", "features", "options", "message"),
+    [
+        ({}, [1.0], {}, "table.parameters"),
+        ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
+        ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"),
+        ({"a": []}, [1.0], {}, "table.a.shape"),
+        ({"a": [float("nan")]}, [1.0], {}, r"table.a\[0\]"),
+        ({"a": [0.0, None]}, [1.0, 2.0], {}, r"table.a\[1\]"),
+        ({"a": [0.0]}, [], {}, "table.features.shape"),
+        ({"a": [0.0]}, [[[1.0]]], {}, "table.features.shape"),
+        (
+            TWO,
+            [1, 3],
+            {"bounds": {"a": (0, 1), "b": (0, 5.5)}},
+            r"table.b\[1\]: 6.0 .* 0 to 5.5",
+        ),
+        (TWO, [1, 3], {"bounds": {"c": (0, 1)}}, "table.bounds: 'c'"),
+        (
+            {"a": ["0.5", "0.7", "1O"]},
+            [1, 3, 5],
+            {},
+            r"table.a\[0\]: '0.5' .*row 2 has '1O'",
+        ),
+        (
+            {"a": ["r\u00f6t", "blue", "ro\u0308t "]},
+            [1, 3, 5],
+            {},
+            r"table.a\[2\]: .* in row 0",
+        ),
+        ({"a": pd.array([1, None], dtype="Int64")}, [1, 3], {}, r"table.a\[1\]: nan"),
+        ({"a": [Decimal(2**60)]}, [1], {}, r"table.a\[0\]: 115.* up to 2\^53"),
+        (TWO, [1, 3], {"bounds": {"a": (1, 0)}}, "table.bounds.a"),
+        (
+            MIXED,
+            [1, 2, 3],
+            {"bounds": {"kind": (1, 2)}},
+            "table.bounds.kind: .* categorical",
+        ),
+        (TWO, [1, 3], {"space": {"c": FloatDistribution(0, 1)}}, "table.space: 'c'"),
+        (
+            TWO,
+            [1, 3],
+            {"space": {"a": FloatDistribution(0.5, 1)}},
+            r"table.a\[0\]: 0.0 .* 0.5 to 1",
+        ),
+        (
+            TWO,
+            [1, 3],
+            {"space": {"a": FloatDistribution(0, 0.9, step=0.3)}},
+            r"table.a\[1\]: 1.0",
+        ),
+        (
+            TWO,
+            [1, 3],
+            {"space": {"a": CategoricalDistribution([0.0, 2.0])}},
+            r"table.a\[1\]: 1.0",
+        ),
+    ],
+)
 def test_bad_arrays_are_refused(parameters, features, options, message):
     with pytest.raises(InputError, match=message):
         FeatureTable.from_arrays(parameters, features, **options)
 
 
 # Choices and gaps.
-@pytest.mark.parametrize(("values", "choices"), [
-    (["sqrt", None, "log2"], [None, "sqrt", "log2"]), ([True, None, False], [None, True, False]),
-    (["scale", 0.1, 1], [0.1, 1, "scale"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("values", "choices"),
+    [
+        (["sqrt", None, "log2"], [None, "sqrt", "log2"]),
+        ([True, None, False], [None, True, False]),
+        (["scale", 0.1, 1], [0.1, 1, "scale"]),
+    ],
+)
 def test_none_and_numbers_among_words_are_choices(values, choices):
     table = FeatureTable.from_arrays({"kind": values}, [1.0, 2.0, 4.0])
-    study = study_of(table, lambda trial: trial.suggest_categorical("kind", choices) is None, 3)
+    study = study_of(
+        table, lambda trial: trial.suggest_categorical("kind", choices) is None, 3
+    )
     assert {trial.params["kind"] for trial in study.trials} == set(values)
     assert sorted(rows_of(study)) == [0, 1, 2]
 
 
 @pytest.mark.parametrize("values", [[3, None, 5], [None, None], ["x", float("nan")]])
 def test_what_may_be_a_gap_names_the_way_to_make_it_a_choice(values):
-    with pytest.raises(InputError, match=r"table.depth\[\d\]: .* None .*space=\{'depth': "):
+    with pytest.raises(
+        InputError, match=r"table.depth\[\d\]: .* None .*space=\{'depth': "
+    ):
         FeatureTable.from_arrays({"depth": values}, np.arange(float(len(values))))
 
 
-@pytest.mark.parametrize("values", [[3, None, 5], [3.0, float("nan"), 5.0], ["x", None, "y"]])
+@pytest.mark.parametrize(
+    "values", [[3, None, 5], [3.0, float("nan"), 5.0], ["x", None, "y"]]
+)
 def test_given_as_a_choice_a_gap_is_none(values):
     choices = [None if value is None or value != value else value for value in values]
     frame = pd.DataFrame({"depth": values, "feature": [1.0, 2.0, 3.0]})
@@ -189,13 +265,19 @@ def test_given_as_a_choice_a_gap_is_none(values):
 
 # Stores.
 def test_a_store_gives_its_parameters_and_bounds(store):
-    table = FeatureTable.from_parquet(store, features=["phi_corrected", "mean_speed_mps"])
+    table = FeatureTable.from_parquet(
+        store, features=["phi_corrected", "mean_speed_mps"]
+    )
     rows = table.rows
     assert len(table) == 200
     assert rows.names == GAIN_NAMES
     quality = fake_walker.quality(rows.parameters)
-    assert_allclose(rows.features, np.column_stack([np.round(50 * quality), 1.3 * quality]))
-    assert rows.space.distributions == tuple(FloatDistribution(g.low, g.high) for g in GAINS)
+    assert_allclose(
+        rows.features, np.column_stack([np.round(50 * quality), 1.3 * quality])
+    )
+    assert rows.space.distributions == tuple(
+        FloatDistribution(g.low, g.high) for g in GAINS
+    )
 
 
 def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
@@ -206,7 +288,9 @@ def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
     rows = FeatureTable.from_parquet(path, features=features).rows
     theta_ref = LOW_LEVEL_GAINS[7]
     assert rows.names == (*GAIN_NAMES, "theta_ref")
-    assert rows.space.distributions[-1] == FloatDistribution(theta_ref.low, theta_ref.high)
+    assert rows.space.distributions[-1] == FloatDistribution(
+        theta_ref.low, theta_ref.high
+    )
     assert np.array_equal(rows.parameters, open_store(path).gains())
     assert rows.find(rows.as_parameters(11)) == 11
     assert rows.as_parameters(11)["theta_ref"] == rows.parameters[11, 16]
@@ -214,7 +298,9 @@ def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
         FeatureTable.from_parquet(path, features=["theta_ref"])
 
 
-def test_a_stored_table_pickles_without_its_rows_and_is_refused_after_a_change(store, tmp_path):
+def test_a_stored_table_pickles_without_its_rows_and_is_refused_after_a_change(
+    store, tmp_path
+):
     table = FeatureTable.from_parquet(store, features=["phi_printed"])
     pickled = pickle.dumps(table)
     assert len(pickled) < 2000
@@ -228,21 +314,32 @@ def test_a_stored_table_pickles_without_its_rows_and_is_refused_after_a_change(s
         len(pickle.loads(pickled))
 
 
-@pytest.mark.parametrize(("features", "options", "message"), [
-    (["phi"], {}, "phi"), (["K_GAS"], {}, "K_GAS"), (["end_reason"], {}, "end_reason"),
-    ([], {}, "features: 'none'"), ([], {"parameters": ["K_GAS"]}, "features: 'none'"),
-])  # fmt: skip
-def test_columns_that_are_no_feature_or_none_are_refused(store, features, options, message):
+@pytest.mark.parametrize(
+    ("features", "options", "message"),
+    [
+        (["phi"], {}, "phi"),
+        (["K_GAS"], {}, "K_GAS"),
+        (["end_reason"], {}, "end_reason"),
+        ([], {}, "features: 'none'"),
+        ([], {"parameters": ["K_GAS"]}, "features: 'none'"),
+    ],
+)
+def test_columns_that_are_no_feature_or_none_are_refused(
+    store, features, options, message
+):
     with pytest.raises(InputError, match=message):
         FeatureTable.from_parquet(store, features=features, **options)
 
 
 # What a table looks like at a prompt.
 @pytest.mark.filterwarnings("ignore:FeatureTable")
-@pytest.mark.parametrize(("rows", "parameters", "features", "shown"), [
-    (600, 2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
-    (1, 1, 2, "1 row, 1 parameter, 2 features: a, b"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("rows", "parameters", "features", "shown"),
+    [
+        (600, 2, 3, "600 rows, 2 parameters, 3 features: a, b, c"),
+        (1, 1, 2, "1 row, 1 parameter, 2 features: a, b"),
+    ],
+)
 def test_a_table_shows_its_size_and_features(rows, parameters, features, shown):
     columns = {f"x{i}": np.linspace(0, 1, rows) for i in range(parameters)}
     values = np.random.default_rng(0).random((rows, features))
@@ -253,6 +350,8 @@ def test_a_table_shows_its_size_and_features(rows, parameters, features, shown):
 def test_a_table_that_travelled_is_not_read_again_to_be_shown(tmp_path):
     path = tmp_path / "table.parquet"
     pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]}).to_parquet(path)
-    made = pickle.dumps(FeatureTable.from_parquet(path, features=["f"], parameters=["x"]))
+    made = pickle.dumps(
+        FeatureTable.from_parquet(path, features=["f"], parameters=["x"])
+    )
     path.unlink()
     assert repr(pickle.loads(made)) == "FeatureTable(2 rows, 1 parameter, 1 feature: f)"

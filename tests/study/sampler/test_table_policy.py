@@ -57,12 +57,16 @@ def assert_rows_were_run(study: optuna.Study) -> None:
 
 # Trials that are enqueued in part.
 @pytest.mark.parametrize("finished", [0, 6])
-def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values_the_best_one(finished):
+def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values_the_best_one(
+    finished,
+):
     study = study_of(TABLE, both, finished)
     for _ in range(3):
         study.enqueue_trial({"a": 1.0})
     study.optimize(both, n_trials=5)
-    assert [trial.params["a"] for trial in study.trials[finished : finished + 3]] == [1.0] * 3
+    assert [trial.params["a"] for trial in study.trials[finished : finished + 3]] == [
+        1.0
+    ] * 3
     assert len(set(rows_of(study))) == finished + 5
     assert_rows_were_run(study)
     enqueued = [*map(row, (0, 1, 3, 6, 8, 11)), {"a": 1.0}]
@@ -73,7 +77,9 @@ def test_a_partly_enqueued_trial_is_a_row_that_has_the_fixed_values_the_best_one
 def test_where_no_row_has_the_fixed_values_it_is_an_error_before_the_objective():
     study = study_of(TABLE, enqueued=[{"a": 0.3}])
     done: list[float] = []
-    with pytest.raises(InputError, match=r"^a: 0.3 cannot be used; allowed: .* row .* 0.5; or"):
+    with pytest.raises(
+        InputError, match=r"^a: 0.3 cannot be used; allowed: .* row .* 0.5; or"
+    ):
         study.optimize(lambda trial: done.append(both(trial)) or 0.0, n_trials=1)
     assert not done
     assert "row" not in study.trials[0].user_attrs
@@ -83,23 +89,33 @@ def test_where_no_row_has_the_fixed_values_it_is_an_error_before_the_objective()
 
 def test_no_row_has_all_of_them():
     columns = {"a": [0.0, 1.0], "b": [0.0, 5.0], "c": [1.0, 2.0]}
-    study = study_of(FeatureTable.from_arrays(columns, [1, 2]), enqueued=[{"a": 0.0, "b": 5.0}])
+    study = study_of(
+        FeatureTable.from_arrays(columns, [1, 2]), enqueued=[{"a": 0.0, "b": 5.0}]
+    )
     with pytest.raises(InputError, match=r"^a, b: \(0.0, 5.0\) cannot be used"):
-        study.optimize(lambda trial: both(trial) + trial.suggest_float("c", 0, 5), n_trials=1)
+        study.optimize(
+            lambda trial: both(trial) + trial.suggest_float("c", 0, 5), n_trials=1
+        )
 
 
 @pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
-def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_function_only(monkeypatch):
+def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_function_only(
+    monkeypatch,
+):
     learned, made = [], Model.__init__
 
     def spied(model, *given, **named):
         made(model, *given, **named)
-        learned.append(model.trials.features)  # of the finished trials, in standard units [n, 2]
+        learned.append(
+            model.trials.features
+        )  # of the finished trials, in standard units [n, 2]
 
     monkeypatch.setattr(Model, "__init__", spied)
     study = study_of(TABLE, both, 4, strict=False)
     study.enqueue_trial({"a": 0.25})
-    with pytest.warns(UserWarning, match=r"a: 0.25 .* independent sampler takes over") as said:
+    with pytest.warns(
+        UserWarning, match=r"a: 0.25 .* independent sampler takes over"
+    ) as said:
         study.optimize(both, n_trials=1)
     assert len(said) == 1
     assert study.trials[-1].params["a"] == 0.25
@@ -122,13 +138,17 @@ def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_functio
     assert_rows_were_run(study)
 
 
-@pytest.mark.parametrize(("value", "tried"), [(0.25, 5), (0.5, 18)])  # some rows, or all
+@pytest.mark.parametrize(
+    ("value", "tried"), [(0.25, 5), (0.5, 18)]
+)  # some rows, or all
 def test_points_near_the_table_keep_the_fixed_value(value, tried):
     enqueued = [*map(row, range(tried)), {"a": value}]
     options = {"feature_function": compute, "off_grid": 40}
     last = study_of(TABLE, both, tried + 1, enqueued=enqueued, **options).trials[-1]
     assert last.params["a"] == value
-    assert last.user_attrs["row"] == -1 or last.params["b"] == 0.0  # that is row 6 again
+    assert (
+        last.user_attrs["row"] == -1 or last.params["b"] == 0.0
+    )  # that is row 6 again
     own = compute(np.array([[value, last.params["b"]]]))[0]
     assert last.user_attrs["features"] == pytest.approx(own)
 
@@ -153,11 +173,15 @@ def test_an_enqueued_row_is_noted_from_its_start():
     trial = study.ask()
     assert study.trials[0].user_attrs == {"row": 7, "features": [1.5, -0.5]}
     study.tell(trial, both(trial))
-    study.optimize(lambda trial: both(trial) + trial.suggest_int("other", 1, 5), n_trials=1)
+    study.optimize(
+        lambda trial: both(trial) + trial.suggest_int("other", 1, 5), n_trials=1
+    )
     study.optimize(both, n_trials=6)
     assert rows_of(study)[:2] == [7, 9]
     assert_rows_were_run(study)
-    gap = FeatureTable.from_arrays({"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES))
+    gap = FeatureTable.from_arrays(
+        {"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES)
+    )
     for table, noted in ((ONE, {"score": 1.5}), (gap, {"features": [None, -0.5]})):
         study = study_of(table, both, 5, enqueued=[row(7)])
         assert study.trials[0].user_attrs == {"row": 7} | noted
@@ -183,7 +207,9 @@ def test_the_objective_sees_its_row(storage: str | None) -> None:
 def test_a_row_that_waits_is_not_proposed_to_another_worker():
     study = study_of(TABLE, enqueued=[row(0)])  # waits until the end
     for _ in range(17):
-        trial = study._storage.get_trial(study._storage.create_new_trial(study._study_id))
+        trial = study._storage.get_trial(
+            study._storage.create_new_trial(study._study_id)
+        )
         value = study.sampler.sample_independent(study, trial, "a", SPACE["a"])
         assert isinstance(value, float)
     assert study.trials[0].state is TrialState.WAITING
@@ -206,7 +232,10 @@ def test_a_row_enqueued_by_another_process_is_taken(tmp_path):
 
 def test_resumed_is_uninterrupted_with_enqueued_trials_and_killed_ones_are_run_again():
     enqueued = (row(4), {"a": 0.5}, {"b": 2.0})
-    whole, pieces = study_of(TABLE, both, 9, enqueued=enqueued), study_of(TABLE, enqueued=enqueued)
+    whole, pieces = (
+        study_of(TABLE, both, 9, enqueued=enqueued),
+        study_of(TABLE, enqueued=enqueued),
+    )
     resumed(lambda: FeatureKernelSampler(TABLE, seed=1), both, 9, pieces)
     told = [(trial.params, trial.user_attrs) for trial in whole.trials]
     assert told == [(trial.params, trial.user_attrs) for trial in pieces.trials]
@@ -229,7 +258,9 @@ def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run():
     noted = {"value": 1.0, "user_attrs": {"row": 3, "features": FEATURES[3].tolist()}}
     for params in ({"a": 0.25, "b": 3.0}, {"a": 0.0}):
         distributions = {name: SPACE[name] for name in params}
-        study.add_trial(optuna.create_trial(params=params, distributions=distributions, **noted))
+        study.add_trial(
+            optuna.create_trial(params=params, distributions=distributions, **noted)
+        )
     assert [row_of(ROWS, trial) for trial in study.trials] == [None, None]
     assert not read_history(study, study.trials[0], ROWS.space, ROWS).tried.any()
     ignored = "^trials whose parameters are no row of the table are ignored: such as trial 0; "
@@ -244,10 +275,14 @@ def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back():
     """A range of one value: Optuna asks no sampler."""
 
     def pinned(value):
-        return lambda trial: trial.suggest_float("b", 0, 5) + trial.suggest_float("a", value, value)
+        return lambda trial: (
+            trial.suggest_float("b", 0, 5) + trial.suggest_float("a", value, value)
+        )
 
     study = study_of(TABLE)
-    with pytest.raises(InputError, match=r"a: .*low=0.25.* a range that holds all rows"):
+    with pytest.raises(
+        InputError, match=r"a: .*low=0.25.* a range that holds all rows"
+    ):
         study.optimize(pinned(0.25), n_trials=1)
     assert study.trials[0].user_attrs == {"row": -1, "features": None}
     study = study_of(TABLE, strict=False)
@@ -269,7 +304,11 @@ def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right():
     study.enqueue_trial({"a": 0.5, "b": 3.0}, user_attrs={"row": 2, "mood": "good"})
     study.enqueue_trial({"a": 0.25, "b": 3.0}, user_attrs={"row": 2})
     study.ask()
-    assert study.trials[0].user_attrs == {"row": 9, "features": [3.5, -2.5], "mood": "good"}
+    assert study.trials[0].user_attrs == {
+        "row": 9,
+        "features": [3.5, -2.5],
+        "mood": "good",
+    }
     study.optimize(both, n_trials=1)
     assert study.trials[1].user_attrs["row"] == -1
 
@@ -277,13 +316,19 @@ def test_a_row_of_another_table_that_came_with_an_enqueued_trial_is_put_right():
 def test_features_of_a_point_that_was_not_run_are_taken_back():
     """The range shrinks in one trial: one parameter is drawn independently."""
     options = {"feature_function": lambda params: params.sum(axis=1), "off_grid": 50}
-    study = study_of(ONE, both, 18, enqueued=map(row, range(18)), strict=False, **options)
+    study = study_of(
+        ONE, both, 18, enqueued=map(row, range(18)), strict=False, **options
+    )
     with pytest.warns(UserWarning, match="a: .* a range that holds all rows"):
-        study.optimize(lambda t: t.suggest_float("b", 0, 5) + t.suggest_float("a", 2, 3), 1)
+        study.optimize(
+            lambda t: t.suggest_float("b", 0, 5) + t.suggest_float("a", 2, 3), 1
+        )
     assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
     study = study_of(compute, both, 4, space=SPACE, strict=False)
     with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
-        study.optimize(lambda trial: only_a(trial) + trial.suggest_float("b", 4.99, 5), 1)
+        study.optimize(
+            lambda trial: only_a(trial) + trial.suggest_float("b", 4.99, 5), 1
+        )
     assert study.trials[-1].user_attrs["features"] is None
     study.optimize(both, n_trials=2)
 
@@ -295,9 +340,13 @@ def b_at_times(trial: optuna.Trial) -> float:
 
 @pytest.mark.parametrize("objective", [only_a, b_at_times])
 @pytest.mark.parametrize("enqueued", [[], [row(3)]])
-def test_it_is_an_error_of_the_very_trial_or_one_warning_and_no_row(objective, enqueued):
+def test_it_is_an_error_of_the_very_trial_or_one_warning_and_no_row(
+    objective, enqueued
+):
     study = study_of(ONE, enqueued=enqueued)
-    with pytest.raises(InputError, match=r"b: 'not suggested in trial 0' .* all of a, b"):
+    with pytest.raises(
+        InputError, match=r"b: 'not suggested in trial 0' .* all of a, b"
+    ):
         study.optimize(objective, n_trials=1)
     assert study.trials[0].state is TrialState.COMPLETE  # what it cost is not lost
     assert study.trials[0].user_attrs == {"row": -1, "score": None}
@@ -322,7 +371,9 @@ def test_asked_and_told_too_also_where_nothing_of_the_table_was_suggested():
 
 
 @pytest.mark.parametrize("error", [optuna.TrialPruned, RuntimeError])
-def test_a_trial_that_ends_early_says_nothing_and_one_that_is_refused_keeps_no_row(error):
+def test_a_trial_that_ends_early_says_nothing_and_one_that_is_refused_keeps_no_row(
+    error,
+):
     def ends(trial):
         only_a(trial)
         raise error
@@ -343,11 +394,15 @@ def test_an_earlier_study_may_have_suggested_otherwise():
     """Another scale and narrower ranges: Optuna's own samplers fail on the first."""
     rate = np.geomspace(1e-3, 1, 30)
     given = FeatureTable.from_arrays({"rate": rate}, np.log(rate))
-    before = study_of(given, lambda trial: trial.suggest_float("rate", 1e-3, 1), 3, seed=2)
+    before = study_of(
+        given, lambda trial: trial.suggest_float("rate", 1e-3, 1), 3, seed=2
+    )
     before.enqueue_trial({"rate": float(rate[25])})
     before.optimize(lambda trial: trial.suggest_float("rate", 0.3, 0.5), n_trials=1)
     study = study_of(given)
     study.add_trials(before.trials)
-    study.optimize(lambda trial: trial.suggest_float("rate", 1e-3, 1, log=True), n_trials=5)
+    study.optimize(
+        lambda trial: trial.suggest_float("rate", 1e-3, 1, log=True), n_trials=5
+    )
     assert len({trial.user_attrs["row"] for trial in study.trials}) == 9
     assert study.best_value == rate[0]

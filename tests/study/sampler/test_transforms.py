@@ -24,7 +24,9 @@ CLIFF = np.array([-1.0, 0.0, 2.0, 1e6, 2.0])
 def test_the_cost_is_the_logarithm_of_the_excess_in_typical_units():
     expected = np.log1p((CLIFF + 1.0) / 3.0)  # 3: the median of 1, 3, 3, 1e6
     assert_allclose(log_excess(CLIFF, CLIFF), expected)
-    assert_allclose(log_excess(1e3 * CLIFF - 7.0, 1e3 * CLIFF - 7.0), expected)  # whatever its unit
+    assert_allclose(
+        log_excess(1e3 * CLIFF - 7.0, 1e3 * CLIFF - 7.0), expected
+    )  # whatever its unit
     assert_allclose(log_excess(np.full(4, 3.0), np.full(4, 3.0)), 0.0)
 
 
@@ -59,7 +61,9 @@ def blom(rows: Floats, values: Floats) -> Floats:
     known = rows[~np.isnan(rows)]
     ranks = []
     for value in values:
-        with_it = rankdata(np.append(known, value))  # it is itself among those that are equal
+        with_it = rankdata(
+            np.append(known, value)
+        )  # it is itself among those that are equal
         among = with_it[-1] if value in known else with_it[-1] - 0.5
         ranks.append(among - 0.5 * (value in known))
     clipped = np.clip(ranks, 1, len(known))
@@ -78,13 +82,19 @@ def drawn(seed: int) -> Floats:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_normal_scores_are_scipys_of_each_column_alone(seed):
-    rows, others = (np.column_stack([drawn(n), drawn(n + 50)]) for n in (seed, seed + 100))
-    others = np.concatenate([others, rows, [[-1e9, 1e9], [1e9, -1e9]]])  # on, between, beyond them
+    rows, others = (
+        np.column_stack([drawn(n), drawn(n + 50)]) for n in (seed, seed + 100)
+    )
+    others = np.concatenate(
+        [others, rows, [[-1e9, 1e9], [1e9, -1e9]]]
+    )  # on, between, beyond them
     scores = NormalScores.of(rows)
     found, own = scores.standard(others), scores.own
     assert np.array_equal(own, scores.standard(rows))  # to the bit
     for column in range(2):
-        assert_allclose(found[:, column], blom(rows[:, column], others[:, column]), atol=1e-12)
+        assert_allclose(
+            found[:, column], blom(rows[:, column], others[:, column]), atol=1e-12
+        )
         assert_allclose(own[~np.isnan(rows[:, column]), column].std(), 1.0)
 
 
@@ -93,8 +103,12 @@ def test_a_constant_is_zero_wherever_it_is_asked_and_without_rows_all_are(value)
     rows = np.array([[value], [value], [NAN]])
     standard = NormalScores.of(rows).standard(np.array([[value], [1e9], [-1e9], [NAN]]))
     assert not standard[:, 0].any()
-    assert_allclose(standard[:, 1], [-np.sqrt(0.5)] * 3 + [np.sqrt(2.0)])  # a third has a gap
-    assert not NormalScores.of(np.empty((0, 2))).standard(np.array([[value, NAN]])).any()
+    assert_allclose(
+        standard[:, 1], [-np.sqrt(0.5)] * 3 + [np.sqrt(2.0)]
+    )  # a third has a gap
+    assert (
+        not NormalScores.of(np.empty((0, 2))).standard(np.array([[value, NAN]])).any()
+    )
 
 
 def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once():
@@ -110,7 +124,9 @@ def test_a_feature_with_gaps_has_a_column_that_says_so_each_pattern_once():
     assert not standard[:30, 1].any() and not standard[90:, 3].any()
 
 
-@pytest.mark.parametrize(("missing", "columns"), [(0, 1), (2, 1), (3, 2), (97, 2), (98, 1)])
+@pytest.mark.parametrize(
+    ("missing", "columns"), [(0, 1), (2, 1), (3, 2), (97, 2), (98, 1)]
+)
 def test_hardly_any_gaps_or_hardly_any_values_are_no_column(missing, columns):
     rows = np.arange(100.0)[:, None]
     rows[:missing] = NAN
@@ -130,7 +146,9 @@ def test_the_affine_scale_is_numpys_and_infinity_is_beyond_all_values():
     scale = Standard.of(rows)
     found = scale.standard(rows)
     assert_allclose(found, np.column_stack([expected, np.zeros(60)]), atol=1e-12)
-    assert np.argsort(scale.standard(np.array([[INF, 5.0], [-INF, 5.0]]))[:, 0]).tolist() == [1, 0]
+    assert np.argsort(
+        scale.standard(np.array([[INF, 5.0], [-INF, 5.0]]))[:, 0]
+    ).tolist() == [1, 0]
 
 
 A, B = np.random.default_rng(4).uniform(size=(2, 50))
@@ -142,7 +160,9 @@ def proposed(features: Floats) -> list[Any]:
     table = FeatureTable.from_arrays({"a": A, "b": B}, features)
 
     def cost(t: optuna.Trial) -> float:
-        return (t.suggest_float("a", 0, 1) - 0.4) ** 2 + 0.1 * t.suggest_float("b", 0, 1)
+        return (t.suggest_float("a", 0, 1) - 0.4) ** 2 + 0.1 * t.suggest_float(
+            "b", 0, 1
+        )
 
     return studies.rows_of(studies.study_of(table, cost, 14, seed=2))
 
@@ -154,7 +174,9 @@ def unchanged() -> list[Any]:
 
 CHANGES: dict[str, Callable[[Floats], Floats]] = {
     "cubed and moved": lambda column: 1e3 * (column - 0.3) ** 3 - 50.0,
-    "heavy-tailed, to 1e6": lambda column: np.expm1((column / column.max()) ** 9 * np.log(1e6)),
+    "heavy-tailed, to 1e6": lambda column: np.expm1(
+        (column / column.max()) ** 9 * np.log(1e6)
+    ),
     "ranks": rankdata,
     "with infinities": lambda column: np.where(
         column == column.max(), INF, np.where(column == column.min(), -INF, column)

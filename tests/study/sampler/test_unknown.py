@@ -22,7 +22,9 @@ def sampler_of(outcomes: Any, features: Any = None) -> FeatureKernelSampler:
 
 
 def told(
-    sampler: FeatureKernelSampler, values: list[float], limits: list[float] | None = None
+    sampler: FeatureKernelSampler,
+    values: list[float],
+    limits: list[float] | None = None,
 ) -> Prediction:
     """What is predicted of all rows after trials of the first ones."""
     study, space = (
@@ -41,10 +43,17 @@ def told(
 # Worlds.
 @pytest.mark.parametrize(
     "outcomes",
-    [COSTS[:, 0], COSTS[:, [0, 0, 0]], COSTS[:, [0, 0]] * [1.0, 1.0 + 1e-12], np.ones((40, 3))],
+    [
+        COSTS[:, 0],
+        COSTS[:, [0, 0, 0]],
+        COSTS[:, [0, 0]] * [1.0, 1.0 + 1e-12],
+        np.ones((40, 3)),
+    ],
     ids=["one", "equal", "nearly equal", "all the same"],
 )
-def test_of_one_world_or_of_worlds_that_agree_no_interval_is_known(outcomes: Floats) -> None:
+def test_of_one_world_or_of_worlds_that_agree_no_interval_is_known(
+    outcomes: Floats,
+) -> None:
     found = told(sampler_of(outcomes), [])
     assert_allclose(found.value, outcomes.reshape(40, -1)[:, 0])
     assert np.isnan([found.low, found.high, found.success, found.kept]).all()
@@ -71,7 +80,9 @@ def test_before_a_trial_the_interval_is_that_of_one_more_world() -> None:
     assert_allclose(found.success, student.cdf((0.5 - outcomes.mean(axis=1)) / sd, 2))
 
 
-@pytest.mark.parametrize("outcomes", [COSTS[:, 0], COSTS[:, [0, 0, 0]]], ids=["one", "equal"])
+@pytest.mark.parametrize(
+    "outcomes", [COSTS[:, 0], COSTS[:, [0, 0, 0]]], ids=["one", "equal"]
+)
 def test_a_trial_that_failed_where_the_only_world_succeeds_leaves_nothing_certain(
     outcomes: Floats,
 ) -> None:
@@ -83,14 +94,18 @@ def test_a_trial_that_failed_where_the_only_world_succeeds_leaves_nothing_certai
 # Values.
 @pytest.mark.parametrize("factor", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("count", [1, 3])
-def test_after_trials_of_one_value_no_interval_is_known(count: int, factor: float) -> None:
+def test_after_trials_of_one_value_no_interval_is_known(
+    count: int, factor: float
+) -> None:
     """Whatever its unit: nothing tells how far other values may be."""
     sampler = sampler_of(None, np.column_stack([LINE, LINE**2]))
     found = told(sampler, [4.777 * factor] * count)
     assert_allclose(found.value, 4.777 * factor)
     assert np.isnan([found.low, found.high, found.success]).all()
     study = optuna.create_study(sampler=sampler)
-    study.optimize(lambda trial: trial.suggest_float("x", 0, 1) * 0.0 + factor, n_trials=count)
+    study.optimize(
+        lambda trial: trial.suggest_float("x", 0, 1) * 0.0 + factor, n_trials=count
+    )
     assert f"{factor:.4g} (interval unknown), by 1 trial" in str(sampler.best(study))
 
 
@@ -115,12 +130,16 @@ def test_of_a_limit_of_which_too_little_is_known_no_model_is_asked(
     assert_allclose(found.kept, np.nan if expected is None else expected)
 
 
-def test_a_limit_is_kept_near_trials_that_kept_it_and_not_near_those_that_did_not() -> None:
+def test_a_limit_is_kept_near_trials_that_kept_it_and_not_near_those_that_did_not() -> (
+    None
+):
     sampler = sampler_of(COSTS)
     study = optuna.create_study(sampler=sampler)
     for row in range(0, 40, 4):
         study.enqueue_trial({"x": LINE[row]})
-        trial = study.ask(sampler.infer_relative_search_space(study, study.trials[row // 4]))
+        trial = study.ask(
+            sampler.infer_relative_search_space(study, study.trials[row // 4])
+        )
         trial.set_constraint("limit", LINE[row] - 0.5)
         study.tell(trial, float(COSTS[row, 1]))
     found = sampler.predict(study)

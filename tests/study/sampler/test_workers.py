@@ -25,7 +25,9 @@ ROWS = 215  # hardly more than trials: the end of the table is fought for
 def small_table() -> FeatureTable:
     rng = np.random.default_rng(0)
     columns = {"a": rng.uniform(size=ROWS), "b": rng.uniform(size=ROWS)}
-    return FeatureTable.from_arrays(columns, np.round(columns["a"], 1))  # ten scores: many ties
+    return FeatureTable.from_arrays(
+        columns, np.round(columns["a"], 1)
+    )  # ten scores: many ties
 
 
 def open_storage(kind: str, folder: Path) -> BaseStorage:
@@ -41,13 +43,20 @@ def cost(trial: optuna.Trial) -> float:
 def work(kind: str, folder: Path, trials: int) -> None:
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     sampler = DoGSampler(small_table(), seed=1)
-    study = optuna.load_study(study_name="s", storage=open_storage(kind, folder), sampler=sampler)
+    study = optuna.load_study(
+        study_name="s", storage=open_storage(kind, folder), sampler=sampler
+    )
     study.optimize(cost, n_trials=trials)
 
 
-@pytest.mark.parametrize(("kind", "workers"), [
-    ("journal", 4), ("sqlite", 2), pytest.param("sqlite", 4, marks=pytest.mark.campaign),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "workers"),
+    [
+        ("journal", 4),
+        ("sqlite", 2),
+        pytest.param("sqlite", 4, marks=pytest.mark.campaign),
+    ],
+)
 def test_no_row_is_proposed_twice(kind, workers, tmp_path):
     trials = TRIALS if workers == 4 and kind == "sqlite" else TRIALS // 2
     optuna.create_study(study_name="s", storage=open_storage(kind, tmp_path))
@@ -64,7 +73,9 @@ def test_no_row_is_proposed_twice(kind, workers, tmp_path):
     rows = Counter(trial.user_attrs["row"] for trial in study.trials)
     assert len(rows) == sum(rows.values()) == trials
     table = small_table().rows
-    assert all(t.params == table.as_parameters(t.user_attrs["row"]) for t in study.trials)
+    assert all(
+        t.params == table.as_parameters(t.user_attrs["row"]) for t in study.trials
+    )
 
 
 def test_of_two_that_want_one_row_the_later_gives_way():
@@ -97,7 +108,9 @@ def test_running_trials_are_conditioned_on(conditioned, kernel, monkeypatch):
     a = np.linspace(0, 1, 400)
     table = FeatureTable.from_arrays({"a": a}, a)
     space = table.rows.space.as_dict()
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=0, kernel=kernel))
+    study = optuna.create_study(
+        sampler=FeatureKernelSampler(table, seed=0, kernel=kernel)
+    )
     study.optimize(lambda t: (t.suggest_float("a", 0, 1) - 0.5) ** 2, n_trials=4)
     asked = [study.ask(space).params["a"] for _ in range(6)]
     neighbours = 5 / 399  # how wide six rows side by side are

@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
@@ -22,7 +26,9 @@ from tests.study.sampler.studies import Floats
 
 SPACE = {"x": FloatDistribution(0.0, 1.0), "y": FloatDistribution(1.0, 100.0, log=True)}
 ROWS = np.random.default_rng(5).random((60, 2))
-PLACES = np.array([[0.2, 0.2], [0.2, 0.3], [0.8, 0.7], [0.8, 0.8]])  # of the best, in four worlds
+PLACES = np.array(
+    [[0.2, 0.2], [0.2, 0.3], [0.8, 0.7], [0.8, 0.8]]
+)  # of the best, in four worlds
 
 
 def cost(unit: Any, place: Any) -> Any:
@@ -35,9 +41,13 @@ DIRECTIONS = {1.0: "minimize", -1.0: "maximize"}
 SPREAD = np.log(1.0 + (COSTS / COSTS.min() - 1.0) / 0.3)
 
 
-def table(outcomes: Any = COSTS, features: Any = None, better: Any = None) -> FeatureTable:
+def table(
+    outcomes: Any = COSTS, features: Any = None, better: Any = None
+) -> FeatureTable:
     columns, given = {"x": ROWS[:, 0], "y": 100.0 ** ROWS[:, 1]}, {"outcomes": outcomes}
-    return FeatureTable.from_arrays(columns, features, **given, better=better, space=SPACE)
+    return FeatureTable.from_arrays(
+        columns, features, **given, better=better, space=SPACE
+    )
 
 
 def of_all(worlds: Worlds) -> Ensemble:
@@ -49,8 +59,12 @@ def robot(trial: optuna.Trial, place: Any = (0.85, 0.75)) -> float:
     return float(cost([x, np.log(y) / np.log(100.0)], np.array(place))[0])
 
 
-def studied(sampler: FeatureKernelSampler, trials: int, sign: float = 1.0) -> optuna.Study:
-    study = optuna.create_study(sampler=sampler, direction="minimize" if sign > 0 else "maximize")
+def studied(
+    sampler: FeatureKernelSampler, trials: int, sign: float = 1.0
+) -> optuna.Study:
+    study = optuna.create_study(
+        sampler=sampler, direction="minimize" if sign > 0 else "maximize"
+    )
     study.optimize(lambda trial: sign * robot(trial), n_trials=trials)
     return study
 
@@ -65,7 +79,9 @@ def test_an_ensemble_is_the_mean_and_the_covariance_over_the_worlds() -> None:
     weights = np.array([3, 1, 1, 1]) / 6  # each family counts the same
     np.testing.assert_allclose(ensemble.mean, y @ weights)
     away = y - (y @ weights)[:, None]
-    np.testing.assert_allclose(ensemble.parts @ ensemble.parts.T, (away * weights) @ away.T)
+    np.testing.assert_allclose(
+        ensemble.parts @ ensemble.parts.T, (away * weights) @ away.T
+    )
     below = of_all(Worlds.of(COSTS - 1.0))  # costs without a logarithm
     expected = (COSTS - COSTS.mean()) / COSTS.std()
     np.testing.assert_allclose(below.standard(COSTS - 1.0), expected, atol=1e-12)
@@ -75,13 +91,19 @@ def after_nine_trials(phi: Any = ROWS[:, :0]) -> tuple[Ensemble, Points, Model]:
     """Of the first rows, in a world like the third; phi are features beside the worlds."""
     ensemble = of_all(Worlds.of(COSTS))
     points = Points(np.hstack([phi, ensemble.columns]), ROWS)
-    seen, nobody, limits = points.take(np.arange(9)), points.take(np.arange(0)), np.empty((9, 0))
+    seen, nobody, limits = (
+        points.take(np.arange(9)),
+        points.take(np.arange(0)),
+        np.empty((9, 0)),
+    )
     costs = COSTS[:9, 2] + 0.2
     return ensemble, points, Model(WORLDS, 2, seen, costs, limits, nobody, {}, ensemble)
 
 
 @pytest.mark.parametrize("features", [0, 2])
-def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features: int) -> None:
+def test_the_posterior_is_that_of_the_covariance_in_the_docstring(
+    features: int,
+) -> None:
     rng = np.random.default_rng(1)
     phi = rng.standard_normal((60, features))
     ensemble, points, model = after_nine_trials(phi)
@@ -99,19 +121,27 @@ def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features: int)
         k = k + slope * phi @ phi.T + size * np.exp(-0.5 * far)
     gain = k[:, :9] @ np.linalg.inv(k[:9, :9] + noise * np.eye(9))
     mean, variance = posterior.predict(points)
-    np.testing.assert_allclose(m + mean, m + gain @ (ensemble.standard(costs) - m[:9]), atol=2e-3)
+    np.testing.assert_allclose(
+        m + mean, m + gain @ (ensemble.standard(costs) - m[:9]), atol=2e-3
+    )
     np.testing.assert_allclose(variance, np.diag(k - gain @ k[:9]), atol=2e-3)
     rest = ensemble.standard(costs) - m[:9]
     own_k = k[:9, :9] + noise * np.eye(9)
-    wider = own_k + 9 * noise * np.eye(9)  # the constants are likelier than with more noise
+    wider = own_k + 9 * noise * np.eye(
+        9
+    )  # the constants are likelier than with more noise
     density = multivariate_normal(np.zeros(9), own_k).logpdf(rest)
     assert density > multivariate_normal(np.zeros(9), wider).logpdf(rest) - 3.0
 
 
-def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighbours() -> None:
+def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighbours() -> (
+    None
+):
     rows = table().rows
     columns = rows.ensemble(ONE).columns
-    np.testing.assert_allclose(rows.mixed(columns, rows.unit, rows.unit[:3]), columns, atol=1e-3)
+    np.testing.assert_allclose(
+        rows.mixed(columns, rows.unit, rows.unit[:3]), columns, atol=1e-3
+    )
     point = np.array([[0.5, 0.5]])
     distance = np.sqrt(((rows.unit - point) ** 2).sum(axis=1))
     near = np.argsort(distance)[:8]
@@ -126,7 +156,9 @@ def test_it_begins_with_the_ranking_learns_the_world_and_leaves_the_table() -> N
     assert study.trials[0].user_attrs["row"] == np.argmin(SPREAD.mean(axis=1))
     rows = cost(ROWS, np.array([0.85, 0.75]))
     values = [trial.values[0] for trial in study.trials]
-    assert min(values[:5]) <= np.sort(rows)[2]  # among the best three rows of this robot
+    assert (
+        min(values[:5]) <= np.sort(rows)[2]
+    )  # among the best three rows of this robot
     assert min(values) < rows.min() and study.best_trial.user_attrs["row"] == -1
     worth = sampler.worth(study)
     assert worth.values[3] > worth.values[0] and "most like world" in str(worth)
@@ -145,12 +177,17 @@ def test_proposals_depend_on_the_trials_and_the_seed_alone() -> None:
     other = studied(FeatureKernelSampler(table(), seed=4), 8)
     assert params != [trial.params for trial in other.trials]
     negative = FeatureKernelSampler(table(-COSTS), seed=3)
-    assert studied(negative, 8, sign=-1.0).best_value > -min(t.values[0] for t in whole.trials) - 1
+    assert (
+        studied(negative, 8, sign=-1.0).best_value
+        > -min(t.values[0] for t in whole.trials) - 1
+    )
     assert repr(table()) == "FeatureTable(60 rows, 2 parameters, 4 worlds)"
 
 
 def test_features_beside_worlds_are_learned_from() -> None:
-    told = (ROWS - [0.3, 0.9]) ** 2  # what no world knows: this robot is like none of them
+    told = (
+        ROWS - [0.3, 0.9]
+    ) ** 2  # what no world knows: this robot is like none of them
     rng = np.random.default_rng(0)
     useless = rng.random((60, 2))
     best = {}
@@ -163,7 +200,9 @@ def test_features_beside_worlds_are_learned_from() -> None:
     assert best["told"] == pytest.approx(least) and best["useless"] >= best["told"]
 
 
-def test_trials_that_run_elsewhere_are_not_proposed_again_and_infinite_costs_are_told() -> None:
+def test_trials_that_run_elsewhere_are_not_proposed_again_and_infinite_costs_are_told() -> (
+    None
+):
     study = optuna.create_study(sampler=FeatureKernelSampler(table(), seed=1))
     asked = [study.ask(SPACE) for _ in range(3)]
     assert len({tuple(trial.params.values()) for trial in asked}) == 3
@@ -182,13 +221,19 @@ def test_limits_are_kept_beside_worlds() -> None:
     study = optuna.create_study(sampler=FeatureKernelSampler(table(), seed=1))
     study.optimize(careful, n_trials=15)
     kept = [trial.values[0] for trial in study.trials if trial.params["x"] <= 0.5]
-    assert min(kept) < 1.05 * cost([0.5, 0.75], np.array([0.85, 0.75]))[0]  # the least, at the edge
+    assert (
+        min(kept) < 1.05 * cost([0.5, 0.75], np.array([0.85, 0.75]))[0]
+    )  # the least, at the edge
     assert len(kept) > 5
 
 
 def test_choices_and_whole_numbers_stay_what_they_are_and_gaps_are_left_out() -> None:
     rng = np.random.default_rng(2)
-    columns = {"n": rng.integers(1, 9, 40), "kind": rng.choice(["a", "b"], 40), "x": rng.random(40)}
+    columns = {
+        "n": rng.integers(1, 9, 40),
+        "kind": rng.choice(["a", "b"], 40),
+        "x": rng.random(40),
+    }
     costs = rng.random((40, 3)) + 0.5
     costs[:20, 1], costs[3] = np.nan, 0.01
     costs[3, 1] = np.nan
@@ -196,51 +241,105 @@ def test_choices_and_whole_numbers_stay_what_they_are_and_gaps_are_left_out() ->
     with pytest.warns(UserWarning, match="20 rows that lack .* are not proposed"):
         known = FeatureTable.from_arrays(columns, outcomes=costs, space=space)
     study = optuna.create_study(sampler=FeatureKernelSampler(known, seed=1))
-    study.optimize(lambda t: t.suggest_int("n", 1, 9) + (t.suggest_categorical("kind", ["a", "b"])
-                   == "a") + t.suggest_float("x", columns["x"].min(), columns["x"].max())
-                   + t.suggest_float("other", 0, 1), n_trials=12)  # fmt: skip
+    study.optimize(
+        lambda t: (
+            t.suggest_int("n", 1, 9)
+            + (t.suggest_categorical("kind", ["a", "b"]) == "a")
+            + t.suggest_float("x", columns["x"].min(), columns["x"].max())
+            + t.suggest_float("other", 0, 1)
+        ),
+        n_trials=12,
+    )
     assert study.trials[0].params["x"] in columns["x"][20:] and study.best_value < 4.0
 
 
-@pytest.mark.parametrize("outcomes", [
-    np.ones((60, 1)), np.ones((60, 3)), COSTS[:, [0, 0, 0]], COSTS[:, 0],
-    np.where(COSTS > 4.0, np.inf, COSTS), np.tile(COSTS, (1, 500)), 1e300 * COSTS,
-], ids=["one", "all the same", "equal", "a column", "infinite", "2,000", "huge"])  # fmt: skip
+@pytest.mark.parametrize(
+    "outcomes",
+    [
+        np.ones((60, 1)),
+        np.ones((60, 3)),
+        COSTS[:, [0, 0, 0]],
+        COSTS[:, 0],
+        np.where(COSTS > 4.0, np.inf, COSTS),
+        np.tile(COSTS, (1, 500)),
+        1e300 * COSTS,
+    ],
+    ids=["one", "all the same", "equal", "a column", "infinite", "2,000", "huge"],
+)
 def test_any_worlds_make_proposals(outcomes: Any) -> None:
     study = studied(FeatureKernelSampler(table(outcomes), seed=1), 6)
     assert len({tuple(trial.params.values()) for trial in study.trials}) == 6
-    assert np.isfinite(FeatureKernelSampler(table(outcomes), seed=1).worth(study).values).all()
+    assert np.isfinite(
+        FeatureKernelSampler(table(outcomes), seed=1).worth(study).values
+    ).all()
 
 
 X = {"x": ROWS[:, 0]}
 GAPS = np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0)
 
 
-@pytest.mark.parametrize(("make", "match"), [
-    (lambda: table(GAPS),
-     r"^table.outcomes: 'gaps in all rows' .* a row with its cost in all worlds"),
-    (lambda: table(COSTS[:50]), r"^table\.x\.shape: \(60,\) .* \(50,\)"),
-    (lambda: table({}), r"^table.outcomes: 'none' .* one family"),
-    (lambda: table({"a": COSTS, "b": COSTS[:9]}),
-     r"^table.outcomes.b: '9 rows' .* 60, as the others"),
-    (lambda: table({"a": [["x"]]}), r"^table.outcomes.a\[0, 0\]: 'x' .* numbers, \[n, w\]"),
-    (lambda: table(np.ones((60, 2, 0))), r"^table.outcomes.shape: \(60, 2, 0\) .* \[n, w\]"),
-    (lambda: table(np.empty((60, 0))), r"^table.outcomes.shape: \(60, 0\) .* \[n, w\]"),
-    (lambda: FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS),
-     r"^table.outcomes: '60 rows' .* 59 rows, as the features"),
-    (lambda: FeatureTable.from_arrays(X), r"^table.features: 'none' .* outcomes, or both"),
-    (lambda: FeatureTable.from_arrays(X, outcomes=COSTS, better="more"),  # type: ignore[arg-type]
-     "^table.better: 'more' .* lower or higher"),
-    (lambda: FeatureTable.from_arrays(X, COSTS, better="higher"),
-     "^table.better: 'higher' .* none without outcomes"),
-    (lambda: FeatureKernelSampler(table(), feature_function=np.sin),
-     "^feature_function: 'given' .* none beside outcomes"),
-    (lambda: FeatureKernelSampler(table(), off_grid=-1), "^off_grid: -1 .* from 0 to 1000000"),
-    (lambda: FeatureKernelSampler(off_grid=3), "^off_grid: 3"),
-    (lambda: FeatureKernelSampler(feature_function=np.sin), "^feature_function: 'given'"),
-    (lambda: FeatureKernelSampler(table(), kernel="rbf"),
-     "^kernel: 'rbf' .* the table has no features"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("make", "match"),
+    [
+        (
+            lambda: table(GAPS),
+            r"^table.outcomes: 'gaps in all rows' .* a row with its cost in all worlds",
+        ),
+        (lambda: table(COSTS[:50]), r"^table\.x\.shape: \(60,\) .* \(50,\)"),
+        (lambda: table({}), r"^table.outcomes: 'none' .* one family"),
+        (
+            lambda: table({"a": COSTS, "b": COSTS[:9]}),
+            r"^table.outcomes.b: '9 rows' .* 60, as the others",
+        ),
+        (
+            lambda: table({"a": [["x"]]}),
+            r"^table.outcomes.a\[0, 0\]: 'x' .* numbers, \[n, w\]",
+        ),
+        (
+            lambda: table(np.ones((60, 2, 0))),
+            r"^table.outcomes.shape: \(60, 2, 0\) .* \[n, w\]",
+        ),
+        (
+            lambda: table(np.empty((60, 0))),
+            r"^table.outcomes.shape: \(60, 0\) .* \[n, w\]",
+        ),
+        (
+            lambda: FeatureTable.from_arrays(
+                {"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS
+            ),
+            r"^table.outcomes: '60 rows' .* 59 rows, as the features",
+        ),
+        (
+            lambda: FeatureTable.from_arrays(X),
+            r"^table.features: 'none' .* outcomes, or both",
+        ),
+        (
+            lambda: FeatureTable.from_arrays(X, outcomes=COSTS, better="more"),  # type: ignore[arg-type]
+            "^table.better: 'more' .* lower or higher",
+        ),
+        (
+            lambda: FeatureTable.from_arrays(X, COSTS, better="higher"),
+            "^table.better: 'higher' .* none without outcomes",
+        ),
+        (
+            lambda: FeatureKernelSampler(table(), feature_function=np.sin),
+            "^feature_function: 'given' .* none beside outcomes",
+        ),
+        (
+            lambda: FeatureKernelSampler(table(), off_grid=-1),
+            "^off_grid: -1 .* from 0 to 1000000",
+        ),
+        (lambda: FeatureKernelSampler(off_grid=3), "^off_grid: 3"),
+        (
+            lambda: FeatureKernelSampler(feature_function=np.sin),
+            "^feature_function: 'given'",
+        ),
+        (
+            lambda: FeatureKernelSampler(table(), kernel="rbf"),
+            "^kernel: 'rbf' .* the table has no features",
+        ),
+    ],
+)
 def test_what_is_refused(make: Callable[[], object], match: str) -> None:
     with pytest.raises(InputError, match=match):
         make()
@@ -249,14 +348,20 @@ def test_what_is_refused(make: Callable[[], object], match: str) -> None:
 def test_outcomes_in_other_units_tell_the_same_whatever_their_scale() -> None:
     shares = 1.0 / COSTS  # high ones are good
     study = studied(FeatureKernelSampler(table(-COSTS, better="higher"), seed=1), 12)
-    again = studied(FeatureKernelSampler(table(COSTS - 50.0, better="lower"), seed=1), 12)
+    again = studied(
+        FeatureKernelSampler(table(COSTS - 50.0, better="lower"), seed=1), 12
+    )
     params = [trial.params for trial in study.trials]
     both = params, [trial.params for trial in again.trials]
     np.testing.assert_allclose(*([list(each.values()) for each in one] for one in both))
-    first = studied(FeatureKernelSampler(table(shares, better="higher"), seed=1), 1).trials[0]
+    first = studied(
+        FeatureKernelSampler(table(shares, better="higher"), seed=1), 1
+    ).trials[0]
     assert first.user_attrs["row"] == np.argmax(shares.mean(axis=1))
     assert study.best_value < np.sort(cost(ROWS, np.array([0.85, 0.75])))[1]
-    upwards = studied(FeatureKernelSampler(table(-COSTS, better="higher"), seed=1), 12, sign=-1.0)
+    upwards = studied(
+        FeatureKernelSampler(table(-COSTS, better="higher"), seed=1), 12, sign=-1.0
+    )
     assert [trial.params for trial in upwards.trials] == params
 
 
@@ -291,7 +396,9 @@ def test_the_chance_of_success_is_that_of_the_posterior() -> None:
         np.testing.assert_array_equal(same.utility(points, offered, rng), plain)
 
 
-def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_worlds() -> None:
+def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_worlds() -> (
+    None
+):
     sampler = FeatureKernelSampler(table(), seed=1, success=0.3)
     blank = sampler.predict(optuna.create_study())
     ensemble = of_all(Worlds.of(COSTS))
@@ -300,8 +407,12 @@ def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_wor
     study = studied(sampler, 12)
     true = cost(ROWS, (0.85, 0.75))
     found = sampler.predict(study)
-    assert found.rows.tolist() == list(range(60)) and np.isnan(found.kept).all()  # none was told
-    assert np.mean((found.low < true) & (true < found.high)) > 0.8  # of 95 %, if it were so
+    assert (
+        found.rows.tolist() == list(range(60)) and np.isnan(found.kept).all()
+    )  # none was told
+    assert (
+        np.mean((found.low < true) & (true < found.high)) > 0.8
+    )  # of 95 %, if it were so
     assert found.success[true < 0.2].mean() > 0.5 > found.success[true > 0.5].mean()
     some = sampler.predict(study, [study.best_params, {"x": 0.85, "y": 100.0**0.75}])
     assert np.abs(some.value - [study.best_value, 0.1]).max() < 0.1
@@ -330,12 +441,16 @@ def measured(trial: optuna.Trial, rng: np.random.Generator) -> float:
     return robot(trial) * float(np.exp(NOISE * rng.standard_normal()))
 
 
-@pytest.mark.parametrize("sampler", [
-    FeatureKernelSampler(table(), seed=1, off_grid=0),
-    FeatureKernelSampler(table(-COSTS, better="higher"), seed=1),
-    FeatureKernelSampler(table(None, COSTS), seed=1),
-    FeatureKernelSampler(None, seed=1, space=SPACE),
-], ids=["worlds", "other units", "features", "parameters"])  # fmt: skip
+@pytest.mark.parametrize(
+    "sampler",
+    [
+        FeatureKernelSampler(table(), seed=1, off_grid=0),
+        FeatureKernelSampler(table(-COSTS, better="higher"), seed=1),
+        FeatureKernelSampler(table(None, COSTS), seed=1),
+        FeatureKernelSampler(None, seed=1, space=SPACE),
+    ],
+    ids=["worlds", "other units", "features", "parameters"],
+)
 def test_the_best_trial_has_an_interval_that_holds_its_value(sampler: Any) -> None:
     held = []
     for seed in range(12):
@@ -344,8 +459,12 @@ def test_the_best_trial_has_an_interval_that_holds_its_value(sampler: Any) -> No
         best = sampler.best(study)
         trial = study.trials[best.number]
         assert best.params == trial.params and best.low < best.value < best.high
-        held.append(best.low <= robot(optuna.trial.FixedTrial(trial.params)) <= best.high)
-    assert sum(held) >= 9  # one in 2,500 draws of twelve has fewer, were each held by 95 %
+        held.append(
+            best.low <= robot(optuna.trial.FixedTrial(trial.params)) <= best.high
+        )
+    assert (
+        sum(held) >= 9
+    )  # one in 2,500 draws of twelve has fewer, were each held by 95 %
 
 
 def test_the_best_trial_keeps_its_limits_and_pools_its_repeats() -> None:
@@ -364,13 +483,17 @@ def test_the_best_trial_keeps_its_limits_and_pools_its_repeats() -> None:
     study.enqueue_trial(rows.as_parameters(found[0].row))
     study.tell(study.ask(SPACE), -0.1)
     again = FeatureKernelSampler(table(-COSTS), seed=1).best(study)
-    assert again.trials == 2 and str(again).startswith(f"Trial {again.number}, row {again.row}: -")
+    assert again.trials == 2 and str(again).startswith(
+        f"Trial {again.number}, row {again.row}: -"
+    )
 
 
 def test_before_any_trial_no_world_is_named_and_no_trial_is_best() -> None:
     sampler = FeatureKernelSampler(table(), seed=1)
     study = optuna.create_study(study_name="new", sampler=sampler)
-    with pytest.raises(InputError, match=r"^study: 'new' .* a finished trial of these parameters"):
+    with pytest.raises(
+        InputError, match=r"^study: 'new' .* a finished trial of these parameters"
+    ):
         sampler.best(study)
     worth = sampler.worth(study)
     assert worth.trials == 0 and "No trial" in str(worth)
@@ -392,7 +515,9 @@ def machine(trial: optuna.Trial, noise: np.random.Generator | None = None) -> fl
     """Two knobs and a kink at the best, as the candidates of the bench's page have it."""
     x, y = trial.suggest_float("x", 0, 1), trial.suggest_float("y", 1, 100, log=True)
     true = 0.2 + 4.6 * abs(x - 0.42) + 1.9 * abs(np.log(y) / np.log(100.0) - 0.57)
-    return float(true * np.exp(NOISE * (0.0 if noise is None else noise.standard_normal())))
+    return float(
+        true * np.exp(NOISE * (0.0 if noise is None else noise.standard_normal()))
+    )
 
 
 def kinked() -> FeatureTable:
@@ -405,7 +530,10 @@ def kinked() -> FeatureTable:
 def nearest_earlier(study: optuna.Study, space: Any) -> Floats:
     """How far each trial but the first is from an earlier one, in ranges, in its farthest knob."""
     unit = space.unit(np.array([space.row(trial.params) for trial in study.trials]))
-    apart = [np.abs(unit[:count] - unit[count]).max(axis=1).min() for count in range(1, len(unit))]
+    apart = [
+        np.abs(unit[:count] - unit[count]).max(axis=1).min()
+        for count in range(1, len(unit))
+    ]
     return np.array(apart)
 
 
@@ -431,8 +559,12 @@ def test_in_many_dimensions_proposals_are_those_without_a_word_of_repeats(
 ) -> None:
     rng = np.random.default_rng(0)
     rows, places = rng.random((300, 16)), rng.random((8, 16))
-    outcomes = np.column_stack([0.1 + ((rows - place) ** 2).sum(axis=1) for place in places])
-    space: dict[str, Any] = {f"x{place}": FloatDistribution(0.0, 1.0) for place in range(16)}
+    outcomes = np.column_stack(
+        [0.1 + ((rows - place) ** 2).sum(axis=1) for place in places]
+    )
+    space: dict[str, Any] = {
+        f"x{place}": FloatDistribution(0.0, 1.0) for place in range(16)
+    }
     columns = dict(zip(space, rows.T, strict=True))
     known = FeatureTable.from_arrays(columns, outcomes=outcomes, space=space)
     tried = []

@@ -35,7 +35,9 @@ def on(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
     return pretend
 
 
-def test_a_driver_that_refuses_a_kernel_is_bad_input_each_time(on: Callable[[str], None]) -> None:
+def test_a_driver_that_refuses_a_kernel_is_bad_input_each_time(
+    on: Callable[[str], None],
+) -> None:
     for arch in ("cuda", "vulkan"):
         on(arch)
         for _ in range(2):
@@ -44,7 +46,9 @@ def test_a_driver_that_refuses_a_kernel_is_bad_input_each_time(on: Callable[[str
                 backend.launch(failing)
 
 
-def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(on: Callable[[str], None]) -> None:
+def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(
+    on: Callable[[str], None],
+) -> None:
     on("cpu")
     with pytest.raises(RuntimeError, match=REFUSAL):
         backend.launch(failing)
@@ -60,7 +64,9 @@ def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(on: Callable[[st
         backend.launch(fails_later)
 
 
-def test_a_bound_kernel_takes_other_numbers_on_any_device(on: Callable[[str], None]) -> None:
+def test_a_bound_kernel_takes_other_numbers_on_any_device(
+    on: Callable[[str], None],
+) -> None:
     @ti.kernel
     def add(values: ti.types.ndarray(), amount: int):  # type: ignore[no-untyped-def, valid-type]
         for i in range(values.shape[0]):
@@ -103,7 +109,9 @@ def test_each_python_has_its_compiler_and_results_name_it() -> None:
 
 
 def test_the_source_of_a_kernel_is_read_once_and_no_class_is_looked_for() -> None:
-    module = compiler.kernel_impl if COMPILER == "taichi" else compiler.ti.lang._func_base
+    module = (
+        compiler.kernel_impl if COMPILER == "taichi" else compiler.ti.lang._func_base
+    )
     name = "getsourcelines" if COMPILER == "taichi" else "get_source_info_and_src"
     assert hasattr(getattr(module, name), "cache_info")
     assert compiler.kernel_impl._inside_class is compiler._inside_class
@@ -119,12 +127,22 @@ def test_only_this_library_of_this_version_is_told(tmp_path: Path) -> None:
     cut.write_bytes(Path(LIBRARY).read_bytes()[:4096])
     for other in ("/proc/self/exe", os.devnull, __file__, str(cut), "none"):
         assert not registers.tell_vectoriser(5, other, VERSION)
-    assert not registers.tell_vectoriser(5, LIBRARY, (1, 7, 5)) and setting.value == before
-    assert registers.tell_vectoriser(before, LIBRARY, VERSION) and setting.value == before
+    assert (
+        not registers.tell_vectoriser(5, LIBRARY, (1, 7, 5)) and setting.value == before
+    )
+    assert (
+        registers.tell_vectoriser(before, LIBRARY, VERSION) and setting.value == before
+    )
 
 
-def test_the_width_is_known_unknown_or_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
-    for features, width in (("fpu avx2 avx512vl", 16), ("fpu avx2", 8), ("fpu avx512vlx", 0)):
+def test_the_width_is_known_unknown_or_switched_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for features, width in (
+        ("fpu avx2 avx512vl", 16),
+        ("fpu avx2", 8),
+        ("fpu avx512vlx", 0),
+    ):
         monkeypatch.setattr(Path, "read_text", lambda _path, text=features: text)
         assert registers.width() == width
     monkeypatch.setenv(registers.VARIABLE, "0")
@@ -134,7 +152,9 @@ def test_the_width_is_known_unknown_or_switched_off(monkeypatch: pytest.MonkeyPa
         registers.width()
 
 
-def test_only_remarks_are_kept_off_standard_error(capfd: pytest.CaptureFixture[str]) -> None:
+def test_only_remarks_are_kept_off_standard_error(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     with registers.without_remarks():
         os.write(2, registers.REMARK + b": a call\nan error\n")
     assert capfd.readouterr().err == "an error\n"

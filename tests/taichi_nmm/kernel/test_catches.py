@@ -39,7 +39,9 @@ def pulls(seed: int, largest_ns: float, ticks: int) -> Array:
     return force[:ticks]
 
 
-def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_the_ball() -> None:
+def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_the_ball() -> (
+    None
+):
     (dynamics,) = interpreted("dynamics")
     rng = np.random.default_rng(5)
     q, qdot = rng.uniform(-1.0, 1.0, (2, WALKERS, COORDINATES))
@@ -49,10 +51,14 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
     const[Const.catch_ns, 0] = 0.0
     work[Work.sine : Work.sine + SEGMENT_COUNT] = np.sin(q[:, 2:]).T
     work[Work.cosine : Work.cosine + SEGMENT_COUNT] = np.cos(q[:, 2:]).T
-    turn = numpy_dynamics.clockwise_quarter_turn(numpy_dynamics.unit_vectors(q))[:, 1:, 0]
+    turn = numpy_dynamics.clockwise_quarter_turn(numpy_dynamics.unit_vectors(q))[
+        :, 1:, 0
+    ]
     relative = (LEVERS_M * (turn * qdot[:, 3:]).reshape(WALKERS, 2, 3)).sum(axis=2)
     speed = qdot[:, :1] + relative  # of the balls, forward
-    forces = np.array([pulls(int(seed), LARGEST_NS, ticks) for seed in seeds])  # [n, t, leg]
+    forces = np.array(
+        [pulls(int(seed), LARGEST_NS, ticks) for seed in seeds]
+    )  # [n, t, leg]
     forces[0] = 0.0
     rows = slice(Work.momentum, Work.momentum + COORDINATES)
     with np.errstate(over="ignore"):
@@ -60,11 +66,18 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
             work[rows] = 0.0
             dynamics.catch_feet(np.arange(WALKERS), tick, 1.0, const, work)
             power = (work[rows].T * qdot).sum(axis=1)
-            np.testing.assert_allclose(power, (forces[:, tick] * speed).sum(axis=1), atol=1e-9)
-            np.testing.assert_allclose(work[Work.momentum], forces[:, tick].sum(axis=1), atol=1e-9)
+            np.testing.assert_allclose(
+                power, (forces[:, tick] * speed).sum(axis=1), atol=1e-9
+            )
+            np.testing.assert_allclose(
+                work[Work.momentum], forces[:, tick].sum(axis=1), atol=1e-9
+            )
     held = forces[1:].reshape(WALKERS - 1, SLOTS, 1000, 2)
     assert ((held != 0.0).sum(axis=2) == 20).all()  # wholly within its slot
-    impulse, first = -held.sum(axis=2).ravel() * 1e-3, (held != 0.0).argmax(axis=2).ravel()
+    impulse, first = (
+        -held.sum(axis=2).ravel() * 1e-3,
+        (held != 0.0).argmax(axis=2).ravel(),
+    )
     for values, high in ((impulse, LARGEST_NS), (first, 981)):  # both uniform
         counts = np.histogram(values, 10, (0, high))[0]
         assert np.abs(counts - values.size / 10).max() < 5 * np.sqrt(values.size / 10)
@@ -72,23 +85,35 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
-def test_a_catch_in_the_air_takes_its_impulse_and_its_moment(engine: str, monkeypatch: Any) -> None:
+def test_a_catch_in_the_air_takes_its_impulse_and_its_moment(
+    engine: str, monkeypatch: Any
+) -> None:
     """Of the walker's momenta, on both engines: muscles and stops are inner forces."""
     monkeypatch.setattr(initial, "PENETRATION_M", -50.0)  # that high over the ground
     if engine == "mujoco":
         monkeypatch.setattr(mujoco_engine, "PENETRATION_M", 0.0)
     worlds = vars(Worlds.nominal()) | {"noise_seed": [SEED], "catch_ns": [4.0]}
     flown = simulate(
-        PUBLISHED_GAINS, duration_s=FLIGHT_S, worlds=Worlds(**worlds), record=[0],
-        settings=Settings(engine=engine, arch="cpu", precision="float64"), record_rate_hz=1000,
-    ).trajectories[0]  # fmt: skip
+        PUBLISHED_GAINS,
+        duration_s=FLIGHT_S,
+        worlds=Worlds(**worlds),
+        record=[0],
+        settings=Settings(engine=engine, arch="cpu", precision="float64"),
+        record_rate_hz=1000,
+    ).trajectories[0]
     assert len(flown.q) == round(FLIGHT_S * 1000) and not flown.ground_force_n.any()
     state, body = (flown.q, flown.qdot, Bodies.nominal()), Bodies.nominal()
     force = pulls(SEED, 4.0, len(flown.q))
     assert (force != 0.0).sum(axis=0).tolist() == [20, 20]
-    com_z = (numpy_dynamics.com_positions(flown.q, body)[:, :, 1] * body.mass_kg).sum(axis=1)
+    com_z = (numpy_dynamics.com_positions(flown.q, body)[:, :, 1] * body.mass_kg).sum(
+        axis=1
+    )
     limbs = numpy_dynamics.unit_vectors(flown.q)[:, 1:, 1].reshape(-1, 2, 3)
-    above = flown.q[:, 1:2] + (LEVERS_M * limbs).sum(axis=2) - com_z[:, None] / body.mass_kg.sum()
+    above = (
+        flown.q[:, 1:2]
+        + (LEVERS_M * limbs).sum(axis=2)
+        - com_z[:, None] / body.mass_kg.sum()
+    )
     for momentum, rate in (
         (numpy_dynamics.momentum(*state)[:, 0], force),
         (numpy_dynamics.angular_momentum(*state), force * above),

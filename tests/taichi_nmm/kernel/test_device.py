@@ -6,7 +6,13 @@ import pytest
 import taichi_nmm
 from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.layout import Const, State, Work
-from taichi_nmm.parameters import DEVICE, FIXED, LOW_LEVEL_GAINS, PUBLISHED_GAINS, load_gains
+from taichi_nmm.parameters import (
+    DEVICE,
+    FIXED,
+    LOW_LEVEL_GAINS,
+    PUBLISHED_GAINS,
+    load_gains,
+)
 from taichi_nmm.walkers import check_batch, constant_rows
 from tests.parity.interpreter import interpreted
 
@@ -14,23 +20,30 @@ STRIDE, STANCE = 1000, 600  # ticks
 TORQUE, PEAK, RISE, FALL = 30.0, 0.5, 0.25, 0.1
 
 
-def torques(strides: int, worn: taichi_nmm.Exoskeleton, rate_radps: float = 0.0) -> np.ndarray:
-    """Of all joints, which turn at a rate: [ticks, 6], of a leg that walks evenly and of one that
-    hardly lifts.
+def torques(
+    strides: int, worn: taichi_nmm.Exoskeleton, rate_radps: float = 0.0
+) -> np.ndarray:
+    """Of all joints, which turn at a rate: [ticks, 6], of a leg that walks evenly and
+    of one that hardly lifts.
     """
     (device,) = interpreted("device")
     state, lane = np.zeros((State.count, 1)), np.arange(1)
     worlds = taichi_nmm.WorldRanges(exoskeleton=worn).draw([1])
-    const = constant_rows(check_batch(PUBLISHED_GAINS, worlds=worlds), taichi_nmm.Settings()).T
+    const = constant_rows(
+        check_batch(PUBLISHED_GAINS, worlds=worlds), taichi_nmm.Settings()
+    ).T
     work = np.full((Work.count, 1), rate_radps)
-    for name, value in zip(("torque", "peak", "rise", "fall"), (TORQUE, PEAK, RISE, FALL),
-                           strict=True):  # fmt: skip
+    for name, value in zip(
+        ("torque", "peak", "rise", "fall"), (TORQUE, PEAK, RISE, FALL), strict=True
+    ):
         const[getattr(Const, f"exo_{name}")] = value
     found = []
     for tick in range(strides * STRIDE):
         since = tick % STRIDE
         state[State.touching + 1] = since < STANCE  # the ball is enough
-        state[State.touching + 2] = since < STRIDE - 50  # too short a lift to be a swing
+        state[State.touching + 2] = (
+            since < STRIDE - 50
+        )  # too short a lift to be a swing
         device.assist(lane, state, const, work)
         found.append(state[State.device_torque : State.device_torque + 6, 0].copy())
     return np.array(found)
@@ -41,17 +54,29 @@ def test_the_torque_rises_and_falls_on_splines_once_a_stride_has_been_seen() -> 
     found = every[:, 2]
     assert not found[: 2 * STRIDE].any() and not every[:, [0, 1, 3, 4, 5]].any()
     share = (np.arange(STRIDE) + 1) / STRIDE
-    up, down = np.clip((share - PEAK + RISE) / RISE, 0, 1), np.clip((share - PEAK) / FALL, 0, 1)
+    up, down = (
+        np.clip((share - PEAK + RISE) / RISE, 0, 1),
+        np.clip((share - PEAK) / FALL, 0, 1),
+    )
     expected = TORQUE * (3 * up**2 - 2 * up**3) * (1 - 3 * down**2 + 2 * down**3)
     for stride in found[2 * STRIDE :].reshape(2, STRIDE):
         np.testing.assert_allclose(stride, expected, atol=1e-12)
-    assert expected.max() == TORQUE and expected[int(1000 * (PEAK + FALL)) :].max() < 1e-3
+    assert (
+        expected.max() == TORQUE and expected[int(1000 * (PEAK + FALL)) :].max() < 1e-3
+    )
 
 
-@pytest.mark.parametrize(("motion", "joint", "sign"), [
-    ("hip_extension", 0, 1), ("hip_flexion", 0, -1), ("knee_extension", 1, -1),
-    ("knee_flexion", 1, 1), ("plantarflexion", 2, 1), ("dorsiflexion", 2, -1),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("motion", "joint", "sign"),
+    [
+        ("hip_extension", 0, 1),
+        ("hip_flexion", 0, -1),
+        ("knee_extension", 1, -1),
+        ("knee_flexion", 1, 1),
+        ("plantarflexion", 2, 1),
+        ("dorsiflexion", 2, -1),
+    ],
+)
 def test_it_helps_one_motion_of_a_side_with_no_more_than_its_power(
     motion: str, joint: int, sign: int
 ) -> None:
@@ -60,7 +85,10 @@ def test_it_helps_one_motion_of_a_side_with_no_more_than_its_power(
         assert np.ptp(found[:, joint] * sign) == (TORQUE if worn else 0.0)
         assert not np.delete(found, joint, axis=1).any()
     for rate in (2.0 * sign, -2.0 * sign):
-        found = torques(3, taichi_nmm.Exoskeleton(motion, power_w=20.0), rate)[:, joint] * sign
+        found = (
+            torques(3, taichi_nmm.Exoskeleton(motion, power_w=20.0), rate)[:, joint]
+            * sign
+        )
         assert found.max() == pytest.approx(10.0 if rate == 2.0 * sign else TORQUE)
 
 
@@ -74,14 +102,22 @@ def test_at_the_hip_it_takes_work_from_the_muscles_there(engine: str) -> None:
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (2, 1))
     low_level[1, device : device + len(DEVICE)] = 15.0, 0.15, 0.1, 0.2
     result = taichi_nmm.simulate(
-        np.tile(load_gains("reference"), (2, 1)), duration_s=8.0, low_level_gains=low_level,
-        worlds=worlds.draw([1]), settings=settings, record=[1], record_rate_hz=1000,
-    )  # fmt: skip
+        np.tile(load_gains("reference"), (2, 1)),
+        duration_s=8.0,
+        low_level_gains=low_level,
+        worlds=worlds.draw([1]),
+        settings=settings,
+        record=[1],
+        record_rate_hz=1000,
+    )
     alone, helped = result["activation_ham_mean"] + result["activation_glu_mean"]
     walk = result.trajectories[0]
     assert helped < 0.98 * alone and (result["survived_fraction"] == 1.0).all()
     torque, rate = walk.device_torque_nm[:, 0], walk.qdot[:, 3] - walk.qdot[:, 2]
-    assert torque.max() == pytest.approx(15.0, abs=0.1) and not walk.device_torque_nm[:, 1:3].any()
+    assert (
+        torque.max() == pytest.approx(15.0, abs=0.1)
+        and not walk.device_torque_nm[:, 1:3].any()
+    )
     assert np.max(torque[1:] * rate[:-1]) == pytest.approx(30.0, rel=1e-3)
 
 
@@ -110,37 +146,59 @@ def work_of_a_cycle(stiffness: float, damping: float) -> float:
     work[Work.joint + 5] = 0.3 + 0.2 * np.sin(2 * np.pi * times)
     work[Work.joint_rate + 5] = rate = 0.4 * np.pi * np.cos(2 * np.pi * times)
     torque = device.prosthesis_torque(np.arange(1000), 5, 1, const, work)
-    np.testing.assert_allclose(torque, stiffness * (0.1 - work[Work.joint + 5]) - damping * rate)
+    np.testing.assert_allclose(
+        torque, stiffness * (0.1 - work[Work.joint + 5]) - damping * rate
+    )
     return float(np.mean(torque * rate))
 
 
 def test_a_prosthesis_gives_back_what_its_spring_took_and_never_more() -> None:
     for damping in (0.0, 1.5):  # c A^2 pi omega
-        assert work_of_a_cycle(300.0, damping) == pytest.approx(-damping * 0.08 * np.pi**2)
+        assert work_of_a_cycle(300.0, damping) == pytest.approx(
+            -damping * 0.08 * np.pi**2
+        )
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
-def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(engine: str) -> None:
+def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(
+    engine: str,
+) -> None:
     """Its ankle is where the spring alone balances the foot, which in the air weighs little."""
     foot = taichi_nmm.Prosthesis("right", 600.0, 1.0, 0.1)
-    worlds, settings = taichi_nmm.WorldRanges(prosthesis=foot).draw([1]), taichi_nmm.Settings
+    worlds, settings = (
+        taichi_nmm.WorldRanges(prosthesis=foot).draw([1]),
+        taichi_nmm.Settings,
+    )
     (walked,) = taichi_nmm.simulate(
-        PUBLISHED_GAINS, worlds=worlds, settings=settings(arch="cpu", engine=engine), record=[0]
+        PUBLISHED_GAINS,
+        worlds=worlds,
+        settings=settings(arch="cpu", engine=engine),
+        record=[0],
     ).trajectories
-    assert not walked.muscle_force_n[:, 7:10].any() and walked.muscle_force_n[:, :3].any()
+    assert (
+        not walked.muscle_force_n[:, 7:10].any() and walked.muscle_force_n[:, :3].any()
+    )
     in_the_air = ~walked.stance[:, 1] & (walked.time_s > 0.1) & (walked.time_s < 0.4)
     np.testing.assert_allclose(walked.joint_rad[in_the_air, 5], 0.1, atol=0.02)
     rate = walked.qdot[:, 8] - walked.qdot[:, 7]
-    angle = walked.joint_rad[:, 5] - settings.physics_step_s * rate  # where the last step began
+    angle = (
+        walked.joint_rad[:, 5] - settings.physics_step_s * rate
+    )  # where the last step began
     free = (angle > np.deg2rad(-20.0)) & (angle < np.deg2rad(40.0))  # of the stops
     torque_nm = 600.0 * (0.1 - angle) - 1.0 * rate
-    np.testing.assert_allclose(walked.joint_torque_nm[free, 5], torque_nm[free], atol=1e-3)
+    np.testing.assert_allclose(
+        walked.joint_torque_nm[free, 5], torque_nm[free], atol=1e-3
+    )
     assert free.sum() > 100 and np.ptp(torque_nm[free]) > 100.0
 
 
 def test_a_foot_too_light_for_its_damper_is_refused() -> None:
-    worlds = taichi_nmm.WorldRanges(prosthesis=taichi_nmm.Prosthesis("left", 400.0, 2.0)).draw([1])
+    worlds = taichi_nmm.WorldRanges(
+        prosthesis=taichi_nmm.Prosthesis("left", 400.0, 2.0)
+    ).draw([1])
     light = taichi_nmm.Bodies.nominal()
     light.inertia_kgm2[0, 3] = light.mass_kg[0, 3] = 1e-3
-    with pytest.raises(InputError, match=r"^worlds\.prosthesis\.damping_nmsprad: 2.0 .* to 0.8 "):
+    with pytest.raises(
+        InputError, match=r"^worlds\.prosthesis\.damping_nmsprad: 2.0 .* to 0.8 "
+    ):
         taichi_nmm.simulate(PUBLISHED_GAINS, bodies=light, worlds=worlds)

@@ -36,10 +36,16 @@ def test_powers_of_two_and_their_clamp(elementary: Any) -> None:
     assert np.allclose(ends, np.exp2([-120.0, 120.0, -120.0]))
 
 
-def test_larger_and_smaller_keep_the_first_where_the_second_is_nan(elementary: Any) -> None:
+def test_larger_and_smaller_keep_the_first_where_the_second_is_nan(
+    elementary: Any,
+) -> None:
     x, y = np.array([1.0, 3.0, np.nan, 1.0]), np.array([2.0, 2.0, 2.0, np.nan])
-    assert np.array_equal(elementary["larger"](x, y), [2.0, 3.0, np.nan, 1.0], equal_nan=True)
-    assert np.array_equal(elementary["smaller"](x, y), [1.0, 2.0, np.nan, 1.0], equal_nan=True)
+    assert np.array_equal(
+        elementary["larger"](x, y), [2.0, 3.0, np.nan, 1.0], equal_nan=True
+    )
+    assert np.array_equal(
+        elementary["smaller"](x, y), [1.0, 2.0, np.nan, 1.0], equal_nan=True
+    )
 
 
 def test_compiled_in_float32() -> None:

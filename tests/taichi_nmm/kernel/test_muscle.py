@@ -14,7 +14,12 @@ from taichi_nmm import GAINS, PUBLISHED_GAINS, Settings, Worlds, terrain
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import layout
 from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Muscle, State, Sums, Work
-from taichi_nmm.kernel.muscle_table import MUSCLE_DATA, SLACK_LENGTH_M, muscle_table, unit_lengths
+from taichi_nmm.kernel.muscle_table import (
+    MUSCLE_DATA,
+    SLACK_LENGTH_M,
+    muscle_table,
+    unit_lengths,
+)
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.walkers import blends, check_batch, constant_rows
 from tests.parity.interpreter import AllLanes, interpreted_walker
@@ -51,7 +56,9 @@ def force_velocity(v: Array) -> Array:
     with np.errstate(divide="ignore"):
         shortening = (1 + v) / (1 - K * v)
         lengthening = N + (N - 1) * (v - 1) / (1 + 7.56 * K * v)
-    return np.where(v < 0, shortening, np.where(v < 1, lengthening, N + 100.0 * (v - 1)))
+    return np.where(
+        v < 0, shortening, np.where(v < 1, lengthening, N + 100.0 * (v - 1))
+    )
 
 
 def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -60,7 +67,9 @@ def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray((a + b * v) / (1.0 + c * v))
 
 
-def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(muscle: Any) -> None:
+def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(
+    muscle: Any,
+) -> None:
     length = np.linspace(0.2, 1.9, 200)
     expected = np.exp(np.log(C) * np.abs((length - 1) / W) ** 3)
     assert np.allclose(muscle.force_length(length), expected, rtol=1e-12)
@@ -79,9 +88,15 @@ def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(muscl
 @cache
 def isometric(m: int, own: bool) -> Any:
     """Contract muscle m at fixed joint angles until it rests: walkers of ACTIVATIONS together."""
-    walker, lanes, angles = interpreted_walker(), np.arange(len(ACTIVATIONS)), RESTING_RAD
+    walker, lanes, angles = (
+        interpreted_walker(),
+        np.arange(len(ACTIVATIONS)),
+        RESTING_RAD,
+    )
     muscle = walker.muscle
-    fibres, work = (np.repeat(rows, len(lanes), axis=1) for rows in interpreted_rows(angles))
+    fibres, work = (
+        np.repeat(rows, len(lanes), axis=1) for rows in interpreted_rows(angles)
+    )
     data, worlds = list(MUSCLE_DATA.values())[m], Worlds.nominal(len(lanes))
     if own:  # a fibre 10 % shorter, a tendon 2 % longer
         fibre, slack = 0.9 * data.optimal_length_m, 1.02 * data.slack_length_m
@@ -122,7 +137,9 @@ def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
 @pytest.mark.parametrize("m", range(len(MUSCLES)), ids=MUSCLES)
 @pytest.mark.parametrize("walker", range(len(ACTIVATIONS)), ids=ACTIVATIONS.astype(str))
 @pytest.mark.parametrize("own", [False, True])
-def test_isometric_force_solves_the_static_balance(m: int, walker: int, own: bool) -> None:
+def test_isometric_force_solves_the_static_balance(
+    m: int, walker: int, own: bool
+) -> None:
     data, unit, lengths, forces = isometric(m, own)
     activation, length, force = ACTIVATIONS[walker], lengths[walker], forces[walker]
     optimal, slack = data.optimal_length_m, data.slack_length_m
@@ -150,13 +167,19 @@ def fibre_speed(muscle: Any, problem: Problem, iterations: int) -> Array:
 
 
 @pytest.mark.parametrize("tendon_force", [0.2, 0.6, 0.95, 1.1, 1.3])
-def test_quick_release_moves_at_inverse_force_velocity(muscle: Any, tendon_force: float) -> None:
+def test_quick_release_moves_at_inverse_force_velocity(
+    muscle: Any, tendon_force: float
+) -> None:
     """With the tendon's force held (a step of no length) the speed is fv^-1(F / (A fl))."""
     length, activation = 0.9, 1.0
     capacity = activation * np.exp(np.log(C) * abs((length - 1) / W) ** 3)
-    problem = [np.array([x]) for x in (0.0, np.sqrt(tendon_force), 0.0, 0.0, 0.0, capacity)]
+    problem = [
+        np.array([x]) for x in (0.0, np.sqrt(tendon_force), 0.0, 0.0, 0.0, capacity)
+    ]
     v = fibre_speed(muscle, problem, muscle.ITERATIONS)
-    assert v[0] == pytest.approx(inverse_force_velocity(tendon_force / capacity), abs=1e-9)
+    assert v[0] == pytest.approx(
+        inverse_force_velocity(tendon_force / capacity), abs=1e-9
+    )
 
 
 def test_tension_and_its_derivatives(muscle: Any) -> None:
@@ -167,7 +190,9 @@ def test_tension_and_its_derivatives(muscle: Any) -> None:
     assert (np.diff(force) <= 0).all() and (half_fall >= 0).all()
     assert np.isclose(force[0], 0.18**2 + 0.06**2) and force[-1] == 0.0
     step = v[1] - v[0]
-    assert np.allclose(2 * half_fall[1:-1], (force[:-2] - force[2:]) / (2 * step), atol=1e-4)
+    assert np.allclose(
+        2 * half_fall[1:-1], (force[:-2] - force[2:]) / (2 * step), atol=1e-4
+    )
     smooth = np.abs(v[:, None] - [0.5, 1.25]).min(axis=1) > 2 * step
     second = (force[2:] - 2 * force[1:-1] + force[:-2]) / step**2
     assert np.allclose(2 * bend[1:-1][smooth[1:-1]], second[smooth[1:-1]], atol=1e-6)
@@ -188,15 +213,29 @@ def walking_states(ticks: int) -> Problem:
     flat, step_s = terrain.flat(), 1e-3
     batch = check_batch(sobol_points(SEED, 0, WALKERS, GAINS))
     start = np.tile(initial_rows(flat)[:, None], WALKERS)
-    state, *others = np.split(start, [layout.FIRST_FIBRE, layout.FIRST_DELAY, layout.FIRST_EVENT])
+    state, *others = np.split(
+        start, [layout.FIRST_FIBRE, layout.FIRST_DELAY, layout.FIRST_EVENT]
+    )
     const = constant_rows(batch, Settings()).T
     sums, work = np.zeros((Sums.count, WALKERS)), np.zeros((Work.count, WALKERS))
     for tick in range(ticks):
         with np.errstate(all="ignore"):
             walker.step(
-                tick, 1, step_s, *blends(step_s), 0, AllLanes(WALKERS), batch.terrain_index,
-                flat.height_m[None, :], muscle_table(step_s), state, *others, sums, const, work,
-            )  # fmt: skip
+                tick,
+                1,
+                step_s,
+                *blends(step_s),
+                0,
+                AllLanes(WALKERS),
+                batch.terrain_index,
+                flat.height_m[None, :],
+                muscle_table(step_s),
+                state,
+                *others,
+                sums,
+                const,
+                work,
+            )
         if tick % SAMPLED_TICKS == SAMPLED_TICKS - 1:
             up = state[State.active] > 0.5
             recorded += [arguments[:, up] for arguments in met]
@@ -242,7 +281,9 @@ def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
     joints, step = interpreted_walker().joints, 1e-6
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     turn = step * np.eye(3)[joint]
-    slopes = (unit_lengths(*(angles + turn)) - unit_lengths(*(angles - turn))) / (2 * step)
+    slopes = (unit_lengths(*(angles + turn)) - unit_lengths(*(angles - turn))) / (
+        2 * step
+    )
     for m, (data, slope) in enumerate(zip(MUSCLE_DATA.values(), slopes, strict=True)):
         fibres, work = interpreted_rows(angles)
         fibres[Muscle.force + m] = 1.0
@@ -252,7 +293,9 @@ def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
         torque_nm = work[Work.joint_torque + joint, 0]
         assert torque_nm == pytest.approx(-slope * data.fmax_n / pennation, abs=1e-4)
         assert (attachment is None) == (torque_nm == 0.0)
-    assert not work[Work.joint_torque + 3 : Work.joint_torque + 6].any()  # the other leg's
+    assert not work[
+        Work.joint_torque + 3 : Work.joint_torque + 6
+    ].any()  # the other leg's
 
 
 def test_strains_follow_the_lengths() -> None:
@@ -263,4 +306,6 @@ def test_strains_follow_the_lengths() -> None:
     expected = (unit_lengths(*angles) / SLACK_LENGTH_M - 1.0) / REFERENCE
     for leg in range(2):
         first = Work.strain + MUSCLES_PER_LEG * leg
-        assert np.allclose(work[first : first + MUSCLES_PER_LEG, 0], expected, rtol=1e-12)
+        assert np.allclose(
+            work[first : first + MUSCLES_PER_LEG, 0], expected, rtol=1e-12
+        )

@@ -22,7 +22,10 @@ def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> A
     const = np.zeros((Const.count, len(seeds)))
     const[Const.nerve_blend], const[Const.sensing_noise] = blend, amplitude
     const[Const.noise_seed] = seeds
-    state, work = np.zeros((State.count, len(seeds))), np.zeros((Work.count, len(seeds)))
+    state, work = (
+        np.zeros((State.count, len(seeds))),
+        np.zeros((Work.count, len(seeds))),
+    )
     heard = []
     for tick in range(TICKS):
         sensed = slice(Work.sensed, Work.sensed + Signal.count)
@@ -33,13 +36,17 @@ def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> A
 
 
 @pytest.mark.slow
-def test_a_lag_is_of_first_order_flags_have_none_without_it_nothing_changes(nerves: Any) -> None:
+def test_a_lag_is_of_first_order_flags_have_none_without_it_nothing_changes(
+    nerves: Any,
+) -> None:
     lag_s = 0.05
     heard = felt(nerves, 1.0, 1.0 - np.exp(-1e-3 / lag_s), 0.0, np.zeros(1))[:, :, 0]
     expected = 1.0 - np.exp(-np.arange(1, TICKS + 1) * 1e-3 / lag_s)
     for signal in range(Signal.count):
         flag = signal in nerves.FLAGS
-        np.testing.assert_allclose(heard[:, signal], 1.0 if flag else expected, rtol=1e-12)
+        np.testing.assert_allclose(
+            heard[:, signal], 1.0 if flag else expected, rtol=1e-12
+        )
     signals = np.random.default_rng(3).normal(size=(Signal.count, 4))
     heard = felt(nerves, signals, 1.0, 0.0, np.arange(4.0))
     assert np.array_equal(heard, np.broadcast_to(signals, heard.shape))
@@ -58,7 +65,9 @@ def test_noise_is_uniform_white_and_each_its_own(nerves: Any) -> None:
         assert np.abs(counts - count / 10).max() < 5 * np.sqrt(count / 10)
         later = np.mean(share[1:] * share[:-1], axis=0) * 3.0  # variance 1/3
         assert np.abs(later).max() < 5 / np.sqrt(TICKS)
-    streams = np.concatenate([noise[:, signal] for signal, _ in nerves.FELT[:6]], axis=1)
+    streams = np.concatenate(
+        [noise[:, signal] for signal, _ in nerves.FELT[:6]], axis=1
+    )
     related = np.abs(np.corrcoef(streams.T) - np.eye(streams.shape[1]))
     assert related.max() < 6 / np.sqrt(TICKS)
     assert Signal.count == len(nerves.FELT) + len(nerves.FLAGS)

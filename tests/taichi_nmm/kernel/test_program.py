@@ -1,6 +1,7 @@
 """A script that uses the compiler itself: its fields live, and results keep their bits.
 
-Each script runs in a process of its own: a process has one program of the compiler at a time.
+Each script runs in a process of its own: a process has one program of the compiler at a
+time.
 """
 
 import re
@@ -102,7 +103,9 @@ def results(script: str) -> list[str]:
         file = Path(folder, "script.py")  # the compiler reads the source of kernels
         file.write_text(HEAD + script, encoding="utf-8")
         words = [sys.executable, str(file)]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=LONGEST_S, check=False)
+        done = subprocess.run(
+            words, capture_output=True, text=True, timeout=LONGEST_S, check=False
+        )
     assert (done.returncode, done.stderr) == (0, "")
     return [line for line in done.stdout.splitlines() if not line.startswith("[")]
 
@@ -116,7 +119,9 @@ def expected() -> list[str]:
 
 
 @pytest.mark.parametrize("when", SCRIPTS)
-def test_a_script_that_uses_the_compiler_keeps_its_fields(when: str, expected: list[str]) -> None:
+def test_a_script_that_uses_the_compiler_keeps_its_fields(
+    when: str, expected: list[str]
+) -> None:
     found = results(SCRIPTS[when])
     assert found[:2] == expected
     assert found[2:] in ([], [expected[0]])
@@ -182,7 +187,10 @@ os.waitpid(child, 0)
     [
         (FORKED, "process: .*multiprocessing.get_context\\('spawn'\\).* or ti.init"),
         (NO_PLACE, "taichi: .*fields.*; allowed: all fields placed"),
-        (ELSEWHERE, "simulation.arch: 'cuda' .*allowed: cpu, on which this script's own"),
+        (
+            ELSEWHERE,
+            "simulation.arch: 'cuda' .*allowed: cpu, on which this script's own",
+        ),
     ],
 )
 def test_what_is_not_possible_is_one_line(script: str, line: str) -> None:

@@ -39,14 +39,25 @@ def long_walk() -> Result:
     return simulate(gains, duration_s=LONG_S, settings=MUJOCO, record=[0, 1])
 
 
-def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(long_walk: Result) -> None:
+def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(
+    long_walk: Result,
+) -> None:
     assert long_walk.end_reason.tolist() == ["completed"] * 2
     assert long_walk["mean_speed_mps"][0] == pytest.approx(1.40, abs=0.03)
     assert long_walk["mean_speed_mps"][1] == pytest.approx(1.27, abs=0.04)
-    np.testing.assert_allclose(long_walk["grf_vertical_mean_bw"], 1.0, rtol=0, atol=0.002)
+    np.testing.assert_allclose(
+        long_walk["grf_vertical_mean_bw"], 1.0, rtol=0, atol=0.002
+    )
     metadata = long_walk.metadata
-    assert metadata["engine"] == "mujoco" and metadata["engine_version"] == mujoco.__version__
-    assert metadata["mujoco"] == {"time_constant_s": 0.02, "damping_ratio": 1.0, "limits": "stops"}
+    assert (
+        metadata["engine"] == "mujoco"
+        and metadata["engine_version"] == mujoco.__version__
+    )
+    assert metadata["mujoco"] == {
+        "time_constant_s": 0.02,
+        "damping_ratio": 1.0,
+        "limits": "stops",
+    }
     assert metadata["physics_step_s"] == 1e-3 and metadata["precision"] == "float32"
     assert metadata["controller"]["engine"] == COMPILER
 
@@ -69,14 +80,24 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
 
 def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
     """Of the engine whose recorded torques have no stops; a step goes from take-off to take-off."""
-    worn = [20.0 if gain.name == "exo_torque" else gain.default for gain in LOW_LEVEL_GAINS]
-    found = simulate(PUBLISHED_GAINS, duration_s=6.0, settings=MUJOCO, record=[0],
-                     record_rate_hz=1000, low_level_gains=worn)  # fmt: skip
+    worn = [
+        20.0 if gain.name == "exo_torque" else gain.default for gain in LOW_LEVEL_GAINS
+    ]
+    found = simulate(
+        PUBLISHED_GAINS,
+        duration_s=6.0,
+        settings=MUJOCO,
+        record=[0],
+        record_rate_hz=1000,
+        low_level_gains=worn,
+    )
     (row,), (path,) = found.rows, found.trajectories
     for power, name in ((2, "activation_squared_mean"), (3, "activation_cubed_mean")):
         assert row[name] == pytest.approx((path.activation**power).mean(), rel=2e-3)
     assert path.device_torque_nm.max() > 10.0
-    motors = path.device_torque_nm + np.insert(path.swing_torque_nm, [2, 4], 0.0, axis=1)
+    motors = path.device_torque_nm + np.insert(
+        path.swing_torque_nm, [2, 4], 0.0, axis=1
+    )
     work_j = np.maximum(motors[1:] * np.diff(path.joint_rad, axis=0), 0.0).sum()
     more = row["cost_of_transport_powered_jpkgpm"] - row["cost_of_transport_jpkgpm"]
     assert more * 80.0 * row["distance_m"] == pytest.approx(work_j, rel=2e-3)
@@ -89,11 +110,16 @@ def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
         ("duration", after[is_left[1:]], after[~is_left[1:]]),
     ):
         uneven = (left.mean() - right.mean()) / (left.mean() + right.mean())
-        assert row[f"step_{name}_asymmetry"] == pytest.approx(uneven, abs=2e-3) and uneven != 0.0
+        assert (
+            row[f"step_{name}_asymmetry"] == pytest.approx(uneven, abs=2e-3)
+            and uneven != 0.0
+        )
     events, steps = path.events[path.events["kind"] == 1], list[Any]()
     torque = np.abs(path.joint_torque_nm).reshape(-1, 2, 3)
     for side in (0, 1):
-        ends = np.searchsorted(path.time_s, events["time_s"][events["side"] == side] + 0.1)
+        ends = np.searchsorted(
+            path.time_s, events["time_s"][events["side"] == side] + 0.1
+        )
         steps += [torque[first:end, side].max(axis=0) for first, end in pairwise(ends)]
     assert len(steps) == row["step_count"] > 4
     peaks = [row[f"{joint}_torque_peak_nm"] for joint in ("hip", "knee", "ankle")]
@@ -112,10 +138,14 @@ def some(rows: Any = slice(None), **options: Any) -> Result:
     )
     index = np.arange(WALKERS)[rows]
     return simulate(
-        gains[index], bodies=options.pop("bodies", bodies()).take(index), terrains=kinds,
-        terrain_index=index % len(kinds), duration_s=SHORT_S,
-        settings=options.pop("settings", MUJOCO), **options,
-    )  # fmt: skip
+        gains[index],
+        bodies=options.pop("bodies", bodies()).take(index),
+        terrains=kinds,
+        terrain_index=index % len(kinds),
+        duration_s=SHORT_S,
+        settings=options.pop("settings", MUJOCO),
+        **options,
+    )
 
 
 def bodies() -> Bodies:
@@ -140,8 +170,11 @@ def test_recording_and_another_simulation_change_nothing(together: Result) -> No
 
 
 def test_settings_matter(together: Result) -> None:
-    for own in (MujocoSettings(time_constant_s=0.01), MujocoSettings(limits="mujoco"),
-                MujocoSettings(damping_ratio=0.5)):  # fmt: skip
+    for own in (
+        MujocoSettings(time_constant_s=0.01),
+        MujocoSettings(limits="mujoco"),
+        MujocoSettings(damping_ratio=0.5),
+    ):
         settings = Settings(engine="mujoco", arch="cpu", mujoco=own)
         other = some([0, 1], settings=settings)
         assert (other["hip_x_m"] != together["hip_x_m"][:2]).all()
@@ -170,7 +203,9 @@ def those(simulations: Simulations, walker: int, from_s: float) -> Any:
     return np.flatnonzero(mine & (simulations.time > from_s))
 
 
-def test_a_walker_of_nans(together: Result, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
+def test_a_walker_of_nans(
+    together: Result, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
     """It gets a code, nothing is printed, and no other walker changes."""
     step = Simulations.step
 
@@ -186,7 +221,9 @@ def test_a_walker_of_nans(together: Result, monkeypatch: pytest.MonkeyPatch, cap
     assert capfd.readouterr() == ("", "")
 
 
-def test_an_engines_error_is_its_walkers(together: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engines_error_is_its_walkers(
+    together: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """MuJoCo leaves such a walker where it was, and has moved the others."""
     step = Simulations.step
 

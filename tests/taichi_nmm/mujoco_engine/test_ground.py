@@ -22,7 +22,9 @@ MUJOCO = Settings(engine="mujoco", arch="cpu")
 POSES = 300  # of each ground
 SPACING_M = 1e-5  # of the points of the ground that are looked at
 AROUND_M = 0.03
-STEEPEST = 5.0  # of these grounds, its length along a metre: the points on it are so far apart
+STEEPEST = (
+    5.0  # of these grounds, its length along a metre: the points on it are so far apart
+)
 FASTEST_MPS = 2.4  # see `terrain.GRID_END_M`
 FILE = "0, 0\n1, 0.5\n1.31, 0.2\n7, 0.21\n40, -3\n"
 ABOVE_M = 1000.0
@@ -34,15 +36,19 @@ def grounds_of(kind: str, folder: Path) -> list[Terrain]:
     (folder / "table.csv").write_text(FILE)
     return {
         "flat": [terrain.flat()],
-        "rough": [terrain.rough(1), terrain.rough(2, amplitude_m=0.3, flat_start_m=0.0)],
+        "rough": [
+            terrain.rough(1),
+            terrain.rough(2, amplitude_m=0.3, flat_start_m=0.0),
+        ],
         "blocks": [terrain.blocks(2), terrain.blocks(3, amplitude_m=0.2, riser_m=0.05)],
         "ramp": [terrain.ramp(), terrain.ramp(direction="down")],
         "stairs": [
-            terrain.stairs(rise_m=0.05), terrain.stairs(direction="down", rise_m=0.15),
+            terrain.stairs(rise_m=0.05),
+            terrain.stairs(direction="down", rise_m=0.15),
             terrain.stairs(rise_m=0.2, run_m=0.1),
         ],
         "file": [terrain.from_file(folder / "table.csv")],
-    }[kind]  # fmt: skip
+    }[kind]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -60,11 +66,18 @@ def centres(model: mujoco.MjModel, qpos: Array) -> Array:
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_kinematics(model, data)
-    return np.array([data.geom(f"sole_{sole}").xpos[[0, 2]] for sole in range(CONTACTS)])
+    return np.array(
+        [data.geom(f"sole_{sole}").xpos[[0, 2]] for sole in range(CONTACTS)]
+    )
 
 
 def posed(
-    model: mujoco.MjModel, ground: Terrain, sole: int, x_m: float, gap_m: float, pose: Array
+    model: mujoco.MjModel,
+    ground: Terrain,
+    sole: int,
+    x_m: float,
+    gap_m: float,
+    pose: Array,
 ) -> Array:
     """qpos of a pose in which the centre of a sole is at x, so far above the ground under it."""
     qpos = np.concatenate([[0.0, 0.0], pose])
@@ -76,7 +89,9 @@ def posed(
 def planes_under(ground: Terrain, qpos: Array) -> tuple[Array, Array]:
     """Points and normals of the planes, x and z, [n, PLANES, 2] each."""
     rows = np.atleast_2d(qpos)
-    position, quaternion = ContactPlanes((ground,), np.zeros(len(rows), int)).under(rows)
+    position, quaternion = ContactPlanes((ground,), np.zeros(len(rows), int)).under(
+        rows
+    )
     assert not position[..., 1].any() and not quaternion[..., [1, 3]].any()
     np.testing.assert_allclose(np.linalg.norm(quaternion, axis=-1), 1.0, rtol=1e-12)
     angle = 2.0 * np.arctan2(quaternion[..., 2], quaternion[..., 0])
@@ -97,7 +112,9 @@ def places(ground: Terrain, rng: np.random.Generator) -> Array:
     corners = GRID_X_M[1:-1][np.abs(np.diff(ground.height_m, 2)) > 1e-4]
     x_m = rng.uniform(GRID_START_M - 1.0, GRID_END_M + 1.0, POSES)
     if len(corners):
-        x_m[::2] = rng.choice(corners, len(x_m[::2])) + rng.uniform(-0.01, 0.01, len(x_m[::2]))
+        x_m[::2] = rng.choice(corners, len(x_m[::2])) + rng.uniform(
+            -0.01, 0.01, len(x_m[::2])
+        )
     return x_m
 
 
@@ -110,7 +127,9 @@ def assert_near(distances: Array, seen: Array) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_soles_touch_the_nearest_points(kind: str, model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_soles_touch_the_nearest_points(
+    kind: str, model: mujoco.MjModel, tmp_path: Path
+) -> None:
     """Above the ground a plane is as far as the nearest point, a second one as the next valley."""
     rng = np.random.default_rng(3)
     hollows = 0
@@ -133,7 +152,9 @@ def test_soles_touch_the_nearest_points(kind: str, model: mujoco.MjModel, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_sole_in_the_ground_is_led_out(kind: str, model: mujoco.MjModel, tmp_path: Path) -> None:
+def test_a_sole_in_the_ground_is_led_out(
+    kind: str, model: mujoco.MjModel, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(4)
     for ground in grounds_of(kind, tmp_path):
         for x_m in places(ground, rng):
@@ -145,21 +166,31 @@ def test_a_sole_in_the_ground_is_led_out(kind: str, model: mujoco.MjModel, tmp_p
             assert normals[1] > 0.0
 
 
-def contacts(model: mujoco.MjModel, ground: Terrain, qpos: Array) -> tuple[Array, Array]:
+def contacts(
+    model: mujoco.MjModel, ground: Terrain, qpos: Array
+) -> tuple[Array, Array]:
     """MuJoCo's own contacts of a pose: depths [c], and normals x and z, [c, 2]."""
     data = mujoco.MjData(model)
     position, quaternion = ContactPlanes((ground,), np.zeros(1, int)).under(qpos[None])
-    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = qpos, position[0], quaternion[0]
+    data.qpos[:], data.mocap_pos[:], data.mocap_quat[:] = (
+        qpos,
+        position[0],
+        quaternion[0],
+    )
     mujoco.mj_forward(model, data)
     return -data.contact.dist, data.contact.frame[:, [0, 2]]
 
 
 @pytest.mark.parametrize("past_m", [-0.003, -1e-9, 0.0, 1e-9, 0.003, 0.008])
-def test_a_foot_does_not_catch_where_two_pieces_meet(model: mujoco.MjModel, past_m: float) -> None:
+def test_a_foot_does_not_catch_where_two_pieces_meet(
+    model: mujoco.MjModel, past_m: float
+) -> None:
     """The ground is almost level, so contact normals are almost vertical everywhere."""
     ground = terrain.rough(1, amplitude_m=0.0005, flat_start_m=0.0)
     for knot_m in range(3, 8):
-        qpos = posed(model, ground, 0, knot_m + past_m, SOLE_RADIUS_M - 0.004, np.zeros(7))
+        qpos = posed(
+            model, ground, 0, knot_m + past_m, SOLE_RADIUS_M - 0.004, np.zeros(7)
+        )
         depths, normals = contacts(model, ground, qpos)
         assert depths[0] == pytest.approx(0.004, abs=1e-6)
         assert len(normals) and np.abs(normals[:, 0]).max() <= 0.01
@@ -187,7 +218,9 @@ def test_the_ground_goes_on_as_far_as_anybody_walks(model: mujoco.MjModel) -> No
     for x_m, end in ((GRID_START_M - far_m, 0), (GRID_END_M + far_m, -1)):
         qpos = posed(model, ground, 1, x_m, 0.009, np.zeros(7))
         points, normals = (values[0, 2:4] for values in planes_under(ground, qpos))
-        assert points[0, 1] == ground.height_m[end] and points[1, 1] < points[0, 1] - 0.9
+        assert (
+            points[0, 1] == ground.height_m[end] and points[1, 1] < points[0, 1] - 0.9
+        )
         np.testing.assert_array_equal(normals, [[0.0, 1.0]] * 2)
 
 
@@ -203,18 +236,26 @@ def test_planes_are_a_walkers_own() -> None:
     spoilt[4], spoilt[5] = np.nan, np.inf
     still = np.array([n not in (4, 5) for n in range(9)])
     for part in (0, 1):
-        np.testing.assert_array_equal(expected[part], np.concatenate([one[part] for one in alone]))
-        np.testing.assert_array_equal(together.under(spoilt)[part][still], expected[part][still])
+        np.testing.assert_array_equal(
+            expected[part], np.concatenate([one[part] for one in alone])
+        )
+        np.testing.assert_array_equal(
+            together.under(spoilt)[part][still], expected[part][still]
+        )
     together.keep(still)
     for part in (0, 1):
-        np.testing.assert_array_equal(together.under(qpos[still])[part], expected[part][still])
+        np.testing.assert_array_equal(
+            together.under(qpos[still])[part], expected[part][still]
+        )
 
 
 def test_bits_do_not_depend_on_the_controllers_precision() -> None:
     qpos = np.random.default_rng(6).normal(size=(2, 9))
     planes = ContactPlanes((terrain.rough(3, flat_start_m=0.0),), np.zeros(2, int))
     single = [values.copy() for values in planes.under(qpos)]
-    backend.start(Settings(engine="mujoco", arch="cpu", precision="float64").on_processor())
+    backend.start(
+        Settings(engine="mujoco", arch="cpu", precision="float64").on_processor()
+    )
     for one, other in zip(single, planes.under(qpos), strict=True):
         np.testing.assert_array_equal(one, other)
     assert single[0].shape == (2, PLANES, 3)
@@ -231,7 +272,9 @@ def largest_error_m(model: mujoco.MjModel, ground: Terrain, x_m: np.ndarray) -> 
     hit, down, found = np.zeros(1, np.int32), np.array([0.0, 0.0, -1.0]), []
     for x in x_m:
         start = np.array([x, 0.0, ABOVE_M])
-        found.append(ABOVE_M - mujoco.mj_ray(model, data, start, down, None, 1, -1, hit, None))
+        found.append(
+            ABOVE_M - mujoco.mj_ray(model, data, start, down, None, 1, -1, hit, None)
+        )
     return float(np.max(np.abs(np.array(found) - ground.height(x_m))))
 
 
@@ -239,10 +282,14 @@ def largest_error_m(model: mujoco.MjModel, ground: Terrain, x_m: np.ndarray) -> 
 @pytest.mark.parametrize("kind", KINDS)
 def test_rays_meet_the_height_table(kind: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    x_m = np.concatenate([rng.uniform(-5, 300, 150), rng.choice(GRID_X_M[:-1], 50) + 1e-9])
+    x_m = np.concatenate(
+        [rng.uniform(-5, 300, 150), rng.choice(GRID_X_M[:-1], 50) + 1e-9]
+    )
     file = tmp_path / "walker.xml"
     for ground in grounds_of(kind, tmp_path):
-        text = mjcf_text(Bodies.nominal(), Worlds.nominal(), ground, MUJOCO, start_state(ground))
+        text = mjcf_text(
+            Bodies.nominal(), Worlds.nominal(), ground, MUJOCO, start_state(ground)
+        )
         file.write_text(text)
         model = mujoco.MjModel.from_xml_path(str(file))
         single = 1e-7 * np.ptp(ground.height_m)  # MuJoCo keeps heights in float32

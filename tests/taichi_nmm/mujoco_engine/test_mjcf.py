@@ -13,7 +13,13 @@ from taichi_nmm.kernel.contact_planes import PLANES, PLANES_PER_SOLE, SOLE_RADIU
 from taichi_nmm.kernel.joints import STOP_STIFFNESS_NMPRAD
 from taichi_nmm.mujoco_engine import mjcf
 from taichi_nmm.mujoco_engine.engine import Herd, start_state
-from taichi_nmm.mujoco_engine.mjcf import JOINTS, LEAST_RANGE_RAD, STOPS, limit, walk_model
+from taichi_nmm.mujoco_engine.mjcf import (
+    JOINTS,
+    LEAST_RANGE_RAD,
+    STOPS,
+    limit,
+    walk_model,
+)
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.settings import MujocoSettings, Settings
 from taichi_nmm.walkers import check_batch
@@ -46,14 +52,18 @@ def test_the_model_has_the_body(model: mujoco.MjModel) -> None:
     assert not model.dof_damping.any() and not model.dof_armature.any()
 
 
-def test_six_motors_turn_six_joints_limited_where_the_walkers_are(model: mujoco.MjModel) -> None:
+def test_six_motors_turn_six_joints_limited_where_the_walkers_are(
+    model: mujoco.MjModel,
+) -> None:
     assert model.nu == 6
     assert [model.actuator(n).name for n in range(6)] == list(JOINTS)
     for n, name in enumerate(JOINTS):
         assert model.joint(int(model.actuator_trnid[n, 0])).name == name
     np.testing.assert_array_equal(model.actuator_gear[:, 0], 1.0)
     np.testing.assert_array_equal(model.actuator_gainprm[:, 0], 1.0)
-    assert not model.actuator_ctrllimited.any() and not model.actuator_forcelimited.any()
+    assert (
+        not model.actuator_ctrllimited.any() and not model.actuator_forcelimited.any()
+    )
     assert model.jnt_limited.tolist() == [0, 0, 0] + [1] * 6
     for name in JOINTS:
         stop = STOPS[name.split("_")[0]]
@@ -63,7 +73,9 @@ def test_six_motors_turn_six_joints_limited_where_the_walkers_are(model: mujoco.
 def test_contacts_follow_the_settings(model: mujoco.MjModel) -> None:
     assert model.opt.timestep == SETTINGS.physics_step_s
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
-    np.testing.assert_array_equal(model.geom_solref, np.tile([0.005, 0.7], (model.ngeom, 1)))
+    np.testing.assert_array_equal(
+        model.geom_solref, np.tile([0.005, 0.7], (model.ngeom, 1))
+    )
     np.testing.assert_array_equal(model.geom_friction[:, 0], FRICTION)
     # Feet meet the ground, and nothing else meets anything.
     assert model.ngeom == 1 + 4
@@ -71,7 +83,10 @@ def test_contacts_follow_the_settings(model: mujoco.MjModel) -> None:
     assert spheres.sum() == 4
     collide = model.geom_contype[:, None] & model.geom_conaffinity
     assert (collide[spheres][:, ~spheres] == 1).all()
-    assert not collide[spheres][:, spheres].any() and not collide[~spheres][:, ~spheres].any()
+    assert (
+        not collide[spheres][:, spheres].any()
+        and not collide[~spheres][:, ~spheres].any()
+    )
 
 
 def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> None:
@@ -81,7 +96,8 @@ def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> 
     assert not (walked.geom_contype[:, None] & walked.geom_conaffinity).any()
     pairs = np.column_stack([walked.pair_geom1, walked.pair_geom2])
     assert {frozenset(walked.geom(geom).name for geom in pair) for pair in pairs} == {
-        frozenset((f"plane_{plane}", f"sole_{plane // PLANES_PER_SOLE}")) for plane in range(PLANES)
+        frozenset((f"plane_{plane}", f"sole_{plane // PLANES_PER_SOLE}"))
+        for plane in range(PLANES)
     }
     np.testing.assert_array_equal(walked.pair_friction[:, :2], FRICTION)
     for name in ("dim", "solref", "solimp", "margin", "gap"):
@@ -93,7 +109,10 @@ def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> 
 
 def test_links_and_muscles_are_seen_and_weigh_nothing(model: mujoco.MjModel) -> None:
     names = {model.tendon(n).name for n in range(model.ntendon)}
-    assert names == {f"{muscle}_{side}" for muscle in MUSCLES for side in "lr"} and len(names) == 14
+    assert (
+        names == {f"{muscle}_{side}" for muscle in MUSCLES for side in "lr"}
+        and len(names) == 14
+    )
     assert not model.tendon_stiffness.any() and not model.tendon_limited.any()
     capsules = model.site_type == mujoco.mjtGeom.mjGEOM_CAPSULE
     assert sorted(model.site_bodyid[capsules]) == list(range(1, 8))
@@ -103,8 +122,13 @@ def test_links_and_muscles_are_seen_and_weigh_nothing(model: mujoco.MjModel) -> 
 
 def test_a_passive_foot_is_in_the_file_and_no_missing_muscle() -> None:
     """Its torque is that of the walker: stiffness (rest - angle) - damping rate."""
-    foot, weak = Prosthesis("right", 350.0, 1.0, 0.1), tuple(1.0 - (n == 4) for n in range(14))
-    model = mujoco.MjModel.from_xml_string(written(WorldRanges(prosthesis=foot, muscles=weak)))
+    foot, weak = (
+        Prosthesis("right", 350.0, 1.0, 0.1),
+        tuple(1.0 - (n == 4) for n in range(14)),
+    )
+    model = mujoco.MjModel.from_xml_string(
+        written(WorldRanges(prosthesis=foot, muscles=weak))
+    )
     names = {model.tendon(n).name for n in range(model.ntendon)}
     gone = {"HAM_l", "SOL_r", "TA_r", "GAS_r"}
     assert names == {f"{muscle}_{side}" for muscle in MUSCLES for side in "lr"} - gone
@@ -176,9 +200,11 @@ def crept(joint: str, torque_nm: float, step_s: float) -> NDArray[np.float64]:
     return np.array(beyond)
 
 
-def law(joint: str, torque_nm: float, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same by D' = w_max (T/(k D) - 1), D(0) = 0: with L = T/k and W = w_max t, it is
-    -D - L ln(1 - D/L) = W, whose beginning is D = sqrt(2 L W)."""
+def law(
+    joint: str, torque_nm: float, times_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The same by D' = w_max (T/(k D) - 1), D(0) = 0: with L = T/k and W = w_max t, it
+    is -D - L ln(1 - D/L) = W, whose beginning is D = sqrt(2 L W)."""
     largest = torque_nm / STOP_STIFFNESS_NMPRAD
     way = STOPS[joint.split("_")[0]].relaxation_radps * times_s
     low, high = np.zeros_like(way), np.full_like(way, largest * (1 - 1e-12))
@@ -190,10 +216,19 @@ def law(joint: str, torque_nm: float, times_s: NDArray[np.float64]) -> NDArray[n
 
 
 @pytest.mark.parametrize("step_s", [1e-3, 0.5e-3])
-@pytest.mark.parametrize(("joint", "torque_nm"), [
-    ("shank_l", 20.0), ("shank_l", 60.0), ("shank_r", 150.0), ("foot_l", 20.0), ("foot_r", 60.0),
-])  # fmt: skip
-def test_a_pushed_joint_creeps_as_a_stop_does(joint: str, torque_nm: float, step_s: float) -> None:
+@pytest.mark.parametrize(
+    ("joint", "torque_nm"),
+    [
+        ("shank_l", 20.0),
+        ("shank_l", 60.0),
+        ("shank_r", 150.0),
+        ("foot_l", 20.0),
+        ("foot_r", 60.0),
+    ],
+)
+def test_a_pushed_joint_creeps_as_a_stop_does(
+    joint: str, torque_nm: float, step_s: float
+) -> None:
     found = crept(joint, torque_nm, step_s)
     times_s = step_s * np.arange(1, len(found) + 1)
     expected = law(joint, torque_nm, times_s)
