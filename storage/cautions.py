@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from storage.inputs.errors import shortened
 from storage.store import Store, evaluated_name, outcome_name
-from taichi_nmm.errors import shortened
 
 
 def cautions(store: Store, survived: str) -> list[str]:

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 TEMPORARY_SUFFIX = ".tmp"  # hidden files of this ending are never read
 UNHELD = "a folder that no other process is filling at this moment"

@@ -42,13 +42,13 @@ from distributed import Future as Remote
 from distributed.comm import CommClosedError
 from distributed.security import Security
 
+from storage.inputs.errors import InputError, in_a_line
+from storage.inputs.reading import json_document, reading
 from storage.pool import KIND_NAME, Cluster, Kind, Pool, differences, own_kind
 from storage.processes import Processes
 from storage.simulator import Simulator
 from storage.store import MANIFEST_NAME, Manifest
 from storage.tables import agree
-from taichi_nmm.errors import InputError, in_a_line
-from taichi_nmm.reading import json_document, reading
 
 SESSION = "taichi-nmm-"  # and the client's name
 AHEAD = 2  # calls a place, one of which waits on the worker

@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Self
 import pyarrow as pa
 
 from storage.commit import TEMPORARY_SUFFIX, lock_now, require_folder, writable
+from storage.inputs.errors import InputError
 from storage.tables import agree, read_stamped, write_stamped
-from taichi_nmm.errors import InputError
 
 LOCK_NAME = ".lock"
 UNFINISHED = f".*{TEMPORARY_SUFFIX}"

@@ -23,10 +23,10 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from storage.inputs import typed
+from storage.inputs.errors import InputError, listed
+from storage.inputs.reading import PACKED_BY, is_folder, reading
 from storage.tables import read_any
-from taichi_nmm import typed
-from taichi_nmm.errors import InputError, listed
-from taichi_nmm.reading import PACKED_BY, is_folder, reading
 
 Floats = NDArray[np.float64]
 

@@ -29,11 +29,11 @@ from optuna.distributions import (
     distribution_to_json,
 )
 
+from storage.inputs import checks
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError, in_a_line, listed
 from storage.points import within_bounds
 from storage.simulator import FAILED, HORIZON_S, SURVIVED, Report, Simulator, Uniform
-from taichi_nmm import checks
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, in_a_line, listed
 
 ENDED = "run_ended"
 RAN = "ran"

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.function_simulator import SEED, DrawnNumbers
+from storage.inputs.errors import InputError
 from storage.mujoco_worlds import Floats, push_rates, quaternions, upward, weight_of
 from storage.simulator import SURVIVED
-from taichi_nmm.errors import InputError
 
 MOST_COST = 100.0
 PUSH_EVERY_S = 2.0

@@ -32,6 +32,9 @@ from storage.function_simulator import (
     code_of,
     source_of,
 )
+from storage.inputs import checks
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError, listed, one_line, shortened
 from storage.mujoco_herd import Herd, Robot, SensedState
 from storage.mujoco_worlds import (
     Floats,
@@ -43,9 +46,6 @@ from storage.mujoco_worlds import (
     roughen,
 )
 from storage.simulator import SURVIVED
-from taichi_nmm import checks
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, listed, one_line, shortened
 
 KNOWN = tomllib.loads(
     Path(__file__).with_name("mujoco.toml").read_text(encoding="utf-8")

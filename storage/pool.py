@@ -21,9 +21,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
+from storage.inputs.errors import InputError, shortened
 from storage.processes import Processes
 from storage.simulator import WALKER, Simulator
-from taichi_nmm.errors import InputError, shortened
 
 Kind = dict[str, str]
 """By name: "canary", "processor", and the versions of the simulator and of packages."""

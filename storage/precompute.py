@@ -14,6 +14,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.cautions import cautions
+from storage.inputs import checks
+from storage.inputs.config import Table
 from storage.points import sobol_points
 from storage.pool import IN_PROCESS, MOST_LOCAL, Pool, cores, local_pool, own_kind
 from storage.search import evolved_points
@@ -30,8 +32,6 @@ from storage.store import (
     shard_table,
 )
 from storage.store_folder import StoreFolder
-from taichi_nmm import checks
-from taichi_nmm.config import Table
 
 TYPICAL_ALIVE = 0.1  # of random points, at the age from which families run them
 TYPICAL_KEPT = 0.01  # of random points, where a family comes after another one

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.folder import remove
+from storage.inputs.errors import InputError
 from storage.points import in_unit_cube, within_bounds
 from storage.pool import Pool
 from storage.simulator import Simulator, judge_rows, run_points
@@ -28,7 +29,6 @@ from storage.specification import (
 )
 from storage.store import evaluated_name, family_names
 from storage.store_folder import GENERATION_PATTERN, StoreFolder, Tried
-from taichi_nmm.errors import InputError
 
 if TYPE_CHECKING:
     from ribs.emitters import EvolutionStrategyEmitter

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm import checks
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, listed, one_line, shortened
+from storage.inputs import checks
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError, listed, one_line, shortened
 
 WALKER = "walker"
 SIMULATORS = {

@@ -19,6 +19,9 @@ import numpy as np
 import pyarrow as pa
 
 from storage import points
+from storage.inputs import checks
+from storage.inputs.config import REQUIRED, Table
+from storage.inputs.errors import InputError, listed
 from storage.points import LARGEST_SEQUENCE, seed_sequence
 from storage.simulator import (
     HORIZON_S,
@@ -33,9 +36,6 @@ from storage.simulator import (
 )
 from storage.store import ORIGIN, Store, arrow_schema, columns_of
 from storage.tables import FORMAT, document_hash
-from taichi_nmm import checks
-from taichi_nmm.config import REQUIRED, Table
-from taichi_nmm.errors import InputError, listed
 
 HORIZONS_S = 1e-9, 1e12  # shortest and longest run: of a circuit, of a forest
 WALKS_S = 0.1, 1000.0  # of the walker

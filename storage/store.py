@@ -11,6 +11,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from storage.commit import commit_json
+from storage.inputs import checks
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError, listed
+from storage.inputs.reading import is_folder, json_document, reading
 from storage.simulator import (
     SIMULATOR_KEY,
     SIMULATORS,
@@ -26,10 +30,6 @@ from storage.tables import (
     read_columns,
     write_table,
 )
-from taichi_nmm import checks
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, listed
-from taichi_nmm.reading import is_folder, json_document, reading
 
 MANIFEST_NAME = "manifest.json"
 SHARD_PATTERN = "part-*.parquet"

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from storage import store
 from storage.folder import Folder, remove
+from storage.inputs.errors import InputError
 from storage.pool import KIND_NAME
 from storage.specification import Layout
 from storage.tables import (
@@ -30,7 +31,6 @@ from storage.tables import (
     read_columns,
     write_table,
 )
-from taichi_nmm.errors import InputError
 
 SPECIFICATION_NAME = "specification.json"
 REPERTOIRE_NAME = "repertoire.parquet"

@@ -18,8 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from storage.commit import commit, commit_json
-from taichi_nmm.errors import InputError
-from taichi_nmm.reading import json_document, parse_json, reading
+from storage.inputs.errors import InputError
+from storage.inputs.reading import json_document, parse_json, reading
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 FOOTER_KEY = b"taichi_nmm"

@@ -25,7 +25,7 @@ from io import TextIOWrapper
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 if TYPE_CHECKING:
     from tqdm import tqdm

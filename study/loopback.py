@@ -16,7 +16,7 @@ from socketserver import ThreadingMixIn
 from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 Environment = dict[str, Any]
 Headers = list[tuple[str, str]]

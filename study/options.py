@@ -18,8 +18,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
-from taichi_nmm import typed
-from taichi_nmm.errors import InputError, listed, one_line, shortened
+from storage.inputs import typed
+from storage.inputs.errors import InputError, listed, one_line, shortened
 from taichi_nmm.settings import ENGINES
 
 PROGRAM = "taichi-nmm"
@@ -262,7 +262,7 @@ def config_path(name: str | Path) -> Path:
 
     A name is a word, such as rough8; anything with a folder or a suffix is a file. The
     name of a variant, such as ramp-up-gentle, stands for a file that
-    `taichi_nmm.config.read_toml` finds in ramp-up.toml.
+    `storage.inputs.config.read_toml` finds in ramp-up.toml.
     """
     word = str(name)
     for shipped in CONFIGS.glob(

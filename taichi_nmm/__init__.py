@@ -8,9 +8,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from storage.inputs.errors import InputError
     from taichi_nmm.body import Bodies
     from taichi_nmm.controller import Controller, Muscles
-    from taichi_nmm.errors import InputError
     from taichi_nmm.observation import Observation
     from taichi_nmm.parameters import (
         GAIN_NAMES,
@@ -97,6 +97,8 @@ _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 def __getattr__(name: str) -> Any:
     """Load a public name, or one of the modules, at its first use (PEP 562)."""
+    if name == "InputError":
+        return import_module("storage.inputs.errors").InputError
     if name in _MODULES:
         return getattr(import_module(f"taichi_nmm.{_MODULES[name]}"), name)
     if name in _PLACES:

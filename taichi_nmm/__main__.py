@@ -5,7 +5,7 @@ The only module of this package that imports `study`.
 
 import sys
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from taichi_nmm.neighbours import require_neighbours
 
 

@@ -12,9 +12,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import checks
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
+from storage.inputs import checks
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError
 
 GRAVITY_MPS2 = 9.81
 THIGH_LENGTH_M = 0.50

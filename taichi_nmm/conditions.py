@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
+from storage.inputs.config import Table
 from taichi_nmm.body import Build, read_body
-from taichi_nmm.config import Table
 from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, read_ground
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 COMPILER = (
     "quadrants" if sys.version_info >= (3, 14) else "taichi"

@@ -8,7 +8,7 @@ that follows explains nothing.
 from importlib.util import find_spec
 from pathlib import Path
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 BESIDE = Path(__file__).resolve().parents[1]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from taichi_nmm.kernel.layout import LEGS, Sense
 
 JOINTS = 3 * LEGS

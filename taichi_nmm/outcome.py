@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm import checks
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
-from taichi_nmm.errors import InputError
 from taichi_nmm.kernel import joints as stops
 from taichi_nmm.kernel.layout import (
     COORDINATES,

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import checks
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, listed
-from taichi_nmm.reading import json_document
+from storage.inputs import checks
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError, listed
+from storage.inputs.reading import json_document
 
 
 @dataclass(frozen=True)

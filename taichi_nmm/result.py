@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 
 END_REASONS = ("completed", "fell", "diverged")
 """How a walk ends: `"completed"`, `"fell"`, or `"diverged"` (to NaN, or beyond 10^6)."""

@@ -4,8 +4,8 @@ import os
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 
 CONTROL_TICK_S = 1e-3
 PHYSICS_STEPS_S = (1e-3, 0.5e-3, 0.25e-3)

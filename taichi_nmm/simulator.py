@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import checks
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from taichi_nmm.body import Bodies
-from taichi_nmm.errors import InputError
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import accelerate, advance

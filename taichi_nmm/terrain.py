@@ -26,10 +26,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import checks, typed
-from taichi_nmm.config import REQUIRED, Table
-from taichi_nmm.errors import InputError
-from taichi_nmm.reading import read_text
+from storage.inputs import checks, typed
+from storage.inputs.config import REQUIRED, Table
+from storage.inputs.errors import InputError
+from storage.inputs.reading import read_text
 
 GRID_START_M = -5.0
 GRID_SPACING_M = 0.05  # shorter than a foot; one cell is the shortest riser

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import taichi_nmm
+from storage.inputs.config import Table
 from taichi_nmm.body import Bodies, Build, read_body
 from taichi_nmm.conditions import read_settings
-from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER, require_kernel_cache
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.parameters import (

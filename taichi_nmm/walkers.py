@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from taichi_nmm import checks
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
-from taichi_nmm.errors import InputError
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
 from taichi_nmm.kernel.layout import LEGS, MUSCLE_COUNT, Const
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm import checks
+from storage.inputs import checks
+from storage.inputs.config import REQUIRED, Table
+from storage.inputs.errors import InputError
 from taichi_nmm.body import SIDES, Rows
-from taichi_nmm.config import REQUIRED, Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.settings import OWN_ENGINE
 

@@ -32,16 +32,11 @@ COMMANDS = ("tools", "study.commands")
 
 # A part of the house, and all that it may import of this project.
 ALLOWED = {
-    "taichi_nmm": ("taichi_nmm",),
-    # A store is of any simulator: of the walker's package, no bodies, grounds or gains.
-    "storage": (
-        "storage",
-        "taichi_nmm.checks",
-        "taichi_nmm.config",
-        "taichi_nmm.errors",
-        "taichi_nmm.reading",
-        "taichi_nmm.typed",
-    ),
+    # The floor: what says no to a user.
+    "storage.inputs": ("storage.inputs",),
+    # The walker: one simulator among others, which a store need not know.
+    "taichi_nmm": ("taichi_nmm", "storage.inputs"),
+    "storage": ("storage",),
     "study": PACKAGES,
     "study.experiment": (
         "study.experiment",
@@ -58,15 +53,12 @@ ALLOWED = {
     ),
     "study.experiment.objective": ("storage", "taichi_nmm"),
     "study.commands": PACKAGES,  # the top, which nobody but the door imports
-    # For anybody: of the walker's package, only what says no to a user.
+    # For anybody: it knows no walker.
     "study.sampler": (
         "study.sampler",
         "storage.foreign_tables",
         "storage.store",
-        "taichi_nmm.checks",
-        "taichi_nmm.errors",
-        "taichi_nmm.reading",
-        "taichi_nmm.typed",
+        "storage.inputs",
     ),
 }
 

@@ -20,11 +20,11 @@ from optuna.samplers import BaseSampler
 import storage
 import study
 import taichi_nmm
+from storage.inputs.errors import InputError
 from storage.precompute import precompute
 from storage.simulator import Simulator
 from study.experiment.objective import Objective
 from taichi_nmm import terrain
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE
 from tests.storage import fake, robot

@@ -25,9 +25,9 @@ with guarded_imports():
     import scipy
 
     from storage.commit import require_folder
+    from storage.inputs.errors import InputError
     from study.options import MOST_WORKERS, Options
     from study.report.numbers import wilcoxon
-    from taichi_nmm.errors import InputError
     from tools import outside
     from tools.outside import ARMS, PROBLEMS, outside_problem
     from tools.page import ROOT, write_page

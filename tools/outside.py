@@ -44,10 +44,10 @@ from optuna.samplers import (
 from tqdm import tqdm
 
 from storage.commit import commit_json
+from storage.inputs.reading import parse_json, reading
 from storage.processes import Processes
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from taichi_nmm.reading import parse_json, reading
 from tools.page import ROOT, installed, versions
 
 Floats = NDArray[np.float64]

@@ -24,8 +24,8 @@ from typing import Any
 from checkout import guarded_imports, run_command
 
 with guarded_imports():
+    from storage.inputs.errors import InputError
     from study.options import Options
-    from taichi_nmm.errors import InputError
     from taichi_nmm.kernel_cache import CACHE_VARIABLE
     from taichi_nmm.settings import ARCHITECTURES
 

@@ -34,10 +34,10 @@ with guarded_imports():
     from optuna.distributions import FloatDistribution
 
     from storage.function_simulator import SEED
+    from storage.inputs.errors import InputError, in_a_line
     from storage.mujoco_herd import Herd, SensedState
     from storage.mujoco_simulator import WORLDS, MujocoSimulator
     from storage.mujoco_worlds import FACING, gravity_of, upward
-    from taichi_nmm.errors import InputError, in_a_line
 
 Floats = NDArray[np.float64]
 

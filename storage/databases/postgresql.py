@@ -17,7 +17,7 @@ from optuna.storages import RDBStorage
 from sqlalchemy.exc import NoSuchModuleError, SQLAlchemyError
 
 from storage.databases.urls import POSTGRESQL_FORM, public_url
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 CONNECT_TIMEOUT_S = 10
 TABLES_LOCK = "taichi-nmm/tables"  # no study's name: those have three parts

@@ -37,7 +37,7 @@ from storage.databases import postgresql
 from storage.databases.postgresql import unusable
 from storage.databases.urls import FORMS, SQLITE, file_url, is_postgresql
 from storage.databases.urls import public_url as public_url
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 MEMORY_NAME = ":memory:"  # which SQLite takes for no file
 NO_RECORD = (

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
+from storage.inputs.errors import InputError
 from study.bench.journal import State, Trial
 from study.bench.plan import Plan, Safety
 from study.bench.shown import frozen, study_of
@@ -26,7 +27,6 @@ from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable, Rows
 from study.sampler.table_policy import TableExhaustedError
 from study.sampler.worlds import Worlds
-from taichi_nmm.errors import InputError
 
 Mask = NDArray[np.bool_]
 

@@ -20,6 +20,8 @@ from optuna.distributions import (
 )
 
 from storage.databases.studies import read_errors, shown_url
+from storage.inputs import checks
+from storage.inputs.errors import InputError, listed
 from storage.tables import difference
 from study.bench.advice import EXPECTED, Advice, Recommended, simulated_range
 from study.bench.doubts import Range, doubts, odd_failures, odd_value
@@ -29,8 +31,6 @@ from study.bench.shown import require_shown, show
 from study.bench.words import operator_here, require_names
 from study.sampler.space import as_suggested, printed_tolerance
 from study.sampler.table import FeatureTable
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError, listed
 
 WHOLE, VALUE = checks.whole(0), checks.optional(checks.number())
 COLUMNS = checks.optional(checks.by_name(checks.number()))

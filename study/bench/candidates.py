@@ -21,10 +21,10 @@ from optuna.distributions import (
 )
 
 from storage.foreign_tables import ForeignTable
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError, listed
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError, listed
 
 Kind = Literal["float", "whole", "choice"]
 

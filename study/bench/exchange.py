@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from storage.foreign_tables import ForeignTable
+from storage.inputs.errors import InputError, listed
 from study.bench.bench import Bench, Own
 from study.bench.candidates import choices_of
 from study.bench.words import plain
-from taichi_nmm.errors import InputError, listed
 
 WORDS = ("context", "operator", "time", "note")  # columns that are never numbers
 

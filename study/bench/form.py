@@ -19,6 +19,9 @@ from urllib.parse import quote, unquote
 
 import bottle
 
+from storage.inputs import typed
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError
 from storage.simulator import WALKER
 from storage.store import open_store
 from study.bench.bench import Bench
@@ -29,9 +32,6 @@ from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
 from study.pictures.movie import encoded, filmable, filmed
 from study.pictures.scene import SMALL, frames
-from taichi_nmm import typed
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 
 PAGE = bottle.SimpleTemplate(
     Path(__file__).with_suffix(".html").read_text(encoding="utf-8")

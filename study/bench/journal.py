@@ -25,7 +25,7 @@ from storage.databases.studies import (
     storage_errors,
     write_down,
 )
-from taichi_nmm.errors import InputError, listed
+from storage.inputs.errors import InputError, listed
 
 LOG = " (log)"  # after the name of the study whose attributes are the entries
 KEY = "entry {:06d}"

@@ -16,6 +16,10 @@ from optuna.trial import FrozenTrial
 
 from storage.databases.studies import read_studies, shown_url, studies_path
 from storage.databases.urls import file_url, is_postgresql
+from storage.inputs import checks
+from storage.inputs.config import Table, read_whole
+from storage.inputs.errors import InputError
+from storage.inputs.reading import toml_document
 from storage.simulator import SURVIVED
 from storage.store import open_store
 from study.bench.candidates import better_of, of_file
@@ -23,10 +27,6 @@ from study.bench.journal import LOG, Trial
 from study.bench.words import horizon
 from study.sampler.sampler import MOST_OFF_GRID, FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from taichi_nmm import checks
-from taichi_nmm.config import Table, read_whole
-from taichi_nmm.errors import InputError
-from taichi_nmm.reading import toml_document
 
 if TYPE_CHECKING:
     from study.experiment.features import Cost

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from storage.foreign_tables import ForeignTable
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from taichi_nmm.result import RESULT_DTYPE, smooth_cost
 
 TIME, POSITION = "time", "position"  # columns of a log: a clock, and metres

@@ -13,9 +13,9 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
+from storage.inputs.errors import InputError
 from study.bench.journal import Trial
 from study.options import COMMANDS, DECLARED, is_printable
-from taichi_nmm.errors import InputError
 
 PROGRAM = ("taichi-nmm", "bench")
 TIMES = {1: "once", 2: "twice"}

@@ -16,6 +16,9 @@ import numpy as np
 import optuna
 
 from storage.commit import commit_text, require_writable
+from storage.inputs import typed
+from storage.inputs.errors import InputError, listed
+from storage.inputs.reading import json_document, toml_document
 from study.bench import words
 from study.bench.bench import Bench
 from study.bench.candidates import beyond_bounds
@@ -23,9 +26,6 @@ from study.bench.exchange import export_text, read_trials
 from study.bench.journal import MOST_DIGITS, Trial
 from study.bench.words import PROGRAM
 from study.options import COMMANDS, require_used
-from taichi_nmm import typed
-from taichi_nmm.errors import InputError, listed
-from taichi_nmm.reading import json_document, toml_document
 
 EVERYWHERE = "0.0.0.0"
 PARAMETERS = "a JSON object of parameters by name"

@@ -13,6 +13,7 @@ import optuna
 from storage.cluster import open_pool
 from storage.commit import commit_text
 from storage.databases.studies import public_url
+from storage.inputs.errors import InputError
 from storage.pool import Cluster, cores
 from study.cli import ProgressBar
 from study.experiment import robots
@@ -28,7 +29,6 @@ from study.report.markdown import (
 )
 from study.report.numbers import numbers
 from study.report.runs import read_facts, read_results
-from taichi_nmm.errors import InputError
 from taichi_nmm.walker_simulator import Walker, require_engine
 
 

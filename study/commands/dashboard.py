@@ -17,12 +17,12 @@ from storage.databases.studies import (
     studies_path,
 )
 from storage.databases.urls import SQLITE, file_url
+from storage.inputs.errors import InputError
+from storage.inputs.reading import is_file, is_folder
 from study.experiment.experiment import SUMMARY
 from study.experiment.folder import ARTIFACTS_NAME, DATABASE_NAME
 from study.loopback import HOST, Application, guarded, wsgi_server
 from study.options import require_used
-from taichi_nmm.errors import InputError
-from taichi_nmm.reading import is_file, is_folder
 
 EXPERIMENTS = Path("out") / "compare"
 

@@ -9,11 +9,11 @@ from functools import partial
 from pathlib import Path
 
 from storage.cluster import open_pool
+from storage.inputs.config import read_toml, read_whole
 from storage.pool import Cluster, cores
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar
-from taichi_nmm.config import read_toml, read_whole
 
 
 def main(args: Namespace) -> None:

@@ -3,9 +3,9 @@
 from argparse import Namespace
 
 from storage.commit import require_named
+from storage.inputs.errors import InputError
 from study.report.figures import REPORT_NAME, write_overview, write_report
 from study.report.runs import known_stores, read_results
-from taichi_nmm.errors import InputError
 
 
 def main(args: Namespace) -> None:

@@ -16,6 +16,8 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.commit import commit_text, require_folder, writable
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from storage.store import open_store
 from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.features import WORLDS, feature_table, front_of
@@ -46,9 +48,7 @@ from study.pictures.trajectory_files import (
     write_opensim,
     write_trajectory,
 )
-from taichi_nmm import checks
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
-from taichi_nmm.errors import InputError
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.result import ENERGY, FURTHER_FIELDS, OF_MUSCLES, known_numbers
 from taichi_nmm.settings import ENGINES

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 
+from storage.inputs.errors import InputError, listed
 from storage.store import open_store
 from study.experiment import samplers
 from study.experiment.experiment import Experiment, candidates, check_store
@@ -20,7 +21,6 @@ from study.experiment.samplers import Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.conditions import TRIAL_S
-from taichi_nmm.errors import InputError, listed
 
 PAPER_ARM = "dog"  # the paper's
 OUR_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing

@@ -29,6 +29,7 @@ from storage.databases.studies import (
     storage_errors,
     study_of_costs,
 )
+from storage.inputs.errors import InputError
 from study.experiment.arms import Arm
 from study.experiment.experiment import SUMMARY, Experiment, study_name
 from study.experiment.folder import LIVE_ATTRIBUTE, as_if_gone_on, by_study, fingerprint
@@ -36,7 +37,6 @@ from study.experiment.live_study import require_notes, require_written
 from study.experiment.one_study import note_worth
 from study.experiment.trials import ATTRIBUTES
 from study.sampler.history import ROW_ATTRIBUTE
-from taichi_nmm.errors import InputError
 
 CONFIG_ATTRIBUTE = "experiment_config"
 

@@ -15,6 +15,8 @@ from typing import Any
 
 from optuna.distributions import FloatDistribution
 
+from storage.inputs.config import Table, read_toml, read_whole
+from storage.inputs.errors import InputError, listed
 from storage.simulator import SURVIVED
 from storage.store import MANIFEST_NAME, Manifest, Store, open_store
 from storage.tables import file_hash
@@ -24,8 +26,6 @@ from study.sampler.draws import Purpose, stream
 from study.sampler.table import FeatureTable
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.conditions import Conditions, read_conditions
-from taichi_nmm.config import Table, read_toml, read_whole
-from taichi_nmm.errors import InputError, listed
 from taichi_nmm.parameters import (
     ASYMMETRIES,
     DEVICE,

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from storage.cautions import cautions
+from storage.inputs import checks
+from storage.inputs.errors import InputError, listed, shortened
 from storage.simulator import WALKER
 from storage.store import Store, evaluated_name, open_store
 from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
 from study.sampler.table import FeatureTable
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError, listed, shortened
 from taichi_nmm.parameters import LOW_LEVEL_GAINS
 from taichi_nmm.walker_simulator import KEPT
 

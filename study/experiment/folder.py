@@ -35,16 +35,16 @@ from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
 from storage.databases.studies import studies_path
 from storage.databases.urls import is_postgresql
 from storage.folder import Folder, remove
+from storage.inputs.errors import InputError
+from storage.inputs.reading import json_document
 from storage.tables import FORMAT, document_hash, write_table
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, as_written, store_digest, store_path
 from study.experiment.objective import GOAL_COLUMN
 from study.experiment.trials import KEPT, OUTCOMES
 from taichi_nmm import __version__
-from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
-from taichi_nmm.reading import json_document
 from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
 from taichi_nmm.walker_simulator import terrain_document
 

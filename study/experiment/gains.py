@@ -13,10 +13,11 @@ from optuna.trial import TrialState
 
 import storage
 import taichi_nmm
+from storage.inputs.errors import InputError
+from storage.inputs.reading import is_folder, reading
 from storage.simulator import SURVIVED, known_simulator
 from storage.store import outcome_name
 from study.experiment.experiment import Experiment
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import (
     GAIN_NAMES,
     GAINS,
@@ -25,7 +26,6 @@ from taichi_nmm.parameters import (
     check_gains,
     load_all_gains,
 )
-from taichi_nmm.reading import is_folder, reading
 from taichi_nmm.result import ENERGY, OF_MUSCLES
 
 NUMBER = re.compile(r"\d{1,100}")  # Python refuses to read thousands of digits

@@ -28,6 +28,8 @@ from optuna.trial import FrozenTrial, TrialState
 from storage.commit import require_folder
 from storage.databases.postgresql import Crew
 from storage.databases.studies import read_studies, require_lockable, study_of_costs
+from storage.inputs import checks
+from storage.inputs.errors import InputError, listed
 from storage.tables import difference
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, study_name
@@ -41,8 +43,6 @@ from study.experiment.one_study import (
 )
 from study.experiment.trials import ATTRIBUTES, attributes, simulate_trials
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError, listed
 
 WAIT_S = 1.0  # between two looks at what the others of a crew do
 

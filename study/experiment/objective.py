@@ -30,10 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.function_simulator import code_of
+from storage.inputs.config import REQUIRED, Table
+from storage.inputs.errors import InputError, in_a_line, listed
 from storage.simulator import SURVIVED, import_object
 from taichi_nmm.conditions import TRIAL_S
-from taichi_nmm.config import REQUIRED, Table
-from taichi_nmm.errors import InputError, in_a_line, listed
 from taichi_nmm.result import (
     COMPLETED,
     FELL,

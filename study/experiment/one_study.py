@@ -16,6 +16,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, PartialFixedSampler, RandomSampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
+from storage.inputs.errors import InputError
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task
@@ -24,7 +25,6 @@ from study.sampler.diagnostics import TITLE, WORLDS_TITLE, Likeness, Worth
 from study.sampler.draws import Purpose, name_key, seed_64bit
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
-from taichi_nmm.errors import InputError
 
 FELL_ATTRIBUTE = "fell"  # of a trial: whether it did not last
 SHOWN_ATTRIBUTE = "shown"  # of a trial: the features that it showed itself

@@ -33,6 +33,8 @@ from optuna.trial import FrozenTrial, TrialState
 
 from storage.cautions import cautions
 from storage.folder import Folder
+from storage.inputs.config import Table, read_toml, read_whole
+from storage.inputs.errors import InputError, listed
 from storage.pool import Pool
 from storage.simulator import Simulator, WorldRule, run_points
 from storage.specification import read_simulator, require_parameters, run_lengths_s
@@ -61,8 +63,6 @@ from study.sampler.draws import Purpose, generator, name_key, seed_32bit, stream
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from taichi_nmm.config import Table, read_toml, read_whole
-from taichi_nmm.errors import InputError, listed
 
 Floats = NDArray[np.float64]
 

@@ -17,6 +17,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, CmaEsSampler
 from optuna.trial import FrozenTrial, TrialState
 
+from storage.inputs.errors import InputError
 from study.experiment.experiment import Experiment, candidates
 from study.sampler.draws import (
     Purpose,
@@ -29,7 +30,6 @@ from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.policy import set_attributes
 from study.sampler.space import Space
 from study.sampler.table import FeatureTable
-from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 

@@ -28,9 +28,9 @@ from tornado.httputil import HTTPServerRequest
 from tornado.ioloop import IOLoop
 from tornado.routing import HostMatches, Matcher, PathMatches, Rule, RuleRouter
 
+from storage.inputs.errors import InputError
 from study.cli import what_is_missing
 from study.loopback import HOST, LOOPBACK
-from taichi_nmm.errors import InputError
 
 PAGE = r"/(?:favicon\.ico|static/.*)?"  # not /metadata, nor /autoload.js, which any site may embed
 SOCKET = "/ws"

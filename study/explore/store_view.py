@@ -24,13 +24,13 @@ from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from storage.function_simulator import ENDED
+from storage.inputs.errors import InputError, listed
 from storage.simulator import FAILED, SURVIVED, WALKER
 from storage.store import ORIGIN, SOBOL_ROW, Store, evaluated_name
 from study.explore.server import SCRIPTS, Message, flow
 from study.explore.trials import STATE, TRIAL
 from study.explore.words import described, menu
 from study.pictures import style
-from taichi_nmm.errors import InputError, listed
 from taichi_nmm.result import ENERGY, NEEDED_BY, OF_MUSCLES, unknown
 
 RANGE = re.compile(r"\s*(\w+)\s+(\S+?)\.\.(\S+)\s*")

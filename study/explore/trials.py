@@ -19,12 +19,12 @@ from optuna.trial import FrozenTrial, TrialState
 
 from storage.databases.studies import load_whole, read_studies
 from storage.databases.urls import file_url
+from storage.inputs.errors import InputError, listed
+from storage.inputs.reading import is_file, json_document, reading
 from storage.simulator import SIMULATOR_KEY, WALKER
 from storage.store import Store, open_store
 from study.experiment import folder
-from taichi_nmm.errors import InputError, listed
 from taichi_nmm.parameters import GAIN_NAMES
-from taichi_nmm.reading import is_file, json_document, reading
 
 TRIAL, STATE, VALUE = "trial", "state", "value"  # the first columns
 SETTING = {

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
+from storage.inputs.config import Table
 from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.trials import row_text
@@ -21,7 +22,6 @@ from study.pictures.gait_cycle import STRIKE, event_times
 from study.pictures.movie import encoded
 from study.pictures.scene import LARGE, force_arrows, frames, motion_of
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
-from taichi_nmm.config import Table
 from taichi_nmm.result import Trajectory
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain

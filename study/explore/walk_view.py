@@ -11,13 +11,13 @@ from bokeh import models
 from bokeh.document import Document
 from bokeh.layouts import column, row
 
+from storage.inputs.errors import InputError
 from study.experiment.gains import NamedGains, gains_of_source
 from study.explore import walk as walking
 from study.explore.server import NIGHT, Latest, Message, Saver, flow
 from study.explore.stage import Player
 from study.explore.strides import Cycle
 from study.explore.words import in_words
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS, known_numbers
 from taichi_nmm.settings import ENGINES

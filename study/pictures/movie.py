@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from storage.commit import commit
+from storage.inputs.errors import InputError, listed, one_line, shortened
 from storage.simulator import find_simulator
 from study.pictures.scene import LARGE, SMALL, Film, frames
-from taichi_nmm.errors import InputError, listed, one_line, shortened
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 

@@ -19,9 +19,9 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
+from storage.inputs.errors import InputError
 from study.pictures import style
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
-from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES, Trajectory
 
 Array = NDArray[np.float64]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from storage.commit import commit, commit_text, require_writable, together
+from storage.inputs.errors import InputError
 from study.pictures.opensim_muscles import (
     OPENSIM,
     SIDED,
@@ -46,7 +47,6 @@ from taichi_nmm.body import (
     THIGH_LENGTH_M,
     Bodies,
 )
-from taichi_nmm.errors import InputError
 from taichi_nmm.result import DELAYED, Trajectory
 from taichi_nmm.world import Worlds
 

@@ -17,6 +17,18 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from storage.inputs.checks import (
+    Check,
+    anything,
+    by_name,
+    each,
+    flag,
+    number,
+    text,
+    word,
+)
+from storage.inputs.errors import InputError, listed
+from storage.inputs.reading import is_folder, json_document, reading
 from storage.tables import read_any
 from study.experiment.experiment import NAME_PATTERN, store_digest
 from study.experiment.folder import (
@@ -31,9 +43,6 @@ from study.experiment.folder import (
     without_gaps,
 )
 from study.experiment.objective import FRONT, FUNCTION, PRINTED, WEIGHTED
-from taichi_nmm.checks import Check, anything, by_name, each, flag, number, text, word
-from taichi_nmm.errors import InputError, listed
-from taichi_nmm.reading import is_folder, json_document, reading
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
 

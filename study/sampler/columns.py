@@ -20,10 +20,10 @@ from optuna.distributions import (
     json_to_distribution,
 )
 
+from storage.inputs import checks, typed
+from storage.inputs.errors import InputError, listed
 from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
-from taichi_nmm import checks, typed
-from taichi_nmm.errors import InputError, listed
 
 if TYPE_CHECKING:
     from storage.foreign_tables import (

@@ -19,7 +19,7 @@ from optuna.samplers import RandomSampler
 from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import FrozenTrial
 
-from taichi_nmm import checks
+from storage.inputs import checks
 
 
 class Purpose(IntEnum):

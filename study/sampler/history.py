@@ -18,11 +18,11 @@ from optuna.distributions import BaseDistribution, FloatDistribution, IntDistrib
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
+from storage.inputs.errors import InputError, listed
 from study.sampler.goals import Goals
 from study.sampler.space import Number, Space
 from study.sampler.table import Rows
 from study.sampler.transforms import by_side, stand_ins, without_infinities
-from taichi_nmm.errors import InputError, listed
 
 Floats = NDArray[np.float64]
 

@@ -24,6 +24,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
+from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
 from study.sampler.draws import Purpose, generator
 from study.sampler.goals import Goals
@@ -32,7 +33,6 @@ from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, is_doubtful
 from study.sampler.worlds import matrix_of
-from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 Features = Callable[[Floats], Floats]

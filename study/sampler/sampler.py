@@ -13,6 +13,8 @@ from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from study.sampler.diagnostics import (
     Best,
     Likeness,
@@ -29,8 +31,6 @@ from study.sampler.space_policy import SpacePolicy
 from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TablePolicy
 from study.sampler.worlds import Ensemble
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError
 
 DEFAULT_KERNELS = "additive", "euclidean"  # with features, without
 MOST_OFF_GRID = 1_000_000

@@ -10,9 +10,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from study.sampler.worlds import Ensemble
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from optuna.distributions import BaseDistribution
 from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
+from storage.inputs.errors import InputError
 from study.sampler.acquisition import argmax_random_tie
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
@@ -30,7 +31,6 @@ from study.sampler.policy import (
 )
 from study.sampler.space import Space, anywhere, nearby, not_among
 from study.sampler.transforms import NormalScores, Points, Scale, Standard
-from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 

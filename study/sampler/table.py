@@ -19,6 +19,8 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import BaseDistribution
 
+from storage.inputs import checks
+from storage.inputs.errors import InputError, listed
 from study.sampler.columns import Bounds, FileColumns, checked_columns, feature_matrix
 from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation, factor_of_gram, factor_of_graph
@@ -30,8 +32,6 @@ from study.sampler.transforms import (
     Standard,
 )
 from study.sampler.worlds import Better, Ensemble, Outcomes, Worlds
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError, listed
 
 if TYPE_CHECKING:
     import pandas

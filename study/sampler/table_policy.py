@@ -17,6 +17,7 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
+from storage.inputs.errors import InputError
 from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.diagnostics import Prediction, Present, prediction_of
 from study.sampler.draws import Purpose, turn
@@ -57,7 +58,6 @@ from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among, not_near
 from study.sampler.table import FeatureTable, Rows
 from study.sampler.transforms import Points
-from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

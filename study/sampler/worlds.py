@@ -25,6 +25,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
     MOST,
@@ -33,8 +35,6 @@ from study.sampler.transforms import (
     stand_ins,
     without_infinities,
 )
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError
 
 Floats = NDArray[np.float64]
 Outcomes = ArrayLike | Mapping[str, ArrayLike]

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from taichi_nmm.kernel import compiler, program, registers
 from taichi_nmm.kernel.compiler import local_rows, ti
 from taichi_nmm.kernel_cache import COMPILER

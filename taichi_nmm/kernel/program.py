@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from taichi_nmm.kernel import compiler, registers
 from taichi_nmm.kernel.compiler import core, impl, ti
 from taichi_nmm.kernel_cache import settled_environment

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 VARIABLE = "TAICHI_NMM_WIDE_REGISTERS"  # 0 switches this off, as `Settings.wide_registers` does
 TAICHI_VERSION = (1, 7, 4)

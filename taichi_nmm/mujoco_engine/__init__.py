@@ -7,7 +7,7 @@ extra.
 
 from importlib.util import find_spec
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 
 def require_mujoco() -> None:

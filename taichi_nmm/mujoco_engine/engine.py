@@ -16,8 +16,8 @@ from mujoco.batch import Batch as Simulations
 from mujoco.batch import SimulationError
 from numpy.typing import NDArray
 
+from storage.inputs.errors import InputError
 from taichi_nmm.body import Bodies
-from taichi_nmm.errors import InputError
 from taichi_nmm.initial import PENETRATION_M, initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.carried import drive, follow

@@ -34,14 +34,14 @@ from unittest import mock
 from tqdm import tqdm
 
 from storage.commit import require_folder
+from storage.inputs.config import MOST_MISTAKES
+from storage.inputs.errors import InputError
+from storage.inputs.reading import is_folder
 from storage.pool import cores
 from storage.processes import Processes
 from study.cli import EXIT_BAD_INPUT, main, run_command
 from study.options import LARGEST_SEED, Options
-from taichi_nmm.config import MOST_MISTAKES
-from taichi_nmm.errors import InputError
 from taichi_nmm.kernel_cache import CACHE_VARIABLE
-from taichi_nmm.reading import is_folder
 from tests.fuzz.cases import Case, make_case
 from tests.fuzz.world import Words, make_world
 from tests.processes import read_schema_once

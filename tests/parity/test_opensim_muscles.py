@@ -15,12 +15,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
+from storage.inputs.config import Table
 from study.pictures.opensim_muscles import tendon_curve
 from study.pictures.stick_figure import muscle_paths
 from study.pictures.trajectory_files import CONTROLS, MODEL, STATES, write_opensim
 from taichi_nmm import PUBLISHED_GAINS, Trajectory, Worlds, simulate
 from taichi_nmm.body import Bodies
-from taichi_nmm.config import Table
 from taichi_nmm.kernel.joints import KNEE_STRAIGHTEST_RAD
 from taichi_nmm.kernel.muscle import ECCENTRIC, SHAPE, WIDTH
 from taichi_nmm.parameters import LOW_LEVEL_GAINS, LOW_LEVEL_NAMES

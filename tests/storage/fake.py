@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
+from storage.inputs.config import Table
 from storage.precompute import precompute
 from storage.specification import Specification, read_specification
-from taichi_nmm.config import Table
 from taichi_nmm.parameters import upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 

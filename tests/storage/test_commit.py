@@ -9,9 +9,9 @@ import pyarrow as pa
 import pytest
 
 from storage.commit import commit, commit_json, temporary_sibling, together
+from storage.inputs.errors import InputError
 from storage.store import read_footer
 from storage.tables import read_columns, write_table
-from taichi_nmm.errors import InputError
 from tests.processes import python
 
 IMPORTS = "import sys; from pathlib import Path; from storage.commit import commit_json, together\n"

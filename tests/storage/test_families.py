@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from storage import merge, open_store
+from storage.inputs.config import Table
 from storage.points import sobol_points
 from storage.precompute import precompute, progress_parts, score_rows
 from storage.specification import Specification, read_specification
 from storage.store import columns_of, family_names
 from storage.tables import difference, document_hash
 from taichi_nmm import InputError, walker_simulator
-from taichi_nmm.config import Table
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS, LOW_LEVEL_NAMES
 from taichi_nmm.result import END_REASONS, ENERGY, SCORE_FIELDS
 from taichi_nmm.settings import Settings

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage import tables
+from storage.inputs.errors import InputError
 from storage.store import FOOTER_NEEDS, read_footer
 from storage.tables import (
     read_columns,
@@ -21,7 +22,6 @@ from storage.tables import (
 )
 from study import FeatureTable
 from study.report.runs import read_trials
-from taichi_nmm.errors import InputError
 
 OURS: dict[str, Any] = {"seed": 1, "arms": {"dog": {"k": 1}}}
 TABLE = pa.table({"arm": ["a", "b"], "cost": [1.0, 2.0], "walked": [True, False]})

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage.foreign_tables import ForeignTable
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from tests.cases import cases
 
 EUROPE = "\ufeffdose;cost;kind\r\n1;0,25;soft\r\n2;1,5;hard\r\n"

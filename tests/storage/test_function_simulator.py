@@ -17,14 +17,14 @@ from optuna.distributions import (
 )
 
 from storage import FunctionSimulator, make_store, open_store
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError
 from storage.points import in_unit_cube, sobol_points, within_bounds
 from storage.simulator import Uniform, import_object, run_points
 from storage.specification import Specification, read_specification
 from study import FeatureTable
 from study.experiment.gains import gains_of_row
 from study.sampler.columns import store_parameters
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from tests.cases import ASSETS, asset
 from tests.processes import printed, python
 from tests.storage import plants, robot

@@ -12,12 +12,12 @@ import pytest
 from optuna.distributions import FloatDistribution
 
 from storage import make_store
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError
 from storage.mujoco_simulator import COLUMNS, WORLDS, MujocoSimulator, SensedState
 from storage.points import sobol_points
 from storage.simulator import find_simulator, run_points
 from study.options import CONFIGS
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from tests.cases import ASSETS, cases
 from tests.storage import rail
 from tests.storage.rail import XML, Rail, made, swing

@@ -18,9 +18,9 @@ import pytest
 from numpy.typing import NDArray
 
 import storage
+from storage.inputs.errors import InputError
 from storage.pool import IN_PROCESS, Pool, cores, local_pool
 from storage.processes import Processes
-from taichi_nmm.errors import InputError
 from tests.processes import ROOT, until
 from tests.storage.cluster import units
 

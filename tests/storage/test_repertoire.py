@@ -14,6 +14,8 @@ import pytest
 
 import taichi_nmm
 from storage import open_store
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError
 from storage.points import sobol_points
 from storage.pool import Pool
 from storage.precompute import Summary, precompute
@@ -21,8 +23,6 @@ from storage.search import Generation, choose, folded, shares
 from storage.specification import GENERATION, STARTS, Specification, read_specification
 from storage.store_folder import NOT_CHOSEN
 from storage.tables import FOOTER_KEY, write_table
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAINS, lower_bounds, upper_bounds
 from tests.storage import fake
 from tests.storage.fake import content

@@ -11,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage import merge, open_store
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError
 from storage.points import sobol_points
 from storage.pool import own_kind
 from storage.precompute import precompute
@@ -22,8 +24,6 @@ from storage.simulator import (
     known_simulator,
 )
 from storage.specification import GENERATION, STARTS, Specification, read_specification
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 from tests.cases import asset
 from tests.processes import printed, python
 from tests.storage import toy

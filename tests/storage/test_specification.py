@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from storage.inputs.config import Table, read_toml
+from storage.inputs.errors import InputError
 from storage.specification import read_specification
 from storage.tables import difference, document_hash
 from taichi_nmm.body import Build
-from taichi_nmm.config import Table, read_toml
-from taichi_nmm.errors import InputError
 from tests.cases import asset
 from tests.storage.fake import configuration, specification
 

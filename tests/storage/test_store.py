@@ -12,11 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from storage import merge, open_store
+from storage.inputs.config import Table
 from storage.precompute import precompute
 from storage.specification import read_specification
 from storage.tables import FOOTER_KEY
 from taichi_nmm import GAIN_NAMES, GAINS, InputError, walker_simulator
-from taichi_nmm.config import Table
 from tests.processes import printed
 from tests.storage import fake
 

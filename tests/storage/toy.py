@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.inputs.config import Table
+from storage.inputs.errors import InputError
 from storage.simulator import Report, Simulator, Uniform
-from taichi_nmm.config import Table
-from taichi_nmm.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
+from storage.inputs.errors import InputError
 from study import FeatureTable
 from study.experiment import compare as comparing
 from study.experiment.compare import Outcome, Request, compare
 from study.experiment.experiment import Experiment
-from taichi_nmm.errors import InputError
 from tests.study import fake_walker
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from storage.inputs.errors import InputError
 from study.cli import main
 from study.options import COMMANDS, Options, config_path, parser_of
-from taichi_nmm.errors import InputError
 
 SLOW_TO_LOAD = (
     "taichi",

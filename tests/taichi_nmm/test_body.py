@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from storage.inputs.config import Table
 from taichi_nmm import InputError, body
 from taichi_nmm.body import SEGMENT_NAMES, SEGMENTS, Bodies, Build, read_body
-from taichi_nmm.config import Table
 from tests.cases import cases
 
 LENGTH_M = np.array([segment.length_m for segment in SEGMENTS])

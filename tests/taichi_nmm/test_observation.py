@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from taichi_nmm.observation import WIDTHS, Observation
 
 

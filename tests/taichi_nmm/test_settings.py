@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 import taichi_nmm
+from storage.inputs.config import Table, read_toml
 from taichi_nmm import PUBLISHED_GAINS, InputError, mujoco_engine
 from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions, read_conditions, read_settings
-from taichi_nmm.config import Table, read_toml
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.settings import PHYSICS_STEPS_S, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground

@@ -9,8 +9,8 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import numpy as np
 import pytest
 
+from storage.inputs.config import Table, read_toml
 from taichi_nmm import InputError, terrain
-from taichi_nmm.config import Table, read_toml
 from taichi_nmm.terrain import (
     FLAT_START_M,
     GRID_X_M,

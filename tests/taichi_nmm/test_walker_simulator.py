@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from storage.inputs.config import Table
 from taichi_nmm import InputError, Settings, walker_simulator
-from taichi_nmm.config import Table
 from taichi_nmm.parameters import (
     DEVICE,
     GAIN_NAMES,

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from storage.inputs.config import Table
 from study.pictures.stick_figure import leg
 from taichi_nmm import PUBLISHED_GAINS, InputError, Settings, Worlds, simulate, terrain
-from taichi_nmm.config import Table
 from taichi_nmm.kernel.muscle_table import (
     FMAX_N,
     MUSCLE_DATA,

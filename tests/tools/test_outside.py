@@ -15,7 +15,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from tests.cases import asset
 from tests.tools.running import load_tool, run_tool
 from tools import outside

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from storage import open_store
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 KIND = {"canary": "0" * 64, "processor": "any", "taichi-nmm": "1"}
 

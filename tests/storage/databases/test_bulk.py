@@ -24,7 +24,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from storage.databases import bulk
 from storage.databases.bulk import FinishedStudy, attach, trial_counts, write_studies
 from storage.databases.studies import open_studies
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 DISTRIBUTIONS = {
     "gain": FloatDistribution(0.1, 8.0),

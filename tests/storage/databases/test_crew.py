@@ -11,7 +11,7 @@ from optuna.trial import TrialState
 
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from tests.processes import until
 from tests.storage.databases.conftest import Server
 from tests.study import fake_walker

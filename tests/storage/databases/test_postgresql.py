@@ -8,7 +8,7 @@ import sqlalchemy as sql
 
 from storage.databases.bulk import trial_counts, write_studies
 from storage.databases.studies import open_studies, storage_errors
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from tests.storage.databases.conftest import Server
 from tests.storage.databases.test_bulk import STUDY
 

@@ -22,7 +22,7 @@ from storage.databases.studies import (
     storage_errors,
 )
 from storage.databases.urls import file_url
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from tests.cases import asset
 from tests.storage.fake import content
 

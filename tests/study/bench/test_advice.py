@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from storage.inputs.errors import InputError
 from study.bench.bench import Bench
-from taichi_nmm.errors import InputError
 from tests.study.bench import robot
 
 MORE_LIMITS = "\n[columns.force]\nleast = 1"

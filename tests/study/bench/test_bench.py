@@ -18,12 +18,12 @@ import optuna
 import pytest
 from optuna.trial import TrialState
 
+from storage.inputs.errors import InputError
 from study.bench import journal
 from study.bench.bench import Bench, Own
 from study.bench.plan import Goal, read_plan
 from study.experiment.objective import Term
 from study.sampler.table_policy import TableExhaustedError
-from taichi_nmm.errors import InputError
 from tests.cases import cases
 from tests.study.bench import robot
 from tests.tools.kills import DATABASE, FORK, Death, in_process

@@ -18,11 +18,11 @@ from optuna.distributions import (
     IntDistribution,
 )
 
+from storage.inputs.errors import InputError
 from study.bench.bench import Bench
 from study.bench.plan import Plan, read_plan
 from study.cli import main
 from study.sampler.table import FeatureTable
-from taichi_nmm.errors import InputError
 from tests.cases import cases
 
 TOML = """

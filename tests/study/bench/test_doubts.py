@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from storage.databases.studies import open_studies
+from storage.inputs.errors import InputError
 from study.bench.bench import Bench
 from study.bench.doubts import doubts, odd_failures, odd_value
 from study.bench.journal import Journal, State, Trial
 from study.bench.plan import read_plan
-from taichi_nmm.errors import InputError
 from tests.study.bench import robot
 
 AMONG = (5.0, 7.0, 9.0, 13.0)

@@ -7,9 +7,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from storage.inputs.errors import InputError
 from study.bench.bench import Bench
 from study.bench.exchange import export_text, read_trials
-from taichi_nmm.errors import InputError
 from tests.study.bench import robot
 
 

@@ -16,13 +16,13 @@ import bottle
 import pytest
 
 from storage import make_store
+from storage.inputs.errors import InputError
 from storage.processes import Processes
 from study.bench.bench import Bench
 from study.bench.form import Films, application, filming_of, of_walker
 from study.bench.plan import read_plan
 from study.loopback import HOST, wsgi_server
 from study.pictures.movie import film_run
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, load_gains
 from tests.browser import opened_page, save
 from tests.storage import rail

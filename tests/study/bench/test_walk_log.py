@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from storage.inputs.errors import InputError
 from study.bench.walk_log import cost_of_log
-from taichi_nmm.errors import InputError
 from tests.cases import cases
 
 START = datetime(2026, 5, 4, 14, 30, 0, 10_000)

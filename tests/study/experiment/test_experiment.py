@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from storage.inputs.config import read_toml, read_whole
+from storage.inputs.errors import InputError
 from storage.specification import read_specification
 from study.bench.plan import read_plan
 from study.experiment.arms import find_arm
@@ -18,8 +20,6 @@ from study.experiment.experiment import (
 )
 from study.experiment.robots import is_of_robots
 from study.options import config_path, shipped_configs
-from taichi_nmm.config import read_toml, read_whole
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.cases import cases
 from tests.study.conftest import refused

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from storage.inputs.config import Table
 from storage.tables import difference
 from study.experiment.arms import find_arm
 from study.experiment.experiment import Experiment, as_written, experiment_of
@@ -14,7 +15,6 @@ from study.experiment.folder import document, fingerprint, versions
 from study.experiment.objective import Objective
 from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions
-from taichi_nmm.config import Table
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.settings import MujocoSettings, Settings

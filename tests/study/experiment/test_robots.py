@@ -12,6 +12,7 @@ import pyarrow as pa
 import pytest
 
 from storage import make_store, open_store
+from storage.inputs.errors import InputError
 from storage.pool import IN_PROCESS, local_pool
 from storage.simulator import run_points
 from study.commands.compare import main
@@ -22,7 +23,6 @@ from study.options import parser_of
 from study.report.markdown import RobotResults
 from study.report.runs import read_results
 from study.sampler.draws import Purpose, stream
-from taichi_nmm.errors import InputError
 from tests.storage import robot
 from tests.storage.fake import stopping
 from tests.study.conftest import refused

@@ -8,9 +8,9 @@ import pytest
 from optuna.distributions import IntDistribution
 
 from storage import Store, make_store
+from storage.inputs.errors import InputError
 from study.explore.page import BASE, numbers_text, page_of, worlds_of
 from study.explore.store_view import first_columns, numbers_of
-from taichi_nmm.errors import InputError
 from tests.browser import opened_page
 from tests.storage import plants, rail, robot
 from tests.study.explore.serving import MODEL, explorer

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from storage.inputs.errors import InputError
 from study.explore.store_view import read_selection, selected
-from taichi_nmm.errors import InputError
 from tests.cases import asset
 
 COLUMNS = ("speed", "phi_printed")

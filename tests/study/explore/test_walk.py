@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from storage.inputs.config import read_toml
 from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.gains import gains_of_source, named_gains
 from study.explore import walk as walking
@@ -16,7 +17,6 @@ from study.explore.walk import Walk, chosen_setting, walk
 from study.explore.walk_view import score_text
 from study.options import config_path
 from taichi_nmm import GAIN_NAMES, InputError
-from taichi_nmm.config import read_toml
 from taichi_nmm.result import FELL
 from tests.study import synthetic_gait
 from tests.tools.running import run_tool

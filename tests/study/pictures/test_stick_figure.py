@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from storage.inputs.errors import InputError
 from study.pictures import stick_figure
 from study.pictures.scene import motion_of
 from study.pictures.stick_figure import finite, leg, muscle_outlines
 from study.pictures.strip import SHOWN_M, last_stretch
-from taichi_nmm.errors import InputError
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.terrain import flat
 from tests.study.synthetic_gait import GLIMPSE, SPEED_MPS, WALK

@@ -11,9 +11,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
+from storage.inputs.errors import InputError
 from study.experiment.experiment import store_digest
 from study.report.runs import Results, known_stores, read_results, runs_of
-from taichi_nmm.errors import InputError
 from tests.cases import asset
 from tests.study.report import synthetic
 

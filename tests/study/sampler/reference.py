@@ -43,7 +43,10 @@ class Columns(kernels.Kernel):  # type: ignore[misc]
         return self.kernel.bounds
 
     def __call__(
-        self, X: Floats, Y: Floats | None = None, eval_gradient: bool = False  # noqa: N803
+        self,
+        X: Floats,
+        Y: Floats | None = None,
+        eval_gradient: bool = False,  # noqa: N803
     ) -> Any:
         other = None if Y is None else Y[:, self.columns]
         return self.kernel(X[:, self.columns], other, eval_gradient=eval_gradient)

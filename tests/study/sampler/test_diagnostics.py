@@ -13,12 +13,12 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState, create_trial
 from scipy import stats
 
+from storage.inputs.errors import InputError
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler import diagnostics, gp
 from study.sampler.acquisition import Model
 from study.sampler.diagnostics import RankCorrelation, residuals, residuals_of_constant
 from study.sampler.transforms import Points
-from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import Floats, params_of, study_of
 
 pytestmark = pytest.mark.filterwarnings(

@@ -9,9 +9,9 @@ from optuna.distributions import FloatDistribution
 from optuna.samplers import RandomSampler
 from optuna.trial import TrialState
 
+from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.goals import Goals
-from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import Floats
 
 SPACE = {"x": FloatDistribution(0, 1), "y": FloatDistribution(0, 1)}

@@ -10,11 +10,11 @@ import pytest
 from optuna.distributions import FloatDistribution, IntDistribution
 from optuna.trial import TrialState
 
+from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import history
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, generator, turn
 from study.sampler.history import OFF_TABLE, next_trial, read_history, row_of
-from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import (
     kill,
     params_of,

@@ -16,9 +16,9 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution
 from optuna.samplers import BaseSampler, PartialFixedSampler
 from optuna.trial import TrialState
 
+from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.table_policy import TableExhaustedError
-from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import bowl, only_a, rows_of, study_of
 
 PAGE = Path(__file__).parents[3] / "docs" / "sampler-messages.md"

@@ -12,9 +12,9 @@ from optuna.distributions import (
     IntDistribution,
 )
 
+from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.table import Rows
-from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import rows_of, study_of, without_warning
 
 

@@ -7,12 +7,12 @@ import optuna
 import pytest
 import scipy
 
+from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.gp import SIMILARITY
 from study.sampler.similarity import Alike, factor_of_gram, factor_of_graph
 from study.sampler.transforms import Points, log_excess
-from taichi_nmm.errors import InputError
 
 PLACES = np.random.default_rng(3).random((300, 2))
 APART = ((PLACES[:, None] - PLACES[None]) ** 2).sum(axis=2)

@@ -16,9 +16,9 @@ from optuna.distributions import (
 
 import taichi_nmm
 from storage import open_store
+from storage.inputs.errors import InputError
 from storage.precompute import precompute
 from study import DoGSampler, FeatureTable
-from taichi_nmm.errors import InputError
 from taichi_nmm.parameters import GAIN_NAMES, GAINS, LOW_LEVEL_GAINS
 from tests.storage import fake
 from tests.study import fake_walker

@@ -11,10 +11,10 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
+from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import Model
 from study.sampler.history import read_history, row_of
-from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import Floats, kill, only_a, resumed, rows_of, study_of
 
 A = np.repeat([0.0, 0.5, 1.0], 6)

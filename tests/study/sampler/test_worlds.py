@@ -15,13 +15,13 @@ from optuna.distributions import (
 )
 from scipy.stats import multivariate_normal, norm
 
+from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import table_policy
 from study.sampler.acquisition import Model
 from study.sampler.gp import WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
-from taichi_nmm.errors import InputError
 from tests.study.sampler.studies import Floats
 
 SPACE = {"x": FloatDistribution(0.0, 1.0), "y": FloatDistribution(1.0, 100.0, log=True)}

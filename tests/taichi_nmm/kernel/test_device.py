@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 from taichi_nmm.kernel.layout import Const, State, Work
 from taichi_nmm.parameters import (
     DEVICE,

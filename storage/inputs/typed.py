@@ -11,7 +11,7 @@ import re
 from collections.abc import Sequence
 from io import StringIO
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 EXPONENT = r"([eE][+-]?[0-9]{1,4})?"
 WITH_POINT = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+){EXPONENT}")

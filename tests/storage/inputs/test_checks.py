@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taichi_nmm import checks
-from taichi_nmm.errors import InputError
+from storage.inputs import checks
+from storage.inputs.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 
-from taichi_nmm.errors import MOST_LISTED, InputError, listed
+from storage.inputs.errors import MOST_LISTED, InputError, listed
 
 
 class Unspeakable:

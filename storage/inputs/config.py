@@ -5,10 +5,10 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from taichi_nmm import checks
-from taichi_nmm.checks import R
-from taichi_nmm.errors import InputError, listed
-from taichi_nmm.reading import is_file, toml_document
+from storage.inputs import checks
+from storage.inputs.checks import R
+from storage.inputs.errors import InputError, listed
+from storage.inputs.reading import is_file, toml_document
 
 REQUIRED = object()
 READABLE = "a readable TOML file"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from taichi_nmm.config import Table, read_toml
-from taichi_nmm.errors import InputError
+from storage.inputs.config import Table, read_toml
+from storage.inputs.errors import InputError
 from tests.cases import ASSETS, cases
 
 

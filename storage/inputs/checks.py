@@ -16,7 +16,7 @@ from typing import Any, ParamSpec, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 Check: TypeAlias = Callable[[str, Any], Any]
 P = ParamSpec("P")

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from taichi_nmm.errors import InputError
+from storage.inputs.errors import InputError
 
 MOST_BYTES = (
     16 << 20

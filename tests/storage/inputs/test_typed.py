@@ -2,8 +2,8 @@
 
 import pytest
 
-from taichi_nmm.errors import InputError
-from taichi_nmm.typed import number, separator
+from storage.inputs.errors import InputError
+from storage.inputs.typed import number, separator
 from tests.cases import asset
 
 TYPED = asset("typed.toml")

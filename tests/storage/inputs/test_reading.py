@@ -13,10 +13,11 @@ from typing import Any
 import pytest
 
 from storage import open_store
+from storage.inputs import reading
+from storage.inputs.config import read_toml
 from study import FeatureTable
 from study.experiment.gains import gains_of_row
-from taichi_nmm import InputError, load_all_gains, load_gains, reading, terrain
-from taichi_nmm.config import read_toml
+from taichi_nmm import InputError, load_all_gains, load_gains, terrain
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 
 Door = Callable[[Path], Any]
