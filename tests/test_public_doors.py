@@ -28,7 +28,7 @@ from taichi_nmm import terrain
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE
 from tests.storage import fake, robot
-from tests.taichi_nmm.test_errors import Unspeakable
+from tests.storage.inputs.test_errors import Unspeakable
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
