@@ -45,11 +45,8 @@ NAME = checks.that(
     "a name of letters, digits and '_', which begins with no digit",
 )
 
-OURS = (
-    "storage",
-    "study",
-    "taichi_nmm",
-)  # whose version is not that of a user's function
+# whose version is not that of a user's function
+OURS = ("storage", "study", "taichi_nmm")
 IMPORTS = (ast.Import, ast.ImportFrom)
 
 CANARY_POINTS = 4  # of two runs each, which have to agree

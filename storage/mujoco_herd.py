@@ -130,9 +130,8 @@ class Herd:
                 np.repeat(worlds["noise_rate"][:, None], model.nv, axis=1),
             ]
         )
-        self._noisy: NDArray[np.bool_] = np.any(
-            self._noise > 0.0, axis=1
-        )  # of each world
+        # of each world
+        self._noisy: NDArray[np.bool_] = np.any(self._noise > 0.0, axis=1)
         self._quaternions = quaternions(model)
         self._push = worlds["push_mps"]
         self._rates = push_rates(model, root)
@@ -199,9 +198,8 @@ class Herd:
         distance = np.nan_to_num(self._place[:, 0] - self._start[0])
         moved = np.maximum(distance, 1e-6)
         weight = self._weight * moved
-        cost = np.full(
-            len(weight), np.nan
-        )  # of a robot without weight, whose column is left out
+        # of a robot without weight, whose column is left out
+        cost = np.full(len(weight), np.nan)
         cost = np.minimum(
             np.divide(self._energy, weight, out=cost, where=weight > 0.0), MOST_COST
         )
@@ -237,9 +235,8 @@ class Herd:
         qpos, qvel = self.qpos[self._up], self._qvel[self._up]
         if self._noisy.any():
             noise = np.zeros_like(self._noise)
-            for k in np.flatnonzero(
-                self._noisy
-            ):  # a world draws what it needs, in any company
+            # a world draws what it needs, in any company
+            for k in np.flatnonzero(self._noisy):
                 noise[k] = self._noise[k] * self._draws[k].standard_normal(
                     noise.shape[1]
                 )
@@ -249,9 +246,8 @@ class Herd:
                 first: _turns(noise[:, first : first + 3])
                 for first in self._quaternions
             }
-            for (
-                first
-            ) in turns:  # of a quaternion, three of the four numbers are an angle each
+            # of a quaternion, three of the four numbers are an angle each
+            for first in turns:
                 noise[:, first : first + 4] = 0.0
             qpos[rows] += noise[world[rows], : qpos.shape[1]]
             qvel[rows] += noise[world[rows], qpos.shape[1] :]

@@ -393,9 +393,8 @@ class MujocoSimulator(FunctionSimulator):
             raise InputError("seconds", seconds, allowed)
         herd = Herd(self.robot, points, worlds, models)
         warn = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(
-            lambda text: None
-        )  # no lines, nor a file, on who diverges
+        # no lines, nor a file, on who diverges
+        mujoco.set_mju_user_warning(lambda text: None)
         try:
             for step in range(steps):
                 watch(herd.qpos)
@@ -501,9 +500,8 @@ class MujocoSimulator(FunctionSimulator):
             raise InputError(
                 "model", type(spec).__name__, "a function that returns an MjSpec"
             )
-        spec.option.disableflags |= (
-            mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        )  # else falls are hidden
+        # else falls are hidden
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         return spec
 
     def _model_of(self, world: Mapping[str, float]) -> Any:

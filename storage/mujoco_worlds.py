@@ -18,9 +18,8 @@ ROUGH_CELL_M = 0.2
 ROUGH_LENGTH_M, ROUGH_WIDTH_M = 80.0, 20.0  # its middle is below the start
 LEVEL_M = 1.0  # around the start, where rough ground is level
 BASE_M = 1.0  # of rough ground below its lowest place
-FACING = (
-    0.7  # cosine: a plane that faces up or along x by more than this is said to do so
-)
+# cosine: a plane that faces up or along x by more than this is said to do so
+FACING = 0.7
 LEAST_REACTION = 1e-15  # by which MuJoCo divides: its mjMINVAL
 EXACT = 1e-6  # of a direction or a height that has to be right
 
@@ -152,9 +151,8 @@ def change(model: Any, world: Mapping[str, float], draws: np.random.Generator) -
     for number, fields in FACTORS.items():
         for name, part in fields.items():
             getattr(model, name)[part] *= world[number]
-    model.opt.o_friction[:2] *= world[
-        "friction"
-    ]  # of all contacts, where a model overrides theirs
+    # of all contacts, where a model overrides theirs
+    model.opt.o_friction[:2] *= world["friction"]
     _strengthen(model, world["strength"])
     _lean(model, world["slope"])
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -384,9 +382,8 @@ def _below(model: Any, start: Floats) -> int:
         passed[pair[~moving[pair]]] = False
     bare.geom_matid[:] = -1
     bare.geom_rgba[:, 3] = np.where(passed, 0.0, 1.0)
-    bare.geom_size[bare.geom_type == mujoco.mjtGeom.mjGEOM_PLANE] = (
-        0.0  # they have no end
-    )
+    # they have no end
+    bare.geom_size[bare.geom_type == mujoco.mjtGeom.mjGEOM_PLANE] = 0.0
     axis, sign = upward(model)
     down = np.zeros(3)
     down[axis] = -sign

@@ -89,9 +89,8 @@ def compile_model(root: Element) -> mujoco.MjModel:
     )
 
 
-LEAST_RANGE_RAD = math.radians(
-    10.0
-)  # the law is followed so far at least; walking stays within
+# the law is followed so far at least; walking stays within
+LEAST_RANGE_RAD = math.radians(10.0)
 POWERS = np.linspace(2.0, 20.0, 73)
 EXCESSES = np.linspace(0.05, 0.95, 19)  # over the width, where the power is chosen
 STEPS_PER_TIME_CONSTANT = 2.0  # MuJoCo's least (`refsafe`)
@@ -209,9 +208,8 @@ def mjcf_text(
     height_m = ground.height_m
     root = _walker(bodies, settings, float(worlds.friction[0]))
     _add_passive_feet(root, worlds)
-    range_m = max(
-        float(np.ptp(height_m)), LEAST_RANGE_M
-    )  # MuJoCo scales heights from 0 to this
+    # MuJoCo scales heights from 0 to this
+    range_m = max(float(np.ptp(height_m)), LEAST_RANGE_M)
     template = Path(__file__).with_name("visible.xml").read_text(encoding="utf-8")
     text = template.format(
         columns=len(height_m),
