@@ -93,15 +93,17 @@ class Herd:
         }
         self._batch = Batch(models[0], many, nthread=1)
         self._batch.set_models([models[k] for k in self._world])
-        bind, model = self._batch.bind, robot.model
-        self.qpos, self._qvel, self._ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
-        self._place, self._turn, self._forces = (
-            bind("xpos"),
-            bind("xmat"),
-            bind("actuator_force"),
-        )
-        self._speeds, self._sensors = bind("actuator_velocity"), bind("sensordata")
+        model, root = robot.model, robot.root
+        bind = self._batch.bind
+        self.qpos = bind("qpos")
+        self._qvel = bind("qvel")
+        self._ctrl = bind("ctrl")
+        self._forces = bind("actuator_force")
+        self._speeds = bind("actuator_velocity")
         self._torques = bind("qfrc_actuator")
+        self._sensors = bind("sensordata")
+        self._place = bind("xpos")[:, root]
+        self._turn = bind("xmat")[:, root].reshape(many, 3, 3)
         self._batch.reset()
         if robot.start_qpos is not None:
             self.qpos[:] = robot.start_qpos
@@ -110,11 +112,6 @@ class Herd:
             (model.sensor(k).name, model.sensor_adr[k], model.sensor_dim[k])
             for k in range(model.nsensor)
         ]
-        root = robot.root
-        self._place, self._turn = (
-            self._place[:, root],
-            self._turn[:, root].reshape(many, 3, 3),
-        )
         self._start = self._place[0].copy()
         self._axis, self._sign = upward(model)
         self._start_m = float(self._sign * self._start[self._axis])
@@ -146,11 +143,9 @@ class Herd:
         self._memory: dict[str, Any] = {}
         self._up = np.arange(many)
         self._lasted = np.zeros(many, dtype=np.int64)  # control steps
-        self._energy, self._peak, self._effort = (
-            np.zeros(many),
-            np.zeros(many),
-            np.zeros(many),
-        )
+        self._energy = np.zeros(many)
+        self._peak = np.zeros(many)
+        self._effort = np.zeros(many)
         self._broken = np.zeros(many, dtype=bool)
 
     def advance(self, step: int) -> bool:
@@ -168,9 +163,10 @@ class Herd:
             self._batch.step(up, nstep=robot.substeps)
         except SimulationError as error:  # those have not moved, the others have
             self.qpos[error.ids] = np.nan
-        power = self._forces[up] * self._speeds[up]
         if self._is_clipped:
             power = self._torques[up] * self._qvel[up]
+        else:
+            power = self._forces[up] * self._speeds[up]
         self._energy[up] += np.abs(power).sum(axis=1) * robot.control_step_s
         self._effort[up] += (asked**2).mean(axis=1)
         self._peak[up] = np.maximum(
@@ -200,9 +196,8 @@ class Herd:
         weight = self._weight * moved
         # of a robot without weight, whose column is left out
         cost = np.full(len(weight), np.nan)
-        cost = np.minimum(
-            np.divide(self._energy, weight, out=cost, where=weight > 0.0), MOST_COST
-        )
+        np.divide(self._energy, weight, out=cost, where=weight > 0.0)
+        cost = np.minimum(cost, MOST_COST)
         found = {
             SURVIVED: self._lasted / steps,
             "distance_m": distance,
@@ -262,25 +257,22 @@ class Herd:
         # sizes
         up = turn[:, :, 0] * self._upward[0] + turn[:, :, 1] * self._upward[1]
         up = up + turn[:, :, 2] * self._upward[2]
-        height = self._sign * place[:, self._axis]
         upright = self._sign * up[:, self._axis]
         data = self._sensors[self._up]
+        sensors = {}
+        for name, first, size in self._named:
+            found = data[:, first : first + size]
+            sensors[name] = found[:, 0].copy() if size == 1 else found
         return SensedState(
-            time_s,
-            np.asfortranarray(
-                qpos
-            ),  # a column is contiguous, whatever n: the same bits
-            np.asfortranarray(qvel),
-            place[:, 0] - self._start[0],
-            height,
-            np.arctan2(up[:, 0], upright),
-            np.arccos(np.clip(upright, -1.0, 1.0)),
-            {
-                name: data[:, first].copy()
-                if size == 1
-                else data[:, first : first + size]
-                for name, first, size in self._named
-            },
+            time_s=time_s,
+            # A column is contiguous, whatever n, so that its sums have the same bits.
+            qpos=np.asfortranarray(qpos),
+            qvel=np.asfortranarray(qvel),
+            x_m=place[:, 0] - self._start[0],
+            height_m=self._sign * place[:, self._axis],
+            pitch_rad=np.arctan2(up[:, 0], upright),
+            tilt_rad=np.arccos(np.clip(upright, -1.0, 1.0)),
+            sensors=sensors,
         )
 
     def _pushes(self, step: int) -> None:
