@@ -23,8 +23,9 @@ from study.bench.plan import Plan, Safety
 from study.bench.shown import frozen, study_of
 from study.sampler.diagnostics import Best, Prediction
 from study.sampler.policy import RANKED
+from study.sampler.rows import Rows
 from study.sampler.sampler import FeatureKernelSampler
-from study.sampler.table import FeatureTable, Rows
+from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TableExhaustedError
 from study.sampler.worlds import Worlds
 
@@ -403,7 +404,7 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
     rows, k = candidates.rows, told.shape[1]
     before, own = tuple(f"{BEFORE} {place}" for place in range(k)), rows.worlds
     if own is None:
-        worlds = Worlds(before, told, np.full(k, 1.0 / k))
+        worlds = Worlds(names=before, costs=told, weights=np.full(k, 1.0 / k))
         return FeatureTable(replace(rows, worlds=worlds))
     if own.better is not None:  # in units of their own: as many standard deviations
         sign = 1.0 if maximise is (own.better == "higher") else -1.0
@@ -412,7 +413,10 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
         told = told + np.nanmean(own.costs)
     weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
     worlds = Worlds(
-        (*own.names, *before), np.hstack([own.costs, told]), weights, own.better
+        names=(*own.names, *before),
+        costs=np.hstack([own.costs, told]),
+        weights=weights,
+        better=own.better,
     )
     return FeatureTable(replace(rows, worlds=worlds))
 

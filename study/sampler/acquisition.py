@@ -1,7 +1,7 @@
 """How good each candidate is: expected improvement, kept limits, and the model behind both."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,13 @@ from study.sampler.gp import (
     new_covariance,
 )
 from study.sampler.similarity import Relation
-from study.sampler.transforms import Points, log_excess, of_log_excess, squarable
+from study.sampler.transforms import (
+    Columns,
+    Points,
+    log_excess,
+    of_log_excess,
+    squarable,
+)
 from study.sampler.worlds import Ensemble
 
 Floats = NDArray[np.float64]
@@ -50,7 +56,7 @@ Learned = dict[tuple[Covariance, bytes], Floats]
 """Constants by the covariance and the trials that they were learned from."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Model:
     """The posterior after some trials, and the improvement that it lets expect.
 
@@ -82,6 +88,7 @@ class Model:
     success: float | None = None
     elsewhere: Points | None = None
     limits_elsewhere: Floats | None = None
+    _in_sight: bool | None = field(default=None, init=False)  # a success; not yet asked
 
     @cached_property
     def feasible(self) -> Mask:
@@ -166,10 +173,20 @@ class Model:
 
     def expected(self, points: Points, cost: Floats) -> Floats:
         """The mean over the worlds at points, [m], in the unit of these costs; 0 without worlds."""
-        mean = (
-            np.zeros(len(points)) if self.ensemble is None else points.features[:, -1]
-        )
+        if self.ensemble is None:
+            return np.zeros(len(points))
+        mean = self.world_mean(points)
         return mean if self._in_costs is not None else (float(cost.std()) or 1.0) * mean
+
+    def world_mean(self, points: Points) -> Floats:
+        """The mean over the worlds at points, [m], as they have it."""
+        (column,) = self.columns.mean
+        return points.features[:, column]
+
+    @cached_property
+    def columns(self) -> Columns:
+        """What the columns of points are."""
+        return self._columns(self.trials)
 
     @property
     def in_table_units(self) -> bool:
@@ -194,10 +211,9 @@ class Model:
     ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
         seen = self.visible(points)
-        x, sizes = seen.matrix, (seen.features.shape[1], seen.coordinates.shape[1])
-        worlds = 0 if self.ensemble is None else self.ensemble.parts.shape[1]
+        x, columns = seen.matrix, self._columns(seen)
         covariance = new_covariance(
-            self.kernel, *sizes, self.parameters, worlds, standardised=standardised
+            self.kernel, columns, self.parameters, standardised=standardised
         )
         every = next(every for most, every in REFITS if len(x) <= most)
         first = len(x) - len(x) % every
@@ -206,6 +222,13 @@ class Model:
         # shows it too.
         noisy = not self.kernel.of_parameters
         return condition(covariance, theta, x, y(slice(None)), noisy=noisy)
+
+    def _columns(self, points: Points) -> Columns:
+        features, coordinates = points.features.shape[1], points.coordinates.shape[1]
+        if self.ensemble is None:
+            return Columns.of(features, coordinates)
+        beside, worlds = self.ensemble.columns.shape[1], self.ensemble.parts.shape[1]
+        return Columns.of(features - beside, coordinates, worlds)
 
     def _learned(self, covariance: Covariance, x: Floats, y: Floats) -> Floats:
         """The constants, computed once for the same covariance and trials."""
@@ -286,9 +309,9 @@ class Model:
             (goal,) = self.standard(np.array([self.success]), self.costs)
             chance = log_kept(mean - goal, variance) + kept
             # Rows come first, and decide for the points off the table too.
-            if self.__dict__.setdefault(
-                "_in_sight", bool(chance.max() >= LEAST_LOG_CHANCE)
-            ):
+            if self._in_sight is None:
+                self._in_sight = bool(chance.max() >= LEAST_LOG_CHANCE)
+            if self._in_sight:
                 return chance
         best = float(cost[feasible].min())
         return log_expected_improvement(mean, np.sqrt(variance), best) + kept

@@ -22,6 +22,7 @@ from optuna.distributions import (
 
 from storage.inputs import checks, typed
 from storage.inputs.errors import InputError, listed
+from study.sampler.rows import Rows
 from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
 
@@ -32,23 +33,28 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Bounds = Mapping[str, tuple[float, float]]
-Content = tuple[Space, Floats, tuple[str, ...], Floats, Worlds | None]
-"""Distributions of d parameters; parameters [n, d]; k names; features [n, k]; worlds."""
 
 LARGEST_EXACT = 2**53  # of whole numbers in float64
 CHOICES = (str, bool, np.bool_, Real, type(None))
-KINDS = "numbers, words or flags; of a date or a time make a number, such as the days from the first"
+KINDS = (
+    "numbers, words or flags; of a date or a time make a number, such as the days from "
+    "the first"
+)
+EXACT_WHOLE = (
+    "whole numbers up to 2^53, which a float holds; longer ones by space=, as choices"
+)
 
 
-def checked_columns(
+def checked_rows(
     parameters: Mapping[str, ArrayLike],
     features: ArrayLike | None,
     feature_names: Sequence[str] | None = None,
+    *,
     bounds: Bounds | None = None,
     space: Mapping[str, BaseDistribution] | None = None,
     outcomes: Outcomes | None = None,
     better: Better | None = None,
-) -> Content:
+) -> Rows:
     """The content of a table; arguments and errors are those of `FeatureTable.from_arrays`."""
     if not parameters:
         raise InputError("table.parameters", "none", "at least one column")
@@ -101,7 +107,13 @@ def checked_columns(
             raise InputError(f"table.{name}[{row}]", value, allowed)
         if isinstance(own, FloatDistribution):  # beyond an end by rounding alone
             np.clip(column, own.low, own.high, out=column)
-    return Space.of(distributions), raw, names, matrix, worlds
+    return Rows(
+        space=Space.of(distributions),
+        parameters=raw,
+        feature_names=names,
+        features=matrix,
+        worlds=worlds,
+    )
 
 
 def _parameter_column(
@@ -151,8 +163,7 @@ def _parameter_column(
             value = values[row]
         is_whole = isinstance(value, int | np.integer)  # its float may be that of 2^53
         if is_whole and abs(int(value)) > LARGEST_EXACT:
-            allowed = "whole numbers up to 2^53, which a float holds; longer ones by space=, as choices"
-            raise InputError(f"table.{name}[{row}]", int(value), allowed)
+            raise InputError(f"table.{name}[{row}]", int(value), EXACT_WHOLE)
     numbers = numbers + 0.0  # no negative zero: rows are compared by their bits
     if given is not None:
         return numbers, given
@@ -297,7 +308,7 @@ class FileColumns:
     space: Mapping[str, BaseDistribution] | None
     bounds: Bounds | None
 
-    def read(self) -> Content:
+    def read(self) -> Rows:
         """Read the columns, and check them."""
         if not self.features:
             raise InputError("features", "none", "at least one column")
@@ -318,11 +329,11 @@ class FileColumns:
         table = ForeignTable.read("store", self.path, list(wanted), of_columns="column")
         columns = {name: table.values(name) for name in self.parameters}
         features = _features(table, self.features)
-        return checked_columns(
-            columns, features, self.features, self.bounds, self.space
+        return checked_rows(
+            columns, features, self.features, bounds=self.bounds, space=self.space
         )
 
-    def _of_store(self) -> Content:
+    def _of_store(self) -> Rows:
         """The columns of a store, with its parameters and their bounds."""
         from storage.foreign_tables import ForeignTable  # PyArrow is slow to load
         from storage.store import open_store
@@ -339,8 +350,12 @@ class FileColumns:
         )
         columns, bounds, space = store_parameters(ranges, store.gains())
         space |= self.space or {}
-        return checked_columns(
-            columns, features, self.features, self.bounds or bounds, space
+        return checked_rows(
+            columns,
+            features,
+            self.features,
+            bounds=self.bounds or bounds,
+            space=space,
         )
 
 

@@ -239,13 +239,24 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
     cross-validation and WAIC", section 5.1) for log densities.
     """
     if present is None:
-        return Worth(0, (), (), None, False, maximised)
-    cost, names = present.model.costs, present.names
-    correlations = tuple(
-        RankCorrelation.of(feature, cost) for feature in present.features.T
+        return Worth(
+            trials=0,
+            names=(),
+            correlations=(),
+            errors=None,
+            is_doubted=False,
+            maximised=maximised,
+        )
+    cost = present.model.costs
+    correlations = [RankCorrelation.of(each, cost) for each in present.features.T]
+    return Worth(
+        trials=len(cost),
+        names=present.names,
+        correlations=tuple(correlations),
+        errors=_errors(present.model) if len(cost) >= LEAST_TRIALS else None,
+        is_doubted=present.is_doubted,
+        maximised=maximised,
     )
-    errors = _errors(present.model) if len(cost) >= LEAST_TRIALS else None
-    return Worth(len(cost), names, correlations, errors, present.is_doubted, maximised)
 
 
 def _errors(model: Model) -> Errors | None:
@@ -328,10 +339,11 @@ def likeness_of(model: Model, names: tuple[str, ...]) -> Likeness:
     if not len(model.costs):
         return Likeness(0, names, (0.0,) * len(names))
     posterior = model.posterior
+    # The worlds' term comes first.
     term, variance, _ = next(posterior.covariance.valued(posterior.theta))
     noisy = posterior.gram() + (posterior.noise + JITTER) * np.eye(len(posterior.y))
     solved = np.linalg.solve(noisy, posterior.y)
-    slopes = sqrt(variance) * (posterior.x[:, term.first : term.end].T @ solved)
+    slopes = sqrt(variance) * (term.seen(posterior.x).T @ solved)
     return Likeness(len(model.costs), names, tuple(slopes.tolist()))
 
 
@@ -390,7 +402,7 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     told = np.where(np.isfinite(told), 0.0, -told if maximised else told)
     order = np.lexsort((mean, told, ~kept))
     best = int(order[0])
-    trial, row = trials[best], present.rows[best]
+    trial = trials[best]
     value, low, high = trial.values[0], np.nan, np.nan
     if np.isfinite(value):
         away = NORMAL_95 * sqrt(float(variance[best]))
@@ -398,10 +410,17 @@ def best_of(present: Present, *, maximised: bool) -> Best:
         value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
     if not model.knows_scale:
         low, high = np.nan, np.nan
-    same = sum(other.params == trial.params for other in trials)
-    names = sorted({name for other in trials for name in other.constraints})
-    untold = tuple(name for name in names if name not in trial.constraints)
-    return Best(trial.number, dict(trial.params), row, value, low, high, same, untold)
+    limits = set().union(*(other.constraints for other in trials))
+    return Best(
+        number=trial.number,
+        params=dict(trial.params),
+        row=present.rows[best],
+        value=value,
+        low=low,
+        high=high,
+        trials=sum(other.params == trial.params for other in trials),
+        untold=tuple(sorted(limits - trial.constraints.keys())),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -471,44 +490,53 @@ def prediction_of(
     Before any trial only worlds in the study's units tell something: their mean and
     spread.
     """
-    unknown, sign = np.full(len(points), np.nan), history.sign
-    kept = _chance_kept(model, points)
+    unknown = np.full(len(points), np.nan)
+    nothing = Prediction(
+        rows=rows,
+        value=unknown,
+        low=unknown,
+        high=unknown,
+        success=unknown,
+        kept=_chance_kept(model, points),
+    )
     freedom = np.inf
     if len(model.costs):
+        finite = np.isfinite([trial.values[0] for trial in history.trials])
+        if not finite.any() and not model.in_table_units:
+            return nothing
         mean, variance = model.posterior.predict(model.visible(points))
         mean += model.expected(points, model.cost())
         is_known = np.full(len(points), model.knows_scale)
-        finite = np.isfinite([trial.values[0] for trial in history.trials])
-        if not finite.any() and not model.in_table_units:
-            return Prediction(rows, unknown, unknown, unknown, unknown, kept)
     elif isinstance(model.ensemble, Ensemble) and model.ensemble.in_costs:
-        w = model.ensemble.parts.shape[1]
-        mean, variance = (
-            points.features[:, -1],
-            (points.features[:, -w - 2 : -2] ** 2).sum(axis=1),
-        )
+        mean = model.world_mean(points)
+        parts = model.columns.worlds
+        variance = (points.features[:, parts.start : parts.stop] ** 2).sum(axis=1)
         is_known = np.sqrt(variance) > LEAST_SPREAD
         freedom = model.ensemble.freedom
         if freedom > 0.0:  # of a further world, by those that were drawn
             variance = variance * (freedom + 2.0) / freedom
     else:
-        return Prediction(rows, unknown, unknown, unknown, unknown, kept)
-    errors = (
-        NORMAL_95 if isinf(freedom) else float(scipy.special.stdtrit(freedom, 0.975))
-    )
+        return nothing
+    errors = NORMAL_95
+    if not isinf(freedom):
+        errors = float(scipy.special.stdtrit(freedom, 0.975))
     away = errors * np.sqrt(variance)
-    value, low, high = (
-        sign * model.in_units(y) for y in (mean, mean - away, mean + away)
+    low, high = (
+        np.where(is_known, history.sign * model.in_units(end), np.nan)
+        for end in (mean - away, mean + away)
     )
-    low, high = (low, high) if sign > 0 else (high, low)
     success = unknown
     if model.success is not None:
         (goal,) = model.standard(np.array([model.success]), model.costs)
-        success = _chance_below(goal - mean, variance, freedom)
-    low, high, success = (
-        np.where(is_known, each, np.nan) for each in (low, high, success)
+        chance = _chance_below(goal - mean, variance, freedom)
+        success = np.where(is_known, chance, np.nan)
+    return replace(
+        nothing,
+        value=history.sign * model.in_units(mean),
+        low=low if history.sign > 0 else high,
+        high=high if history.sign > 0 else low,
+        success=success,
     )
-    return Prediction(rows, value, low, high, success, kept)
 
 
 def _chance_below(away: Floats, variance: Floats, freedom: float) -> Floats:

@@ -47,7 +47,7 @@ class Goals:
         columns = [column[~np.isnan(column)] for column in squarable(known).T]
         least = np.array([column.min() if len(column) else 0.0 for column in columns])
         typical = [typical_excess(column) if len(column) else 1.0 for column in columns]
-        return cls(weights, least, np.array(typical))
+        return cls(weights=weights, least=least, typical=np.array(typical))
 
     def cost(self, costs: Floats) -> Floats:
         """The one cost of costs [..., k], [...]."""

@@ -58,7 +58,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from study.sampler.transforms import Points
+from study.sampler.transforms import Columns, Points
 
 Floats = NDArray[np.float64]
 AnyFloats = NDArray[Any]
@@ -116,15 +116,17 @@ class Kernel:
         return self.parameter_scales is not None
 
 
-ADDITIVE = Kernel(True, "each", "shared", by_order=True)
-NEARNESS = Kernel(False, None, "shared", by_order=True)  # `ADDITIVE` without features
+ADDITIVE = Kernel(
+    slopes=True, feature_scales="each", parameter_scales="shared", by_order=True
+)
+NEARNESS = replace(ADDITIVE, slopes=False, feature_scales=None)
 WORLDS = replace(ADDITIVE, worlds=True)
-SIMILARITY = Kernel(False, None, None, by_order=True, worlds=True)
-KERNELS = {
-    "additive": ADDITIVE,
-    "rbf": Kernel(False, "shared", None, by_order=False),
-    "euclidean": Kernel(False, None, "each", by_order=False),
-}
+SIMILARITY = replace(NEARNESS, parameter_scales=None, worlds=True)
+RBF = Kernel(
+    slopes=False, feature_scales="shared", parameter_scales=None, by_order=False
+)
+EUCLIDEAN = replace(RBF, feature_scales=None, parameter_scales="each")
+KERNELS = {"additive": ADDITIVE, "rbf": RBF, "euclidean": EUCLIDEAN}
 
 
 @dataclass(frozen=True)
@@ -159,20 +161,22 @@ WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 
 @dataclass(frozen=True)
 class Term:
-    """A variance times a shape over the columns from `first` up to `end`.
+    """A variance times a shape over some columns.
 
     Attributes:
-        first: the first column of X that counts.
-        end: the column after the last one.
+        columns: those of X that count, next to each other.
         variance: v, s^2, t^2, a^2 or c^2 of the module's table.
         scales: length scales of a squared exponential, one a column or one for all; ()
             where the term is linear.
     """
 
-    first: int
-    end: int
+    columns: range
     variance: Constant
-    scales: tuple[Constant, ...]
+    scales: tuple[Constant, ...] = ()
+
+    def seen(self, x: Floats) -> Floats:
+        """Its columns of rows [n, p], a view of them."""
+        return x[:, self.columns.start : self.columns.stop]
 
 
 @dataclass(frozen=True)
@@ -193,12 +197,10 @@ class Covariance:
     @cached_property
     def constants(self) -> tuple[Constant, ...]:
         """In the order of theta, t of them: variance and scales of each term, then the noise."""
-        each = (
-            constant
-            for term in self.terms
-            for constant in (term.variance, *term.scales)
-        )
-        return (*each, self.noise)
+        found: list[Constant] = []
+        for term in self.terms:
+            found += [term.variance, *term.scales]
+        return (*found, self.noise)
 
     @cached_property
     def start(self) -> Floats:
@@ -239,7 +241,7 @@ class Covariance:
         k: Any = 0.0
         parts: list[tuple[float, Floats, Pull]] = []
         for term, variance, scales in self.valued(theta):
-            shape, pull = shape_of(x[:, term.first : term.end], scales)
+            shape, pull = shape_of(term.seen(x), scales)
             parts.append((variance, shape, pull))
             k = k + variance * shape
 
@@ -265,23 +267,20 @@ class Covariance:
         )  # of the columns of linear terms, which are one product
         curved = []
         for term, variance, scales in self.valued(theta):
-            columns = slice(term.first, term.end)
-            if not len(scales):
-                weights[columns] += variance
-                continue
-            curved.append(
-                (columns, variance, scales, _left(_scaled(a[:, columns], scales)).T)
-            )
+            if len(scales):
+                left = _left(_scaled(term.seen(a), scales)).T
+                curved.append((term, variance, scales, left))
+            else:
+                weights[term.columns.start : term.columns.stop] += variance
         used = np.flatnonzero(weights)
         straight = slice(used[0], used[-1] + 1) if len(used) else slice(0)
         slopes = a[:, straight] * weights[straight]
 
         def cross(x: Floats) -> AnyFloats:
             total = (slopes @ x[:, straight].T).astype(precision, copy=False)
-            for columns, variance, scales, left in curved:
-                k = (left @ _right(_scaled(x[:, columns], scales))).astype(
-                    precision, copy=False
-                )
+            for term, variance, scales, left in curved:
+                half = left @ _right(_scaled(term.seen(x), scales))
+                k = half.astype(precision, copy=False)
                 np.exp(k, out=k)
                 k *= variance
                 total += k
@@ -293,46 +292,47 @@ class Covariance:
         """k(x, x) of rows [m, p], [m], or a number where it is the same for all."""
         total: Any = 0.0
         for term, variance, scales in self.valued(theta):
-            seen = x[:, term.first : term.end]
-            total = total + variance * (
-                1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen)
-            )
+            seen = term.seen(x)
+            shape = 1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen)
+            total = total + variance * shape
         return total
 
 
 def new_covariance(
-    kernel: Kernel, k: int, e: int, d: int, w: int = 0, *, standardised: bool = True
+    kernel: Kernel, columns: Columns, parameters: int, *, standardised: bool = True
 ) -> Covariance:
-    """The covariance of rows that have k features, then e coordinates of d parameters.
+    """The covariance of rows with these columns.
 
-    With worlds, the last w + 2 features are what each world adds, a one, and the
-    expected cost.
+    Args:
+        kernel: which terms there are.
+        columns: of the rows.
+        parameters: d, their number; its prior length scales grow with it.
+        standardised: see `Covariance`.
     """
-    own = k - w - 2 if kernel.worlds else k
     if kernel.worlds and not kernel.of_parameters:
-        return Covariance((Term(own, own + w, SIGNAL, ()),), FEATURE_NOISE)
+        return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
     terms = []
     if kernel.worlds:
-        terms = [Term(own, own + w, WORLD, ()), Term(k - 1, k, SLOPE, ())]
+        terms = [Term(columns.worlds, WORLD), Term(columns.mean, SLOPE)]
         if not standardised:
-            terms.append(Term(k - 2, k - 1, SHIFT, ()))
+            terms.append(Term(columns.one, SHIFT))
+    own = columns.features
     if kernel.slopes and own:
-        terms.append(Term(0, own, SLOPE, ()))
+        terms.append(Term(own, SLOPE))
     if kernel.feature_scales is not None and own:
-        scale = Constant(log(sqrt(own)), 1.0, FEATURE_SCALE_BOUNDS)
-        count = own if kernel.feature_scales == "each" else 1
-        terms.append(Term(0, own, SIGNAL, (scale,) * count))
+        scale = Constant(log(sqrt(len(own))), 1.0, FEATURE_SCALE_BOUNDS)
+        count = len(own) if kernel.feature_scales == "each" else 1
+        terms.append(Term(own, SIGNAL, (scale,) * count))
     if kernel.worlds:
-        terms.append(Term(k, k + e, BEYOND, (BEYOND_SCALE,)))
+        terms.append(Term(columns.coordinates, BEYOND, (BEYOND_SCALE,)))
         return Covariance(tuple(terms), WORLD_NOISE, standardised)
     if kernel.parameter_scales is not None:
-        mode = sqrt(2.0) + log(d) / 2.0 - 3.0
+        mode = sqrt(2.0) + log(parameters) / 2.0 - 3.0
         scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
-        count = e if kernel.parameter_scales == "each" else 1
-        terms.append(Term(k, k + e, SIGNAL, (scale,) * count))
-    return Covariance(
-        tuple(terms), FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
-    )
+        count = len(columns.coordinates) if kernel.parameter_scales == "each" else 1
+        terms.append(Term(columns.coordinates, SIGNAL, (scale,) * count))
+    noise = FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
+    return Covariance(tuple(terms), noise)
 
 
 def shape_of(x: Floats, scales: Floats) -> tuple[Floats, Pull]:
@@ -425,10 +425,9 @@ def learn(covariance: Covariance, x: Floats, y: Floats) -> Floats:
     some = _informative(y)
     scaled = _standard(y)[0] if covariance.standardised else y
     x, y = x[some], scaled[some]
+    starts = NOISE_STARTS if len(scaled) <= SECOND_START_TRIALS else NOISE_STARTS[:1]
     found = []
-    for shift in (
-        NOISE_STARTS if len(scaled) <= SECOND_START_TRIALS else NOISE_STARTS[:1]
-    ):
+    for shift in starts:
         start = covariance.start.copy()
         start[-1] += shift
         result = scipy.optimize.minimize(
@@ -448,7 +447,15 @@ def condition(
 ) -> "Posterior":
     """The posterior under given constants, after trials x [n, p] with costs y [n]."""
     scaled, mean, sd = _standard(y) if covariance.standardised else (y, 0.0, 1.0)
-    return Posterior(covariance, theta, x, scaled, mean, sd, noisy)
+    return Posterior(
+        covariance=covariance,
+        theta=theta,
+        x=x,
+        y=scaled,
+        cost_mean=mean,
+        cost_sd=sd,
+        noisy=noisy,
+    )
 
 
 def _standard(y: Floats) -> tuple[Floats, float, float]:
@@ -465,10 +472,8 @@ def _informative(y: Floats) -> NDArray[np.int64]:
         return np.arange(len(y))
     order = np.argsort(y, kind="stable")
     best, others = np.split(order, [LIKELIHOOD_TRIALS // 2])
-    spread = np.linspace(0, len(others) - 1, LIKELIHOOD_TRIALS - len(best)).astype(
-        np.int64
-    )
-    return np.sort(np.concatenate([best, others[spread]]))
+    spread = np.linspace(0, len(others) - 1, LIKELIHOOD_TRIALS - len(best))
+    return np.sort(np.concatenate([best, others[spread.astype(np.int64)]]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from storage.inputs.errors import InputError, listed
 from study.sampler.goals import Goals
+from study.sampler.rows import Rows
 from study.sampler.space import Number, Space
-from study.sampler.table import Rows
 from study.sampler.transforms import by_side, stand_ins, without_infinities
 
 Floats = NDArray[np.float64]
@@ -104,8 +104,7 @@ def read_history(
     """
     known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
-    placed: dict[TrialState, list[tuple[FrozenTrial, Floats, int]]]
-    placed = {TrialState.COMPLETE: [], TrialState.RUNNING: []}
+    done, running = _Placed(), _Placed()
     unplaced = []
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
@@ -113,47 +112,57 @@ def read_history(
         row, parameters = _looked_up(trial, space, table, known)
         if row is not None:
             tried[row] = True
-        if trial.state not in placed:
+        if trial.state not in (TrialState.COMPLETE, TrialState.RUNNING):
             continue
+        is_complete = trial.state is TrialState.COMPLETE
         if row is None and (places_all or noted_features(trial) is not None):
             row = OFF_TABLE
         if row is not None and parameters is not None:
-            placed[trial.state].append((trial, parameters, row))
-        elif table is not None and trial.state is TrialState.COMPLETE:
+            (done if is_complete else running).add(trial, parameters, row)
+        elif table is not None and is_complete:
             unplaced.append(trial)
-
-    def points(state: TrialState) -> tuple[Floats, NDArray[np.int64]]:
-        found = np.array(
-            [parameters for _, parameters, _ in placed[state]], dtype=np.float64
-        )
-        rows = np.array([row for _, _, row in placed[state]], dtype=np.int64)
-        return found.reshape(len(rows), len(space)), rows
-
-    trials = tuple(trial for trial, _, _ in placed[TrialState.COMPLETE])
-    values = np.array([trial.values for trial in trials], dtype=np.float64)
-    values = values.reshape(len(trials), len(study.directions))
+    values = np.array([trial.values for trial in done.trials], dtype=np.float64)
     signs = [
         -1.0 if each is StudyDirection.MAXIMIZE else 1.0 for each in study.directions
     ]
     others = compared or [np.empty(0)] * len(signs)
     columns = []
-    for sign, column, other in zip(signs, values.T, others, strict=True):
+    goals = values.reshape(-1, len(signs)).T
+    for sign, column, other in zip(signs, goals, others, strict=True):
         columns.append(sign * without_infinities(column, stand_ins(column, other)))
     costs = np.column_stack(columns)
     settled = values_of(before)
-    fixed = {name: settled[name] for name in space.names if name in settled}
-    done, running = points(TrialState.COMPLETE), points(TrialState.RUNNING)
     return History(
-        trials,
-        *done,
-        costs[:, 0],
-        costs,
-        np.array(signs),
-        *running,
-        tried,
-        tuple(unplaced),
-        fixed,
+        trials=tuple(done.trials),
+        parameters=done.matrix(len(space)),
+        rows=np.array(done.rows, dtype=np.int64),
+        cost=costs[:, 0],
+        costs=costs,
+        signs=np.array(signs),
+        running=running.matrix(len(space)),
+        running_rows=np.array(running.rows, dtype=np.int64),
+        tried=tried,
+        unplaced=tuple(unplaced),
+        fixed={name: settled[name] for name in space.names if name in settled},
     )
+
+
+class _Placed:
+    """Trials of which parameters are known, in their order."""
+
+    def __init__(self) -> None:
+        self.trials: list[FrozenTrial] = []
+        self.rows: list[int] = []  # of the table, or OFF_TABLE
+        self._parameters: list[Floats] = []  # [d] each
+
+    def add(self, trial: FrozenTrial, parameters: Floats, row: int) -> None:
+        self.trials.append(trial)
+        self.rows.append(row)
+        self._parameters.append(parameters)
+
+    def matrix(self, d: int) -> Floats:
+        """Their parameters, [n, d]."""
+        return np.array(self._parameters, dtype=np.float64).reshape(-1, d)
 
 
 def _looked_up(

@@ -41,6 +41,7 @@ Features = Callable[[Floats], Floats]
 RANKED = 3
 ENDS = 2
 RANDOM = 3
+ODD_TURN = 1  # of those that are left to the parameters where features are doubted
 REMEMBERED = 1024  # trials; some never end
 
 
@@ -173,38 +174,41 @@ class Policy:
         seen: Points,
         ensemble: Relation | None = None,
         running: Points | None = None,
-        own_turn: int = 0,
         elsewhere: Points | None = None,
     ) -> Model:
-        """The model of one trial, after the trials of a history, at the points where they were.
+        """The model after the trials of a history, for trials that follow the features.
 
-        Without `running`, that of finished trials alone, whatever limits they have.
-        `elsewhere` is where the trials of `limits_of` were.
+        Args:
+            history: of n finished trials.
+            seen: where these were, n points.
+            ensemble: what is known of rows beside features.
+            running: where trials are that run elsewhere; None: there are none.
+            elsewhere: where the trials of `limits_of` were; None: there are none.
         """
-        kernel, cost, nowhere = (
-            self.options.kernel,
-            history.cost,
-            seen.take(np.arange(0)),
-        )
-        no_limits, d = np.empty((len(cost), 0)), history.parameters.shape[1]
-        model = Model(kernel, d, seen, cost, no_limits, nowhere, self.known, ensemble)
-        if running is None:
-            return model
-        success = self.options.success
-        success = None if success is None else history.sign * success
+        success, n = self.options.success, len(history.cost)
         limits = read_limits([*history.trials, *self.options.limits_of])
-        own, others = limits[: len(cost)], limits[len(cost) :]
-        model = replace(model, limits=own, running=running, success=success)
-        if elsewhere is not None:
-            model = replace(model, elsewhere=elsewhere, limits_elsewhere=others)
-        kept = cost[model.feasible]
-        if self.learns_trust and is_doubtful(kept, own_turn):
-            return replace(model, kernel=NEARNESS)
-        return model
+        return Model(
+            kernel=self.options.kernel,
+            parameters=history.parameters.shape[1],
+            trials=seen,
+            costs=history.cost,
+            limits=limits[:n],
+            running=seen.take(np.arange(0)) if running is None else running,
+            known=self.known,
+            ensemble=ensemble,
+            success=None if success is None else history.sign * success,
+            elsewhere=elsewhere,
+            limits_elsewhere=None if elsewhere is None else limits[n:],
+        )
 
-    def doubts(self, model: Model) -> bool:
-        """Whether every other trial is left to the parameters at present."""
-        return self.learns_trust and is_doubtful(model.costs, 1)
+    def of_turn(self, model: Model, turn: int) -> Model:
+        """The model of one trial: of the parameters alone, where features are doubted."""
+        return replace(model, kernel=NEARNESS) if self.doubts(model, turn) else model
+
+    def doubts(self, model: Model, turn: int) -> bool:
+        """Whether the trial of this turn is left to the parameters."""
+        kept = model.costs[model.feasible]
+        return self.learns_trust and is_doubtful(kept, turn)
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""

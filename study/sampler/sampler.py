@@ -32,7 +32,6 @@ from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TablePolicy
 from study.sampler.worlds import Ensemble
 
-DEFAULT_KERNELS = "additive", "euclidean"  # with features, without
 MOST_OFF_GRID = 1_000_000
 OFF_GRID = 1500  # points near the best trials, where worlds say what rows cost
 # Antonova, Rai, Atkeson 2016; options that are not named keep their defaults.
@@ -163,10 +162,7 @@ class FeatureKernelSampler(BaseSampler):
         allowed: NDArray[np.bool_] | None = None,
         limits_of: Sequence[FrozenTrial] = (),
     ) -> None:
-        given = dict(locals())
-        self._kernel = (
-            kernel if kernel is not None else DEFAULT_KERNELS[features is None]
-        )
+        self._kernel = kernel or ("euclidean" if features is None else "additive")
         if self._kernel not in KERNELS:
             raise InputError("kernel", self._kernel, f"one of {', '.join(KERNELS)}")
         chosen = KERNELS[self._kernel]
@@ -175,22 +171,43 @@ class FeatureKernelSampler(BaseSampler):
                 chosen = SIMILARITY
             elif features.rows.worlds is not None:
                 chosen = WORLDS
-        if off_grid is None:
-            off_grid = OFF_GRID if chosen == WORLDS and allowed is None else 0
-        extra = frozenset(extra_parameters)
+        near = OFF_GRID if chosen == WORLDS and allowed is None else 0
         options = Options(
-            chosen, off_grid, space, extra, strict, success, allowed, tuple(limits_of)
+            kernel=chosen,
+            off_grid=near if off_grid is None else off_grid,
+            space=space,
+            extra_parameters=frozenset(extra_parameters),
+            strict=strict,
+            success=success,
+            allowed=allowed,
+            limits_of=tuple(limits_of),
         )
-        _require_sense(features, feature_function, options, self._kernel)
         seed = secrets.randbits(64) if seed is None else seed
         self._independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
-        common = options, seed, self._independent
         self._policy: TablePolicy | SpacePolicy
         if isinstance(features, FeatureTable):
-            self._policy = TablePolicy(features, feature_function, *common)
+            _require_sense_of_table(features, feature_function, options, self._kernel)
+            self._policy = TablePolicy(
+                features, feature_function, options, seed, self._independent
+            )
         else:
-            self._policy = SpacePolicy(features, *common)
-        self._call = _call_text(given | {"seed": seed})
+            _require_sense_of_space(features, feature_function, options, self._kernel)
+            self._policy = SpacePolicy(features, options, seed, self._independent)
+        shown = {
+            "features": features,
+            "seed": seed,
+            "kernel": kernel,
+            "feature_function": feature_function,
+            "off_grid": off_grid,
+            "space": space,
+            "strict": strict,
+            "extra_parameters": extra_parameters,
+            "independent_sampler": independent_sampler,
+            "success": success,
+            "allowed": allowed,
+            "limits_of": limits_of,
+        }
+        self._call = _call_text(shown)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self._call})"
@@ -348,73 +365,59 @@ class DoGSampler(FeatureKernelSampler):
         super().__init__(table, seed=seed, **PAPER | options)
 
 
-def _require_sense(
-    features: FeatureTable | Features | None,
-    function: Features | None,
-    options: Options,
-    kernel: str,
+def _require_sense_of_table(
+    table: FeatureTable, function: Features | None, options: Options, kernel: str
 ) -> None:
-    """Refuse options that do not go together."""
-
-    def refuse(is_wrong: object, field: str, value: object, allowed: str) -> None:
-        if is_wrong:
-            raise InputError(field, value, allowed)
-
-    off_grid, mask = options.off_grid, options.allowed
-    given, worlds, of_features = (
-        "given",
-        options.kernel.worlds,
-        options.kernel.of_features,
-    )
-    if worlds:
+    """Refuse options that do not go together with a table."""
+    rows, worlds, off_grid = len(table), options.kernel.worlds, options.off_grid
+    if worlds and function is not None:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
-        refuse(function is not None, "feature_function", given, allowed)
-    if isinstance(features, FeatureTable):
-        rows, pool = len(features.rows), options.kernel == SIMILARITY
-        if mask is not None:
-            refuse(mask.shape != (rows,), "allowed", "another size", f"[{rows}]")
-            refuse(off_grid, "off_grid", off_grid, "0 beside `allowed` rows")
-        without = function is None and not worlds
-        refuse(
-            off_grid and without, "off_grid", off_grid, "0 without a feature_function"
-        )
-        refuse(
-            off_grid and pool,
-            "off_grid",
-            off_grid,
-            "0: a similarity knows its rows alone",
-        )
-        refuse(options.space is not None, "space", given, "none: a table knows its own")
-        lacking = of_features and not worlds and not features.rows.feature_names
-        refuse(
-            lacking, "kernel", kernel, "none, or euclidean: the table has no features"
-        )
-        return
-    refuse(mask is not None, "allowed", given, "none without a table")
-    refuse(options.limits_of, "limits_of", given, "none without a table")
-    allowed = "none: only a table needs it beside `features`"
-    refuse(function is not None, "feature_function", given, allowed)
-    if features is None:
-        refuse(of_features, "kernel", kernel, "euclidean: there are no features")
-        refuse(
-            off_grid,
-            "off_grid",
-            off_grid,
-            "0: points are off any grid without features",
-        )
-    elif not callable(features):
+        raise InputError("feature_function", "given", allowed)
+    if options.allowed is not None and options.allowed.shape != (rows,):
+        raise InputError("allowed", "another size", f"[{rows}]")
+    if off_grid and options.allowed is not None:
+        raise InputError("off_grid", off_grid, "0 beside `allowed` rows")
+    if off_grid and function is None and not worlds:
+        raise InputError("off_grid", off_grid, "0 without a feature_function")
+    if off_grid and options.kernel == SIMILARITY:
+        allowed = "0: a similarity knows its rows alone"
+        raise InputError("off_grid", off_grid, allowed)
+    if options.space is not None:
+        raise InputError("space", "given", "none: a table knows its own")
+    if options.kernel.of_features and not worlds and not table.rows.feature_names:
+        allowed = "none, or euclidean: the table has no features"
+        raise InputError("kernel", kernel, allowed)
+
+
+def _require_sense_of_space(
+    features: Features | None, function: Features | None, options: Options, kernel: str
+) -> None:
+    """Refuse options that do not go together without a table."""
+    if options.allowed is not None:
+        raise InputError("allowed", "given", "none without a table")
+    if options.limits_of:
+        raise InputError("limits_of", "given", "none without a table")
+    if function is not None:
+        allowed = "none: only a table needs it beside `features`"
+        raise InputError("feature_function", "given", allowed)
+    if features is not None and not callable(features):
         name = type(features).__name__
         raise InputError("features", name, "a FeatureTable, a function, or None")
+    if features is None and options.kernel.of_features:
+        raise InputError("kernel", kernel, "euclidean: there are no features")
+    if features is None and options.off_grid:
+        allowed = "0: points are off any grid without features"
+        raise InputError("off_grid", options.off_grid, allowed)
 
 
 def _call_text(given: Mapping[str, Any]) -> str:
     """The arguments of `FeatureKernelSampler` that are not its defaults, as in a call."""
     parts = []
-    for name, parameter in inspect.signature(FeatureKernelSampler).parameters.items():
-        value, default = given[name], parameter.default
-        if value is default or (
-            type(value) is type(default) and bool(value == default)
-        ):
+    parameters = inspect.signature(FeatureKernelSampler).parameters
+    for name, value in given.items():
+        default = parameters[name].default
+        is_equal = type(value) is type(default) and bool(value == default)
+        if value is default or is_equal:
             continue
         shown = repr(value)
         if isinstance(value, BaseSampler):

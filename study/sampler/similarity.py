@@ -29,7 +29,9 @@ class Alike:
 
     def __init__(self, factor: Floats) -> None:
         self.parts = factor  # F, [m, r]
-        self.columns = np.pad(factor, ((0, 0), (0, 2)))  # none is expected to be better
+        self.mean = np.zeros(len(factor))  # none is expected to be better
+        nothing = np.zeros((len(factor), 2))  # neither a shift nor a mean
+        self.columns = np.hstack([factor, nothing])  # as `transforms.Columns` has them
         self.kept: dict[Any, Any] = {}
 
 

@@ -23,6 +23,7 @@ from study.sampler.history import (
     values_of,
 )
 from study.sampler.policy import (
+    ODD_TURN,
     Policy,
     Proposal,
     call_features,
@@ -119,9 +120,14 @@ class SpacePolicy(Policy):
         )
         seen = _placed(self._scale(features), shown, space, history.parameters)
         model = self.model(history, seen)
-        names = tuple(f"feature_{column}" for column in range(features.shape[1]))
-        rows, doubts = (None,) * len(shown), self.doubts(model)
-        return Present(history.trials, rows, names, shown, model, doubts)
+        return Present(
+            trials=history.trials,
+            rows=(None,) * len(shown),
+            names=tuple(f"feature_{column}" for column in range(features.shape[1])),
+            features=shown,
+            model=model,
+            is_doubted=self.doubts(model, ODD_TURN),
+        )
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Nothing is noted."""
@@ -181,7 +187,8 @@ class SpacePolicy(Policy):
         scale = self._scale(features)
         seen = _placed(scale, shown, space, history.parameters)
         elsewhere = _placed(scale, running, space, history.running)
-        model = self.model(history, seen, None, elsewhere, own_turn)
+        model = self.model(history, seen, running=elsewhere)
+        model = self.of_turn(model, own_turn)
         taken = np.vstack([history.parameters, history.running])
         known = np.asarray(~np.isnan(features).any(axis=1))
         new = not_among(points, taken) & known

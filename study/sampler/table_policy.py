@@ -45,6 +45,7 @@ from study.sampler.history import (
 )
 from study.sampler.policy import (
     NOTHING,
+    ODD_TURN,
     RANKED,
     Features,
     Options,
@@ -54,9 +55,10 @@ from study.sampler.policy import (
     one_thread,
     set_attributes,
 )
+from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among, not_near
-from study.sampler.table import FeatureTable, Rows
+from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
 
 Floats = NDArray[np.float64]
@@ -363,11 +365,9 @@ class TablePolicy(Policy):
     ) -> Proposal:
         """A row before there is a model, of equal ones any."""
         rows, points = self.rows, self._points(ensemble)
-        merit = (
-            -points.features[:, -1]
-            if ensemble
-            else self.merit(points.features, own_turn)
-        )
+        merit = self.merit(points.features, own_turn)
+        if ensemble is not None:
+            merit = -ensemble.mean
         merit = np.where(offered[rows.numbers], merit, -np.inf)
         best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
         return self._of_row(int(rows.numbers[best]))
@@ -400,7 +400,8 @@ class TablePolicy(Policy):
             elsewhere = self._seen(
                 *self._places([trial.params for trial in others]), (), ensemble
             )
-        return self.model(history, seen, ensemble, running, own_turn, elsewhere)
+        model = self.model(history, seen, ensemble, running, elsewhere)
+        return self.of_turn(model, own_turn)
 
     def _places(
         self, params: Sequence[Mapping[str, Any]]
@@ -551,9 +552,14 @@ class TablePolicy(Policy):
         shown = self._features(history.parameters, history.rows, history.trials)
         seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
         model = self.model(history, seen, ensemble)
-        rows = tuple(row_of(self.rows, trial) for trial in history.trials)
-        names, doubts = self.rows.feature_names, self.doubts(model)
-        return Present(history.trials, rows, names, shown, model, doubts)
+        return Present(
+            trials=history.trials,
+            rows=tuple(row_of(self.rows, trial) for trial in history.trials),
+            names=self.rows.feature_names,
+            features=shown,
+            model=model,
+            is_doubted=self.doubts(model, ODD_TURN),
+        )
 
     def predict(
         self, study: optuna.Study, params: Sequence[Mapping[str, Any]] | None

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from math import sqrt
 from typing import Any
 
@@ -24,12 +25,44 @@ NOTHING: Floats = np.empty(0)
 PATIENCE = 3  # trials without a better cost
 
 
+@dataclass(frozen=True)
+class Columns:
+    """Which columns of points are what, from left to right: see `Points.matrix`.
+
+    Attributes:
+        features: of the candidates themselves.
+        worlds: what each world adds to the mean over the worlds, or the factor of a
+            similarity; without either, this and the next two are empty.
+        one: a one in each row, whose multiple is the shift.
+        mean: the mean over the worlds; 0 where only a similarity is known.
+        coordinates: of the parameters in the unit cube.
+    """
+
+    features: range
+    worlds: range
+    one: range
+    mean: range
+    coordinates: range
+
+    @classmethod
+    def of(
+        cls, features: int, coordinates: int, worlds: int | None = None
+    ) -> "Columns":
+        """The columns that follow from these counts; worlds None: nothing is known of any."""
+        beside = (0, 0, 0) if worlds is None else (worlds, 1, 1)
+        counts = (features, *beside, coordinates)
+        ends = accumulate(counts)
+        parts = zip(ends, counts, strict=True)
+        return cls(*(range(end - count, end) for end, count in parts))
+
+
 @dataclass(frozen=True, eq=False)
 class Points:
     """m candidates or trials.
 
     Attributes:
-        features: in standard units, [m, k]; k may be 0.
+        features: in standard units, [m, k]; k may be 0. The last are those of an
+            ensemble or a similarity, where there is one (`Columns`).
         coordinates: of the parameters in the unit cube, [m, e]; e may be 0.
     """
 

@@ -104,7 +104,13 @@ class Worlds:
         if any(np.isinf(part).any() for part in parts):
             before = np.hstack([_each_goal(part, _clipped) for part in parts])
         costs = _each_goal(np.hstack(parts), _without_infinities)
-        worlds = cls(tuple(names), costs, np.concatenate(weights), better, before)
+        worlds = cls(
+            names=tuple(names),
+            costs=costs,
+            weights=np.concatenate(weights),
+            better=better,
+            as_before=before,
+        )
         if not worlds.known.any():
             allowed = "a row with its cost in all worlds"
             raise InputError("table.outcomes", "gaps in all rows", allowed)
@@ -201,7 +207,7 @@ class Ensemble:
         own = self.standard(costs)
         self.mean = own @ worlds.weights  # m, [m]
         self.parts = (own - self.mean[:, None]) * np.sqrt(worlds.weights)  # d, [m, w]
-        # As features: d, a one, and m.
+        # As `transforms.Columns` has them.
         self.columns = np.column_stack([self.parts, np.ones(len(own)), self.mean])
 
     def standard(self, costs: Floats) -> Floats:

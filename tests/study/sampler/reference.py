@@ -44,9 +44,9 @@ class Columns(kernels.Kernel):  # type: ignore[misc]
 
     def __call__(
         self,
-        X: Floats,
-        Y: Floats | None = None,
-        eval_gradient: bool = False,  # noqa: N803
+        X: Floats,  # noqa: N803
+        Y: Floats | None = None,  # noqa: N803
+        eval_gradient: bool = False,
     ) -> Any:
         other = None if Y is None else Y[:, self.columns]
         return self.kernel(X[:, self.columns], other, eval_gradient=eval_gradient)
@@ -62,7 +62,7 @@ def of_covariance(covariance: gp.Covariance, theta: Floats) -> Any:
     """The same kernel of scikit-learn's with these constants and the same bounds."""
     total: Any = None
     for term, variance, scales in covariance.valued(theta):
-        columns = slice(term.first, term.end)
+        columns = slice(term.columns.start, term.columns.stop)
         if len(scales):
             limits = term.scales[0].bounds
             inner = kernels.RBF(scales[0] if len(scales) == 1 else scales, limits)

@@ -15,6 +15,9 @@ from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import TrialState
 
 from study import FeatureKernelSampler
+from study.sampler.acquisition import Model
+from study.sampler.gp import Kernel
+from study.sampler.transforms import Points
 from tests.tools.running import ROOT
 
 Floats = NDArray[np.float64]
@@ -39,6 +42,22 @@ def study_of(
     if objective is not None:
         study.optimize(objective, n_trials=trials)
     return study
+
+
+def model_after(
+    trials: Points, costs: Floats, kernel: Kernel, ensemble: Any = None
+) -> Model:
+    """After trials [n] without limits, of two parameters."""
+    return Model(
+        kernel=kernel,
+        parameters=2,
+        trials=trials,
+        costs=costs,
+        limits=np.empty((len(trials), 0)),
+        running=trials.take(np.arange(0)),
+        known={},
+        ensemble=ensemble,
+    )
 
 
 def rows_of(study: optuna.Study) -> list[int | None]:

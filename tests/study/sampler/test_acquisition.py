@@ -1,7 +1,5 @@
 """Expected improvement against its integral, ties, and kept constraints."""
 
-from typing import Any
-
 import numpy as np
 import optuna
 import pytest
@@ -11,12 +9,12 @@ from scipy.stats import norm
 
 from study import FeatureTable
 from study.sampler import acquisition
-from study.sampler.acquisition import Model, argmax_random_tie, log_expected_improvement
-from study.sampler.gp import KERNELS, WORLDS, Kernel
+from study.sampler.acquisition import argmax_random_tie, log_expected_improvement
+from study.sampler.gp import KERNELS, WORLDS
 from study.sampler.history import read_limits
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
-from tests.study.sampler.studies import study_of
+from tests.study.sampler.studies import model_after, study_of
 
 
 @pytest.mark.parametrize("mean", [-2.0, 0.0, 1.3, 4.0])
@@ -68,12 +66,6 @@ def test_log_improvement_has_the_tail_of_its_series(z):
 
 
 # The model.
-def model_of(seen: Points, cost: Any, kernel: Kernel, ensemble: Any = None) -> Model:
-    """After trials without limits."""
-    limits, nowhere = np.empty((len(seen), 0)), seen.take(np.arange(0))
-    return Model(kernel, 2, seen, cost, limits, nowhere, {}, ensemble)
-
-
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_candidates(
     kernel,
@@ -81,7 +73,7 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
     """Costs at random; where parameters are looked at, candidates that are alike are the same."""
     seen = Points(np.zeros((40, 1)), np.full((40, 2), 0.5))
     cost = np.random.default_rng(0).uniform(1.0, 2.0, 40)
-    model = model_of(seen, cost, KERNELS[kernel])
+    model = model_after(seen, cost, KERNELS[kernel])
     _, variance = model.posterior.predict(model.visible(seen.take(np.arange(1))))
     share = float(variance[0]) / float(np.var(model.cost()))
     assert share > 0.9 if kernel == "rbf" else share < 0.1
@@ -95,7 +87,7 @@ def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
     many = Points(ensemble.columns, rng.uniform(size=(len(outcomes), 2)))
     seen = many.take(np.arange(12))
     cost = np.exp(ensemble.mean[:12] + 0.01 * rng.standard_normal(12))
-    model = model_of(seen, cost, WORLDS, ensemble)
+    model = model_after(seen, cost, WORLDS, ensemble)
     looked_at = model._looked_at(many, np.ones(len(many), dtype=bool), rng)
     assert len(looked_at) == acquisition.MOST_IN_WORLDS
     best = np.argsort(ensemble.mean)[

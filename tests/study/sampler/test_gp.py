@@ -7,7 +7,7 @@ from scipy.optimize import approx_fprime
 
 from study.sampler import gp
 from study.sampler.acquisition import along_feature
-from study.sampler.transforms import Points
+from study.sampler.transforms import Columns, Points
 from tests.study.sampler import reference
 
 LAYOUT = (3, 4, 4)  # features, coordinates, parameters
@@ -17,7 +17,9 @@ X = np.random.default_rng(0).standard_normal((12, 7))
 
 
 def covariance_of(form: str, layout: tuple[int, int, int] = LAYOUT) -> gp.Covariance:
-    return gp.new_covariance(reference.FORMS[form], *layout)
+    features, coordinates, parameters = layout
+    columns = Columns.of(features, coordinates)
+    return gp.new_covariance(reference.FORMS[form], columns, parameters)
 
 
 def some_points(count: int, seed: int) -> Points:
@@ -150,7 +152,7 @@ def test_the_constants_are_those_that_scikit_learn_finds(form, count):
 
 
 def test_without_a_cholesky_factor_the_misfit_is_infinite():
-    covariance = gp.Covariance((gp.Term(0, 1, gp.SLOPE, ()),), gp.FEATURE_NOISE)
+    covariance = gp.Covariance((gp.Term(range(1), gp.SLOPE),), gp.FEATURE_NOISE)
     x = np.array([[1.0], [1.0], [3.0]]) * 1e12
     theta = np.array([0.0, np.log(1e-4)])
     found, gradient = gp.misfit(covariance, x, np.ones(3), theta)

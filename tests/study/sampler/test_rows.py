@@ -14,7 +14,7 @@ from optuna.distributions import (
 
 from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.table import Rows
+from study.sampler.rows import Rows
 from tests.study.sampler.studies import rows_of, study_of, without_warning
 
 

@@ -9,10 +9,10 @@ import scipy
 
 from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import Model
 from study.sampler.gp import SIMILARITY
 from study.sampler.similarity import Alike, factor_of_gram, factor_of_graph
 from study.sampler.transforms import Points, log_excess
+from tests.study.sampler.studies import model_after
 
 PLACES = np.random.default_rng(3).random((300, 2))
 APART = ((PLACES[:, None] - PLACES[None]) ** 2).sum(axis=2)
@@ -60,10 +60,9 @@ def test_no_node_of_a_graph_stands_out_before_a_trial() -> None:
 
 
 def test_the_posterior_is_that_of_the_gram_matrix() -> None:
-    alike, limits = Alike(factor_of_gram(GRAM)), np.empty((9, 0))
+    alike = Alike(factor_of_gram(GRAM))
     points = Points(alike.columns, np.empty((300, 0)))
-    seen, nobody = points.take(np.arange(9)), points.take(np.arange(0))
-    model = Model(SIMILARITY, 1, seen, COST[:9], limits, nobody, {}, alike)
+    model = model_after(points.take(np.arange(9)), COST[:9], SIMILARITY, alike)
     size, noise = np.exp(model.posterior.theta)
     y = log_excess(COST[:9], COST[:9])
     gain = size * GRAM[:, :9] @ np.linalg.inv(size * GRAM[:9, :9] + noise * np.eye(9))

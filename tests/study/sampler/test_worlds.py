@@ -22,7 +22,7 @@ from study.sampler.acquisition import Model
 from study.sampler.gp import WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
-from tests.study.sampler.studies import Floats
+from tests.study.sampler.studies import Floats, model_after
 
 SPACE = {"x": FloatDistribution(0.0, 1.0), "y": FloatDistribution(1.0, 100.0, log=True)}
 ROWS = np.random.default_rng(5).random((60, 2))
@@ -91,13 +91,9 @@ def after_nine_trials(phi: Any = ROWS[:, :0]) -> tuple[Ensemble, Points, Model]:
     """Of the first rows, in a world like the third; phi are features beside the worlds."""
     ensemble = of_all(Worlds.of(COSTS))
     points = Points(np.hstack([phi, ensemble.columns]), ROWS)
-    seen, nobody, limits = (
-        points.take(np.arange(9)),
-        points.take(np.arange(0)),
-        np.empty((9, 0)),
-    )
     costs = COSTS[:9, 2] + 0.2
-    return ensemble, points, Model(WORLDS, 2, seen, costs, limits, nobody, {}, ensemble)
+    model = model_after(points.take(np.arange(9)), costs, WORLDS, ensemble)
+    return ensemble, points, model
 
 
 @pytest.mark.parametrize("features", [0, 2])
