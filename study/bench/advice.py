@@ -21,8 +21,8 @@ from storage.inputs.errors import InputError
 from study.bench.journal import State, Trial
 from study.bench.plan import Plan, Safety
 from study.bench.shown import frozen, study_of
-from study.sampler.diagnostics import Best, Prediction
 from study.sampler.policy import RANKED
+from study.sampler.prediction import Best, Prediction
 from study.sampler.rows import Rows
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
+from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.gp import (
     Covariance,
     Kernel,
@@ -25,9 +25,6 @@ from study.sampler.transforms import (
     squarable,
 )
 from study.sampler.worlds import Ensemble
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
@@ -249,7 +246,7 @@ class Model:
 
     def _looked_at(
         self, points: Points, offered: Mask, rng: np.random.Generator
-    ) -> NDArray[np.int64]:
+    ) -> Whole:
         """Numbers of the candidates whose posterior is computed.
 
         Where they are too many, half of them are those that a straight line through the

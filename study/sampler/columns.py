@@ -22,6 +22,7 @@ from optuna.distributions import (
 
 from storage.inputs import checks, typed
 from storage.inputs.errors import InputError, listed
+from study.sampler.arrays import Floats
 from study.sampler.rows import Rows
 from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
         ForeignTable,
     )  # slow to load: where a file is read
 
-Floats = NDArray[np.float64]
 Bounds = Mapping[str, tuple[float, float]]
 
 LARGEST_EXACT = 2**53  # of whole numbers in float64

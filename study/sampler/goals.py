@@ -15,11 +15,9 @@ it, are those of the table's worlds or, without any, of the trials.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from study.sampler.arrays import Floats
 from study.sampler.transforms import squarable, typical_excess
-
-Floats = NDArray[np.float64]
 
 SUM_SHARE = 0.05  # of the weighted sum; Knowles 2006
 

@@ -58,9 +58,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from study.sampler.arrays import Floats, Whole
 from study.sampler.transforms import Columns, Points
 
-Floats = NDArray[np.float64]
 AnyFloats = NDArray[Any]
 Pull = Callable[[Floats], Floats]  # W [n, n] -> sum_ij W_ij dK_ij/dtheta, [t]
 Towards = Callable[[Floats], AnyFloats]  # candidates [m, p] -> k [n, m]
@@ -466,7 +466,7 @@ def _standard(y: Floats) -> tuple[Floats, float, float]:
     return (y - mean) / sd, mean, sd
 
 
-def _informative(y: Floats) -> NDArray[np.int64]:
+def _informative(y: Floats) -> Whole:
     """Trials that the constants are learned from: the best half of the limit, the rest evenly."""
     if len(y) <= LIKELIHOOD_TRIALS:
         return np.arange(len(y))

@@ -13,29 +13,51 @@ from typing import Any
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution, FloatDistribution, IntDistribution
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from storage.inputs.errors import InputError, listed
+from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.goals import Goals
 from study.sampler.rows import Rows
-from study.sampler.space import Number, Space
+from study.sampler.space import Number, Space, as_suggested
 from study.sampler.transforms import by_side, stand_ins, without_infinities
-
-Floats = NDArray[np.float64]
 
 ROW_ATTRIBUTE = "row"  # of the table; -1 for a point off it
 SCORE_ATTRIBUTE = "score"  # the feature, where there is one
 FEATURES_ATTRIBUTE = "features"  # as a list, where there are several, or no table
-FIXED_ATTRIBUTE = (
-    "fixed_params"  # Optuna's, of the system: what `enqueue_trial` was given
-)
+FIXED_ATTRIBUTE = "fixed_params"  # Optuna's: what `enqueue_trial` was given
 OFF_TABLE = -1
+NOTES = {ROW_ATTRIBUTE, SCORE_ATTRIBUTE, FEATURES_ATTRIBUTE}
 
 LookedUp = dict[int, tuple[FrozenTrial, int | None, Floats | None]]
 """Finished trials by number, each with the row that it is and its parameters [d]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Trials of which the parameters are known, or parameters that a trial might have.
+
+    Attributes:
+        trials: m of them; () where there are only parameters.
+        parameters: of each, [m, d].
+        rows: of each, the row of the table that it is, or OFF_TABLE, [m].
+    """
+
+    trials: tuple[FrozenTrial, ...]
+    parameters: Floats
+    rows: Whole
+
+    @classmethod
+    def of(cls, found: list[tuple[FrozenTrial, Floats, int]], d: int) -> "Placed":
+        """Trials, each with its d parameters and its row."""
+        parameters = np.array([each for _, each, _ in found], dtype=np.float64)
+        return cls(
+            trials=tuple(trial for trial, _, _ in found),
+            parameters=parameters.reshape(-1, d),
+            rows=np.array([row for _, _, row in found], dtype=np.int64),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,15 +65,12 @@ class History:
     """The trials of a study before one of its trials.
 
     Attributes:
-        trials: the n finished ones that can be learned from, by number.
-        parameters: of each, [n, d].
-        rows: of each, the row of the table that it is, or OFF_TABLE, [n].
-        cost: of each, lower is better, finite: infinity is beyond the others, [n].
+        done: the n finished ones that can be learned from, by number.
+        running: those that run elsewhere.
+        cost: of each that is done, lower is better, finite: infinity is beyond the others, [n].
         costs: of each, for each of the k goals of the study, [n, k].
         signs: of costs in the study's values: -1 where these are maximised, else 1,
             [k].
-        running: parameters of the r trials that run elsewhere, [r, d].
-        running_rows: of each, the row, or OFF_TABLE, [r].
         tried: whether any trial has taken a row, whatever became of it, [table rows].
         unplaced: finished trials left out, being no row of the table.
         fixed: settled values of the trial itself by name: the user's, or suggested
@@ -59,15 +78,12 @@ class History:
         goals: what made one cost of several; None: there is one.
     """
 
-    trials: tuple[FrozenTrial, ...]
-    parameters: Floats
-    rows: NDArray[np.int64]
+    done: Placed
+    running: Placed
     cost: Floats
     costs: Floats
     signs: Floats
-    running: Floats
-    running_rows: NDArray[np.int64]
-    tried: NDArray[np.bool_]
+    tried: Mask
     unplaced: tuple[FrozenTrial, ...]
     fixed: Mapping[str, Any]
     goals: Goals | None = None
@@ -104,7 +120,8 @@ def read_history(
     """
     known = {} if known is None else known
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
-    done, running = _Placed(), _Placed()
+    done: list[tuple[FrozenTrial, Floats, int]] = []
+    running: list[tuple[FrozenTrial, Floats, int]] = []
     unplaced = []
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
@@ -118,10 +135,10 @@ def read_history(
         if row is None and (places_all or noted_features(trial) is not None):
             row = OFF_TABLE
         if row is not None and parameters is not None:
-            (done if is_complete else running).add(trial, parameters, row)
+            (done if is_complete else running).append((trial, parameters, row))
         elif table is not None and is_complete:
             unplaced.append(trial)
-    values = np.array([trial.values for trial in done.trials], dtype=np.float64)
+    values = np.array([trial.values for trial, _, _ in done], dtype=np.float64)
     signs = [
         -1.0 if each is StudyDirection.MAXIMIZE else 1.0 for each in study.directions
     ]
@@ -133,36 +150,15 @@ def read_history(
     costs = np.column_stack(columns)
     settled = values_of(before)
     return History(
-        trials=tuple(done.trials),
-        parameters=done.matrix(len(space)),
-        rows=np.array(done.rows, dtype=np.int64),
+        done=Placed.of(done, len(space)),
+        running=Placed.of(running, len(space)),
         cost=costs[:, 0],
         costs=costs,
         signs=np.array(signs),
-        running=running.matrix(len(space)),
-        running_rows=np.array(running.rows, dtype=np.int64),
         tried=tried,
         unplaced=tuple(unplaced),
         fixed={name: settled[name] for name in space.names if name in settled},
     )
-
-
-class _Placed:
-    """Trials of which parameters are known, in their order."""
-
-    def __init__(self) -> None:
-        self.trials: list[FrozenTrial] = []
-        self.rows: list[int] = []  # of the table, or OFF_TABLE
-        self._parameters: list[Floats] = []  # [d] each
-
-    def add(self, trial: FrozenTrial, parameters: Floats, row: int) -> None:
-        self.trials.append(trial)
-        self.rows.append(row)
-        self._parameters.append(parameters)
-
-    def matrix(self, d: int) -> Floats:
-        """Their parameters, [n, d]."""
-        return np.array(self._parameters, dtype=np.float64).reshape(-1, d)
 
 
 def _looked_up(
@@ -253,6 +249,16 @@ def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
 
 
 # What a study suggests, and whether a table fits it.
+
+
+class Inferred(dict[str, BaseDistribution]):
+    """The search space of a table, as it is given to Optuna: distributions by name.
+
+    Optuna requires the study to suggest with the very distributions of a search space
+    whose values it was given at once, and a study that suggests another scale, kind, or
+    order of choices fails with them. Where the space is this one, values are therefore
+    handed out one by one.
+    """
 
 
 def suggested_so_far(
@@ -362,6 +368,18 @@ def distribution_misfit(
     )
     allowed = f"{what} all rows: row {outside} has {value!r} (the table: {own}, or as space= says)"
     return InputError(name, str(suggested), allowed)
+
+
+def run_otherwise(trial: FrozenTrial, values: Mapping[str, Any]) -> str | None:
+    """The first parameter of which a trial ran another value than this; None without any."""
+    for name in filter(trial.params.__contains__, values):
+        ran, value = trial.params[name], values[name]
+        try:
+            if ran != value and ran != as_suggested(trial.distributions[name], value):
+                return name
+        except ValueError:  # its distribution has no such value
+            return name
+    return None
 
 
 def no_row_has(rows: Rows, fixed: Mapping[str, Any]) -> InputError:

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial
@@ -26,6 +25,7 @@ from threadpoolctl import ThreadpoolController
 
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
+from study.sampler.arrays import Floats, Mask
 from study.sampler.draws import Purpose, generator
 from study.sampler.goals import Goals
 from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
@@ -34,7 +34,6 @@ from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, is_doubtful
 from study.sampler.worlds import matrix_of
 
-Floats = NDArray[np.float64]
 Features = Callable[[Floats], Floats]
 """Features [n, k] of points [n, d], by a function of the user's."""
 
@@ -70,7 +69,7 @@ class Options:
     extra_parameters: frozenset[str]
     strict: bool
     success: float | None
-    allowed: NDArray[np.bool_] | None
+    allowed: Mask | None
     limits_of: tuple[FrozenTrial, ...] = ()
 
 
@@ -186,10 +185,10 @@ class Policy:
             elsewhere: where the trials of `limits_of` were; None: there are none.
         """
         success, n = self.options.success, len(history.cost)
-        limits = read_limits([*history.trials, *self.options.limits_of])
+        limits = read_limits([*history.done.trials, *self.options.limits_of])
         return Model(
             kernel=self.options.kernel,
-            parameters=history.parameters.shape[1],
+            parameters=history.done.parameters.shape[1],
             trials=seen,
             costs=history.cost,
             limits=limits[:n],
@@ -214,11 +213,15 @@ class Policy:
         """The generator of one draw of one trial."""
         return generator(self.seed, purpose, turn)
 
-    def misfit(self, error: InputError) -> None:
+    def misfit(self, error: Exception) -> None:
         """Refuse what does not fit; if not strict, warn once and go on."""
         if self.options.strict:
             raise error
-        self.warn(f"{error}; the independent sampler takes over")
+        self.take_over(error)
+
+    def take_over(self, reason: object) -> None:
+        """Warn that nothing is proposed here."""
+        self.warn(f"{reason}; the independent sampler takes over")
 
     def warn(self, message: str) -> None:
         """Warn, once for each kind of message."""

@@ -11,15 +11,13 @@ import scipy
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
+from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation
 from study.sampler.space import Number, Space, first_not_taken, standing_for
 from study.sampler.transforms import NormalScores, Points, Scale, Standard
 from study.sampler.worlds import Ensemble, Worlds
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Whole = NDArray[np.int64]
 T = TypeVar("T")
 NEAR_ROWS = 8  # whose mean a point off the table has
 NEAR_POWER = 4  # of the distance, by which their weights fall

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.study import StudyDirection
@@ -15,18 +14,12 @@ from optuna.trial import FrozenTrial, TrialState
 
 from storage.inputs import checks
 from storage.inputs.errors import InputError
-from study.sampler.diagnostics import (
-    Best,
-    Likeness,
-    Prediction,
-    Worth,
-    best_of,
-    likeness_of,
-    worth_of,
-)
+from study.sampler.arrays import Mask
+from study.sampler.diagnostics import Likeness, Worth, likeness_of, worth_of
 from study.sampler.draws import ReproducibleRandomSampler
 from study.sampler.gp import KERNELS, SIMILARITY, WORLDS
 from study.sampler.policy import Features, Options, one_thread
+from study.sampler.prediction import Best, Prediction, best_of
 from study.sampler.space_policy import SpacePolicy
 from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TablePolicy
@@ -159,7 +152,7 @@ class FeatureKernelSampler(BaseSampler):
         extra_parameters: Collection[str] = (),
         independent_sampler: BaseSampler | None = None,
         success: float | None = None,
-        allowed: NDArray[np.bool_] | None = None,
+        allowed: Mask | None = None,
         limits_of: Sequence[FrozenTrial] = (),
     ) -> None:
         self._kernel = kernel or ("euclidean" if features is None else "additive")

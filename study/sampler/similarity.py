@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from storage.inputs import checks
 from storage.inputs.errors import InputError
+from study.sampler.arrays import Floats
 from study.sampler.worlds import Ensemble
-
-Floats = NDArray[np.float64]
 
 MOST_RANK = 512  # of K; what it leaves out counts as no covariance at all
 GRAPH_RANK = 256  # smoothest functions on a graph

@@ -23,7 +23,6 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from optuna.distributions import (
     BaseDistribution,
     CategoricalDistribution,
@@ -31,19 +30,16 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-Floats = NDArray[np.float64]
+from study.sampler.arrays import Floats, Mask
+
 Number = FloatDistribution | IntDistribution
 
 PRINTED_DIGITS = 8  # significant ones, as of a bench's sheet
 GRID_TOLERANCE = 1e-6  # np.arange(-100, 100, 0.001) is off by 7e-7 of its step
-STEP_TOLERANCE = (
-    1e-8  # of a step: how far a value on the grid may be off, as for Optuna
-)
+STEP_TOLERANCE = 1e-8  # of a step: a value on the grid may be so far off, as for Optuna
 CHOICE_LENGTH = np.sqrt(0.5)  # of a one-hot code: two of them are 1 apart
-STEP_DECADES = (
-    -2.5,
-    -0.3,
-)  # log10 of a step's standard deviation, in ranges: 0.3 % to 50 %
+# log10 of a step's standard deviation, in ranges: 0.3 % to 50 %.
+STEP_DECADES = (-2.5, -0.3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +165,7 @@ def nearby(
     return space.from_fractions(np.where(moved, target, start))
 
 
-def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
+def not_among(points: Floats, taken: Floats) -> Mask:
     """Which points [m, d] are none of the taken ones [t, d]; all, if that leaves none, [m]."""
     known = {row.tobytes() for row in np.ascontiguousarray(taken)}
     new = np.array(
@@ -178,7 +174,7 @@ def not_among(points: Floats, taken: Floats) -> NDArray[np.bool_]:
     return new if new.any() else np.ones(len(points), dtype=bool)
 
 
-def not_near(points: Floats, taken: Floats, share: float) -> NDArray[np.bool_]:
+def not_near(points: Floats, taken: Floats, share: float) -> Mask:
     """Which points of the unit cube [m, e] lie `share` of a range or more from all [t, e], [m].
 
     In one parameter at least: it is the largest of the distances.
@@ -218,7 +214,7 @@ def printed_tolerance(value: float) -> float:
 
 def standing_for(
     distribution: Number, column: Floats, value: float
-) -> tuple[NDArray[np.bool_], Floats]:
+) -> tuple[Mask, Floats]:
     """Which numbers [n] of a column a value may stand for, and how far each is, in ranges.
 
     Whole numbers are printed whole.
@@ -287,7 +283,7 @@ def first_not_taken(
     return None
 
 
-def _taken(distribution: Number, values: Floats) -> NDArray[np.bool_]:
+def _taken(distribution: Number, values: Floats) -> Mask:
     """Which numbers [n] lie in a distribution, or stand for an end of it, and are on its steps."""
     low, high = float(distribution.low), float(distribution.high)
     if isinstance(distribution, FloatDistribution):

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import argmax_random_tie
+from study.sampler.arrays import Floats
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
@@ -32,8 +32,6 @@ from study.sampler.policy import (
 )
 from study.sampler.space import Space, anywhere, nearby, not_among
 from study.sampler.transforms import NormalScores, Points, Scale, Standard
-
-Floats = NDArray[np.float64]
 
 CANDIDATES = 2048  # points anywhere, a trial
 INCUMBENTS = 5  # best trials that points are near to
@@ -118,10 +116,10 @@ class SpacePolicy(Policy):
         features, shown, _ = self._features(
             self._candidates(space, history, rng), history
         )
-        seen = _placed(self._scale(features), shown, space, history.parameters)
+        seen = _placed(self._scale(features), shown, space, history.done.parameters)
         model = self.model(history, seen)
         return Present(
-            trials=history.trials,
+            trials=history.done.trials,
             rows=(None,) * len(shown),
             names=tuple(f"feature_{column}" for column in range(features.shape[1])),
             features=shown,
@@ -185,11 +183,11 @@ class SpacePolicy(Policy):
         points = self._candidates(space, history, rng)
         features, shown, running = self._features(points, history)
         scale = self._scale(features)
-        seen = _placed(scale, shown, space, history.parameters)
-        elsewhere = _placed(scale, running, space, history.running)
+        seen = _placed(scale, shown, space, history.done.parameters)
+        elsewhere = _placed(scale, running, space, history.running.parameters)
         model = self.model(history, seen, running=elsewhere)
         model = self.of_turn(model, own_turn)
-        taken = np.vstack([history.parameters, history.running])
+        taken = np.vstack([history.done.parameters, history.running.parameters])
         known = np.asarray(~np.isnan(features).any(axis=1))
         new = not_among(points, taken) & known
         candidates = _placed(scale, features, space, points)
@@ -208,7 +206,7 @@ class SpacePolicy(Policy):
         self, space: Space, history: History, rng: np.random.Generator
     ) -> Floats:
         """Points anywhere, and near the best trials, [m, d]."""
-        incumbents = history.parameters[
+        incumbents = history.done.parameters[
             np.argsort(history.cost, kind="stable")[:INCUMBENTS]
         ]
         local = max(CANDIDATES // LOCAL_SHARE, self.options.off_grid)
@@ -220,14 +218,18 @@ class SpacePolicy(Policy):
         self, points: Floats, history: History
     ) -> tuple[Floats, Floats, Floats]:
         """Features of candidates, finished trials (noted in them, or computed) and running ones."""
-        m, n, r = len(points), len(history.trials), len(history.running)
+        m, n, r = len(points), len(history.done.trials), len(history.running.parameters)
         if self.function is None:
             return np.empty((m, 0)), np.empty((n, 0)), np.empty((r, 0))
-        noted = [trial.user_attrs.get(FEATURES_ATTRIBUTE) for trial in history.trials]
+        noted = [
+            trial.user_attrs.get(FEATURES_ATTRIBUTE) for trial in history.done.trials
+        ]
         missing = np.array(
             [not isinstance(values, list) for values in noted], dtype=bool
         )
-        batch = np.vstack([points, history.running, history.parameters[missing]])
+        batch = np.vstack(
+            [points, history.running.parameters, history.done.parameters[missing]]
+        )
         features = call_features(self.function, batch)
         width = features.shape[1]
         known = np.empty((n, width))
@@ -235,7 +237,7 @@ class SpacePolicy(Policy):
         for place in np.flatnonzero(~missing):
             values: list[float] = noted[place]  # type: ignore[assignment]
             if len(values) != width:
-                number = history.trials[place].number
+                number = history.done.trials[place].number
                 raise InputError(
                     f"features of trial {number}", len(values), f"{width} numbers"
                 )

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from optuna.distributions import BaseDistribution
 
 from storage.inputs import checks
 from storage.inputs.errors import InputError, listed
+from study.sampler.arrays import Floats
 from study.sampler.columns import Bounds, FileColumns, checked_rows, feature_matrix
 from study.sampler.rows import Rows
 from study.sampler.similarity import factor_of_gram, factor_of_graph
@@ -26,7 +27,6 @@ from study.sampler.worlds import Better, Outcomes
 if TYPE_CHECKING:
     import pandas
 
-Floats = NDArray[np.float64]
 NAMES_SHOWN = 3  # features, at a prompt
 
 # Anything that has columns by name, as data frames do; no package of them is loaded.

@@ -6,29 +6,30 @@ again. Of two that choose one row, the one that writes later is sure to see the 
 number and takes another row; if both write before either reads, both do. Nobody waits.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Model, argmax_random_tie
-from study.sampler.diagnostics import Prediction, Present, prediction_of
+from study.sampler.arrays import Floats, Mask
+from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
 from study.sampler.gp import WORLDS
 from study.sampler.history import (
-    FEATURES_ATTRIBUTE,
+    NOTES,
     OFF_TABLE,
     ROW_ATTRIBUTE,
-    SCORE_ATTRIBUTE,
     History,
+    Inferred,
     LookedUp,
+    Placed,
     as_suggested_rows,
     distribution_misfit,
     next_trial,
@@ -39,6 +40,7 @@ from study.sampler.history import (
     proves_fit,
     read_history,
     row_of,
+    run_otherwise,
     shown_misfit,
     suggested_so_far,
     values_of,
@@ -55,14 +57,12 @@ from study.sampler.policy import (
     one_thread,
     set_attributes,
 )
+from study.sampler.prediction import Prediction, prediction_of
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among, not_near
 from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
@@ -74,16 +74,6 @@ REPEAT = 0.01
 
 class TableExhaustedError(RuntimeError):
     """Every row of the table has been tried."""
-
-
-class Inferred(dict[str, BaseDistribution]):
-    """The search space of a table, as it is given to Optuna: distributions by name.
-
-    Optuna requires the study to suggest with the very distributions of a search space
-    whose values it was given at once, and a study that suggests another scale, kind, or
-    order of choices fails with them. Where the space is this one, values are therefore
-    handed out one by one.
-    """
 
 
 class TablePolicy(Policy):
@@ -150,18 +140,15 @@ class TablePolicy(Policy):
         fixed, names = values_of(trial), self.own_rows.names
         if all(name in fixed for name in names):
             return {}  # nothing of the table is left to choose
-        suggested, misfit = self._adopt(study), None
+        suggested = self._adopt(study)
+        misfit = None
         if not self.options.strict:
-            finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-            if finished and not any(name in finished[-1].params for name in names):
-                self.warn(
-                    f"the study suggests none of the table's parameters: {', '.join(names[:3])}, "
-                    "...; the independent sampler takes over"
-                )
+            self._warn_of_other_names(study)
             misfit = shown_misfit(self.own_rows, suggested, study)
-        if unfree := [name for name in names if name not in search_space]:
+        taken = [name for name in names if name not in search_space]
+        if taken:
             allowed = "a parameter left free: rows are proposed whole"
-            misfit = InputError(unfree[0], "fixed", allowed)
+            misfit = InputError(taken[0], "fixed", allowed)
         if misfit is not None:
             self._refuse(study, trial, misfit)
         if isinstance(search_space, Inferred):
@@ -170,6 +157,15 @@ class TablePolicy(Policy):
             name: self.propose_one(study, trial, name, d)
             for name, d in search_space.items()
         }
+
+    def _warn_of_other_names(self, study: optuna.Study) -> None:
+        """Warn where the latest finished trial suggested none of the table's parameters."""
+        names = self.own_rows.names
+        finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        if finished and not any(name in finished[-1].params for name in names):
+            first = ", ".join(names[:3])
+            none = "the study suggests none of the table's parameters"
+            self.take_over(f"{none}: {first}, ...")
 
     def propose_one(
         self,
@@ -186,18 +182,18 @@ class TablePolicy(Policy):
         if proposal is None:
             proposal = self._propose_row(study, trial)
             self.remember(trial, proposal)
-        if proposal.values:
-            error = distribution_misfit(
-                self.own_rows, self.rows.names.index(name), distribution
-            )
+        if not proposal.values:
+            return self.independent.sample_independent(study, trial, name, distribution)
+        value = proposal.values[name]
+        column = self.rows.names.index(name)
+        error = distribution_misfit(self.own_rows, column, distribution)
+        if error is None:
             try:
-                if error is None:
-                    return as_suggested(distribution, proposal.values[name])
+                return as_suggested(distribution, value)
             except ValueError:
-                value = proposal.values[name]
                 allowed = f"what has {value!r}, a point off the table (give it this by space=)"
                 error = InputError(name, str(distribution), allowed)
-            self._refuse(study, trial, error)
+        self._refuse(study, trial, error)
         return self.independent.sample_independent(study, trial, name, distribution)
 
     def _adopt(self, study: optuna.Study) -> dict[str, BaseDistribution]:
@@ -234,9 +230,8 @@ class TablePolicy(Policy):
 
     def _propose_row(self, study: optuna.Study, trial: FrozenTrial) -> Proposal:
         """A candidate that no other trial has, noted in the trial."""
-        row = row_of(
-            self.rows, trial
-        )  # a trial that repeats a killed one has its row already
+        # A trial that repeats a killed one has its row already.
+        row = row_of(self.rows, trial)
         if row is not None:
             return self._of_row(row)
         withdrawn: set[int] = set()
@@ -245,10 +240,11 @@ class TablePolicy(Policy):
             try:
                 with one_thread():
                     proposal = self._choose(study, trial, withdrawn)
-            except (InputError, TableExhaustedError):
+            except (InputError, TableExhaustedError) as error:
                 self._take_back(study, trial, noted)
-                raise
-            if proposal is None:
+                self.misfit(error)
+                return NOTHING
+            if proposal is NOTHING:
                 self._take_back(study, trial, noted)
                 return NOTHING
             noted |= proposal.notes
@@ -275,24 +271,25 @@ class TablePolicy(Policy):
         )
 
     def _take_back(
-        self, study: optuna.Study, trial: FrozenTrial, notes: Mapping[str, Any]
+        self, study: optuna.Study, trial: FrozenTrial, notes: Collection[str]
     ) -> None:
         """Mark a trial with these notes as no row: notes cannot be removed."""
         if notes:
-            set_attributes(
-                study, trial, dict.fromkeys(notes) | {ROW_ATTRIBUTE: OFF_TABLE}
-            )
+            nothing = dict.fromkeys(notes) | {ROW_ATTRIBUTE: OFF_TABLE}
+            set_attributes(study, trial, nothing)
 
     def _choose(
         self, study: optuna.Study, trial: FrozenTrial, withdrawn: set[int]
-    ) -> Proposal | None:
-        """A row that no trial has taken, or a point off the table."""
+    ) -> Proposal:
+        """A row that no trial has taken, or a point off the table.
+
+        Raises:
+            InputError: nothing can be proposed: worlds with other goals than the study,
+                fixed values that no row has, or a feature function that fails.
+            TableExhaustedError: no row is left.
+        """
         rows, own_turn = self.rows, turn(study, trial)
-        try:
-            history = self._history(study, trial)
-        except InputError as error:  # of worlds with other goals than the study
-            self.misfit(error)
-            return None
+        history = self._history(study, trial)
         if history.unplaced:
             self.warn(
                 "trials whose parameters are no row of the table are ignored: such as trial "
@@ -306,47 +303,51 @@ class TablePolicy(Policy):
         if history.fixed:
             offered &= rows.having(history.fixed)
         if not offered.any() and not (self.options.off_grid and len(history.cost)):
-            self._refuse_exhausted(history)
-            return None
+            if not history.fixed:
+                message = f"all {len(rows)} rows of the table have been tried"
+                raise TableExhaustedError(message)
+            error = no_row_has(rows, history.fixed)
+            if not self._places_all:
+                raise error
+            self.take_over(error)  # what the user fixed is tried all the same
+            return NOTHING
         if self._begins(history) and offered.any():
             return self._first_row(offered, own_turn, self._ensemble(history))
-        try:
-            return self._best_candidate(history, offered, own_turn)
-        except InputError as error:  # of the feature function
-            self.misfit(error)
-            return None
+        return self._best_candidate(history, offered, own_turn)
 
     def _begins(self, history: History) -> bool:
         """Whether this is one of the first trials; with costs in worlds, none of them succeeded.
 
         Two falls do not yet tell which worlds a robot is like.
         """
+        is_early = len(history.cost) < self.first_trials
         if not self._in_costs or (success := self.options.success) is None:
-            return len(history.cost) < self.first_trials
-        failed = bool((history.cost > history.sign * success).all())
-        return failed and len(history.cost) < self.first_trials
+            return is_early
+        return is_early and bool((history.cost > history.sign * success).all())
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows, compared = self.rows, self.compared(study)
-        if (
-            self._in_costs
-            and rows.worlds is not None
-            and rows.worlds.goals == len(compared)
-        ):
-            pairs = zip(compared, rows.worlds.ends, strict=True)
+        worlds, goals = rows.worlds, len(study.directions)
+        if worlds is not None and self._in_costs and worlds.goals == goals:
+            pairs = zip(compared, worlds.ends, strict=True)
             compared = [np.append(known, ends) for known, ends in pairs]
         found = read_history(
-            study, trial, rows.space, rows, self._places_all, self._looked_up, compared
+            study,
+            trial,
+            rows.space,
+            table=rows,
+            places_all=self._places_all,
+            known=self._looked_up,
+            compared=compared,
         )
-        known, k = None, len(found.signs)
-        if rows.worlds is not None and self.options.kernel.worlds:
-            if rows.worlds.goals != k:
-                allowed = f"those of {k} goals, as many as the study has: [n, w, {k}]"
-                raise InputError(
-                    "table.outcomes", f"costs of {rows.worlds.goals}", allowed
+        known = None
+        if worlds is not None and self.options.kernel.worlds:
+            if worlds.goals != goals:
+                allowed = (
+                    f"those of {goals} goals, as many as the study has: [n, w, {goals}]"
                 )
-            if k > 1:
-                known = rows.worlds.costs[rows.numbers].reshape(-1, k)
+                raise InputError("table.outcomes", f"costs of {worlds.goals}", allowed)
+            known = worlds.costs[rows.numbers].reshape(-1, goals)
         return self.one_goal(found, turn(study, trial), known)
 
     @property
@@ -357,66 +358,70 @@ class TablePolicy(Policy):
 
     def _ensemble(self, history: History) -> Relation | None:
         """The worlds, with costs that are minimised; None where they do not count."""
-        worlds = self.options.kernel.worlds
-        return self.rows.ensemble(history.signs, history.goals) if worlds else None
+        if not self.options.kernel.worlds:
+            return None
+        return self.rows.ensemble(history.signs, history.goals)
 
     def _first_row(
         self, offered: Mask, own_turn: int, ensemble: Relation | None
     ) -> Proposal:
-        """A row before there is a model, of equal ones any."""
-        rows, points = self.rows, self._points(ensemble)
-        merit = self.merit(points.features, own_turn)
-        if ensemble is not None:
+        """A row before there is a model; of equally good ones any."""
+        if ensemble is None:
+            merit = self.merit(self._points().features, own_turn)
+        else:
             merit = -ensemble.mean
-        merit = np.where(offered[rows.numbers], merit, -np.inf)
-        best = argmax_random_tie(merit, self.rng(Purpose.STARTUP_ROW, own_turn))
-        return self._of_row(int(rows.numbers[best]))
+        rng = self.rng(Purpose.STARTUP_ROW, own_turn)
+        return self._best_row(merit, offered, rng)
+
+    def _best_row(
+        self, merit: Floats, offered: Mask, rng: np.random.Generator
+    ) -> Proposal:
+        """The best of the rows that are offered [n], by the merit of those that may be, [m]."""
+        numbers = self.rows.numbers
+        best = argmax_random_tie(np.where(offered[numbers], merit, -np.inf), rng)
+        return self._of_row(int(numbers[best]))
 
     def _best_candidate(
         self, history: History, offered: Mask, own_turn: int
     ) -> Proposal:
-        """The candidate of the largest utility after some trials, of equal ones any."""
-        rows = self.rows
+        """The candidate of the largest utility after some trials; of equal ones any."""
         model = self._model(history, own_turn)
-        points, free = self._points(model.ensemble), offered[rows.numbers]
+        points, free = self._points(model.ensemble), offered[self.rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
-            utility = model.utility(
-                points, free, self.rng(Purpose.CANDIDATES, own_turn)
-            )
+            rng = self.rng(Purpose.CANDIDATES, own_turn)
+            utility = model.utility(points, free, rng)
         if self.options.off_grid:
             value, off = self._off_table(history, utility, model, own_turn)
             if not free.any() or value > utility.max():
                 return off
-        best = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
-        return self._of_row(int(rows.numbers[best]))
+        return self._best_row(utility, offered, self.rng(Purpose.TIE_BREAK, own_turn))
 
     def _model(self, history: History, own_turn: int) -> Model:
         ensemble = self._ensemble(history)
-        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        running = self._seen(history.running, history.running_rows, (), ensemble)
-        elsewhere = None
-        if others := self.options.limits_of:
-            elsewhere = self._seen(
-                *self._places([trial.params for trial in others]), (), ensemble
-            )
-        model = self.model(history, seen, ensemble, running, elsewhere)
+        others = [trial.params for trial in self.options.limits_of]
+        model = self.model(
+            history,
+            seen=self._seen(history.done, ensemble),
+            ensemble=ensemble,
+            running=self._seen(history.running, ensemble),
+            elsewhere=self._seen(self._places(others), ensemble) if others else None,
+        )
         return self.of_turn(model, own_turn)
 
-    def _places(
-        self, params: Sequence[Mapping[str, Any]]
-    ) -> tuple[Floats, NDArray[np.int64]]:
-        """Parameters as rows have them, [m, d], and the row that each is, or OFF_TABLE, [m]."""
-        rows, places = self.rows, np.empty((len(params), len(self.rows.names)))
+    def _places(self, params: Sequence[Mapping[str, Any]]) -> Placed:
+        """Parameters by name, as trials that have them would be placed."""
+        rows, parameters = self.rows, np.empty((len(params), len(self.rows.names)))
+        numbers = np.full(len(params), OFF_TABLE)
         for place, values in enumerate(params):
-            known = rows.space.row(values)
+            known, row = rows.space.row(values), rows.find(values)
             if known is None:
-                raise InputError(
-                    f"params[{place}]", dict(values), f"one of {rows.space.as_dict()}"
-                )
-            places[place] = known
-        found = [OFF_TABLE if (row := rows.find(v)) is None else row for v in params]
-        return places, np.array(found, dtype=np.int64)
+                allowed = f"one of {rows.space.as_dict()}"
+                raise InputError(f"params[{place}]", dict(values), allowed)
+            parameters[place] = known
+            if row is not None:
+                numbers[place] = row
+        return Placed(trials=(), parameters=parameters, rows=numbers)
 
     def _off_table(
         self, history: History, utility: Floats, model: Model, own_turn: int
@@ -428,135 +433,101 @@ class TablePolicy(Policy):
 
         `utility` is that of the rows that may be proposed, [m].
         """
-        rows, space, free = self.rows, self.rows.space, bool(np.isfinite(utility).any())
-        incumbents = history.parameters[
-            np.lexsort((history.cost, ~model.feasible))[:INCUMBENTS]
-        ]
-        centres = incumbents
+        rows, space = self.rows, self.rows.space
+        order = np.lexsort((history.cost, ~model.feasible))
+        centres = history.done.parameters[order[:INCUMBENTS]]
         if self.function is not None:
             best = np.argsort(-utility, kind="stable")[:CENTRES]
             best = best[np.isfinite(utility[best])]
-            centres = np.vstack([rows.parameters[rows.numbers[best]], incumbents])
+            centres = np.vstack([rows.parameters[rows.numbers[best]], centres])
         rng = self.rng(Purpose.OFF_GRID, own_turn)
         near = nearby(space.pinned(history.fixed), centres, self.options.off_grid, rng)
-        taken = np.vstack([history.parameters, history.running])
+        taken = np.vstack([history.done.parameters, history.running.parameters])
         new = not_among(near, taken)
         features = np.full((len(near), len(rows.feature_names)), np.nan)
         if self.function is not None:
             features = call_features(self.function, near, features.shape[1])
             known = np.asarray(~np.isnan(features).any(axis=1))
             new = new & known if (new & known).any() else known
-            placed = self._placed(near, features)
+            points = self._as_points(near, features)
         else:
             unit = space.unit(near)
             elsewhere = new & not_near(unit, space.unit(taken), REPEAT)
-            new = elsewhere if free or elsewhere.any() else new
-            mixed = rows.mixed(
-                self._points(model.ensemble).features, unit, space.unit(centres)
-            )
-            placed = Points(mixed, unit)
+            if np.isfinite(utility).any() or elsewhere.any():
+                new = elsewhere
+            own = self._points(model.ensemble).features
+            points = Points(rows.mixed(own, unit, space.unit(centres)), unit)
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
-        utility = model.utility(placed, new, rng)
+        utility = model.utility(points, new, rng)
         chosen = argmax_random_tie(utility, rng)
         notes = notes_of(OFF_TABLE, features[chosen])
         return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
 
     def _of_row(self, row: int) -> Proposal:
-        return Proposal(
-            self.rows.as_parameters(row), notes_of(row, self.rows.features[row])
-        )
+        notes = notes_of(row, self.rows.features[row])
+        return Proposal(self.rows.as_parameters(row), notes)
 
     def _points(self, ensemble: Relation | None = None) -> Points:
         """Rows that may be proposed, with coordinates only where the kernel uses them."""
-        by_order, coordinates = (
-            self.options.kernel.by_order,
-            self.options.kernel.of_parameters,
-        )
+        kernel = self.options.kernel
         return self.rows.points(
-            by_order=by_order, coordinates=coordinates, ensemble=ensemble
+            by_order=kernel.by_order,
+            coordinates=kernel.of_parameters,
+            ensemble=ensemble,
         )
 
-    def _seen(
-        self,
-        parameters: Floats,
-        numbers: NDArray[np.int64],
-        trials: Sequence[FrozenTrial],
-        ensemble: Relation | None,
-    ) -> Points:
+    def _seen(self, placed: Placed, ensemble: Relation | None) -> Points:
         """Trials as points: with worlds, those off the table have what their nearest rows have."""
         if ensemble is None:
-            return self._placed(parameters, self._features(parameters, numbers, trials))
-        rows, points, unit = (
-            self.rows,
-            self._points(ensemble),
-            self.rows.space.unit(parameters),
-        )
-        place = np.minimum(
-            np.searchsorted(rows.numbers, numbers), len(rows.numbers) - 1
-        )
+            return self._as_points(placed.parameters, self._features(placed))
+        rows, points = self.rows, self._points(ensemble)
+        unit = rows.space.unit(placed.parameters)
+        place = np.searchsorted(rows.numbers, placed.rows)
+        place = np.minimum(place, len(rows.numbers) - 1)
         features = points.features[place]
-        for off in np.flatnonzero(rows.numbers[place] != numbers).tolist():
+        for off in np.flatnonzero(rows.numbers[place] != placed.rows).tolist():
             features[off] = rows.mixed_at(points, unit[off])
         return Points(features, unit)
 
-    def _placed(self, parameters: Floats, features: Floats) -> Points:
+    def _as_points(self, parameters: Floats, features: Floats) -> Points:
         """Parameters [m, d] and features [m, k] as the kernel sees them."""
-        unit = np.empty((len(parameters), 0))
-        if self.options.kernel.of_parameters:
+        kernel, unit = self.options.kernel, np.empty((len(parameters), 0))
+        if kernel.of_parameters:
             unit = self.rows.space.unit(parameters)
-        scale = self.rows.scale(by_order=self.options.kernel.by_order)
+        scale = self.rows.scale(by_order=kernel.by_order)
         return Points(scale.standard(features), unit)
 
-    def _features(
-        self,
-        parameters: Floats,
-        numbers: NDArray[np.int64],
-        trials: Sequence[FrozenTrial],
-    ) -> Floats:
+    def _features(self, placed: Placed) -> Floats:
         """Features of trials, [n, k]: of the table, or as noted, or by the function."""
-        features = self.rows.features[numbers]
-        off = np.flatnonzero(numbers == OFF_TABLE)
-        features[off] = np.nan
-        for place in off.tolist() if trials else ():
-            noted = noted_features(trials[place])
+        features, is_off = self.rows.features[placed.rows], placed.rows == OFF_TABLE
+        features[is_off] = np.nan
+        for place, trial in enumerate(placed.trials):
+            noted = noted_features(trial) if is_off[place] else None
             if noted is not None and len(noted) == features.shape[1]:
                 features[place] = noted
-        missing = np.isnan(
-            features
-        )  # of points off the table also infinities: none are noted
-        unknown = missing.all(axis=1) | (missing.any(axis=1) & (numbers == OFF_TABLE))
+        # Of points off the table also infinities are missing: none are noted.
+        missing = np.isnan(features)
+        unknown = missing.all(axis=1) | (missing.any(axis=1) & is_off)
         if unknown.any() and self.function is not None:
             features[unknown] = call_features(
-                self.function, parameters[unknown], features.shape[1], to_choose=False
+                self.function,
+                placed.parameters[unknown],
+                features.shape[1],
+                to_choose=False,
             )
         return features
-
-    def _refuse_exhausted(self, history: History) -> None:
-        """An error or a warning: no row is left, or none that has the fixed values."""
-        if history.fixed:
-            error = no_row_has(self.rows, history.fixed)
-            if self.options.strict and not self._places_all:
-                raise error
-            self.warn(f"{error}; the independent sampler takes over")
-            return
-        message = f"all {len(self.rows)} rows of the table have been tried"
-        if self.options.strict:
-            raise TableExhaustedError(message)
-        self.warn(f"{message}; the independent sampler takes over")
 
     def present(self, study: optuna.Study) -> Present:
         """See `Present`."""
         self._adopt(study)
         history = self._history(study, next_trial(study))
-        ensemble = self._ensemble(history)
-        shown = self._features(history.parameters, history.rows, history.trials)
-        seen = self._seen(history.parameters, history.rows, history.trials, ensemble)
-        model = self.model(history, seen, ensemble)
+        done, ensemble = history.done, self._ensemble(history)
+        model = self.model(history, self._seen(done, ensemble), ensemble)
         return Present(
-            trials=history.trials,
-            rows=tuple(row_of(self.rows, trial) for trial in history.trials),
+            trials=done.trials,
+            rows=tuple(row_of(self.rows, trial) for trial in done.trials),
             names=self.rows.feature_names,
-            features=shown,
+            features=self._features(done),
             model=model,
             is_doubted=self.doubts(model, ODD_TURN),
         )
@@ -566,13 +537,13 @@ class TablePolicy(Policy):
     ) -> Prediction:
         """See `FeatureKernelSampler.predict`."""
         self._adopt(study)
-        rows, history = self.rows, self._history(study, next_trial(study))
+        history = self._history(study, next_trial(study))
         model = self._model(history, len(history.cost))
         if params is None:
-            points, numbers = self._points(model.ensemble), rows.numbers
-            return prediction_of(model, points, numbers, history)
-        places, numbers = self._places(params)
-        points = self._seen(places, numbers, (), model.ensemble)
+            points, numbers = self._points(model.ensemble), self.rows.numbers
+        else:
+            asked = self._places(params)
+            points, numbers = self._seen(asked, model.ensemble), asked.rows
         return prediction_of(model, points, numbers, history)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
@@ -600,29 +571,17 @@ class TablePolicy(Policy):
         """
         proposal = self.forget(trial) or NOTHING
         rows, noted = self.own_rows, trial.user_attrs.get(ROW_ATTRIBUTE)
-        missing, ran = (
-            not_suggested(rows.names, trial) if is_complete else None,
-            trial.params,
-        )
-        row, known = rows.find(ran), row_of(rows, trial)
+        row, known = rows.find(trial.params), row_of(rows, trial)
+        missing = not_suggested(rows.names, trial) if is_complete else None
         other = None
         if row is None or row != proposal.notes.get(ROW_ATTRIBUTE):
-            others = (
-                n
-                for n, v in proposal.values.items()
-                if n in ran and not _is(trial, n, v)
-            )
-            other = next(others, None)
+            other = run_otherwise(trial, proposal.values)
         if row is not None and known != noted:
             set_attributes(study, trial, notes_of(row, rows.features[row]))
-        wrong = (
-            missing is not None or other is not None or noted not in (OFF_TABLE, known)
-        )
-        if row is None and noted is not None and wrong:
-            notes = (ROW_ATTRIBUTE, SCORE_ATTRIBUTE, FEATURES_ATTRIBUTE)
-            self._take_back(
-                study, trial, {key: 0 for key in notes if key in trial.user_attrs}
-            )
+        if row is None and noted is not None:
+            is_wrong = noted not in (OFF_TABLE, known)
+            if is_wrong or missing is not None or other is not None:
+                self._take_back(study, trial, NOTES & trial.user_attrs.keys())
         if missing is not None and (noted is not None or self.options.strict):
             self.misfit(missing)
         elif is_complete and other is not None:
@@ -631,15 +590,4 @@ class TablePolicy(Policy):
                 rows, rows.names.index(other), trial.distributions[other]
             )
             allowed = f"{proposal.values[other]!r}, as was proposed"
-            self.misfit(error or InputError(other, ran[other], allowed))
-
-
-def _is(trial: FrozenTrial, name: str, value: Any) -> bool:
-    """Whether a trial ran a value of a parameter, in the form in which it was suggested."""
-    ran = trial.params[name]
-    try:
-        return bool(
-            ran == value or ran == as_suggested(trial.distributions[name], value)
-        )
-    except ValueError:
-        return False
+            self.misfit(error or InputError(other, trial.params[other], allowed))

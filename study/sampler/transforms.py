@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from study.sampler.arrays import Floats, Whole
 
 LARGEST = float(np.finfo(np.float64).max)
 QUARTERS = -LARGEST / 4, LARGEST / 4  # so that excess, and two of them, are finite
@@ -95,7 +95,7 @@ class Points:
         return {}
 
     @cached_property
-    def distinct(self) -> tuple[Floats, NDArray[np.int64]]:
+    def distinct(self) -> tuple[Floats, Whole]:
         """The values of a single feature, ascending, and the place of each row among them, [m]."""
         values, place = np.unique(self.features[:, 0], return_inverse=True)
         return values, place

@@ -23,10 +23,11 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from storage.inputs import checks
 from storage.inputs.errors import InputError
+from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
     MOST,
@@ -36,7 +37,6 @@ from study.sampler.transforms import (
     without_infinities,
 )
 
-Floats = NDArray[np.float64]
 Outcomes = ArrayLike | Mapping[str, ArrayLike]
 """Costs [n, w] of rows in worlds, or by family of worlds."""
 Better = Literal["lower", "higher"]
@@ -117,7 +117,7 @@ class Worlds:
         return worlds
 
     @cached_property
-    def known(self) -> NDArray[np.bool_]:
+    def known(self) -> Mask:
         """Rows with a cost in every world, [n]."""
         return np.asarray(
             ~np.isnan(self.costs.reshape(len(self.costs), -1)).any(axis=1)
@@ -134,9 +134,7 @@ class Worlds:
         """k, 1 where outcomes have two axes."""
         return self.costs.shape[2] if self.costs.ndim > 2 else 1
 
-    def of_rows(
-        self, rows: NDArray[np.int64], signs: Floats, goals: Goals | None
-    ) -> Floats:
+    def of_rows(self, rows: Whole, signs: Floats, goals: Goals | None) -> Floats:
         """Costs [m, w] of some rows; `signs` are -1 where values are maximised, [k]."""
         if goals is not None:
             return goals.cost(

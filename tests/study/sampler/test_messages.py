@@ -150,9 +150,8 @@ CASES: dict[str, Callable[[], object]] = {
         sampler(), lambda trial: trial.suggest_categorical("a", [0.1, 0.5])
     ),
     "…: … allowed: what has …, a point off the table …": run_points_as_choices,
-    "…: … allowed: a value that a row of the table has…; or all parameters, in enqueue_trial": lambda: (
-        run_enqueued(a=0.2)
-    ),
+    "…: … allowed: a value that a row of the table has…; "
+    "or all parameters, in enqueue_trial": lambda: run_enqueued(a=0.2),
     "…: … allowed: values of a row that has not been tried; …": lambda: run_enqueued(
         a=0.1
     ),

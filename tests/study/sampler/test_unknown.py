@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.diagnostics import Prediction
+from study.sampler.prediction import Prediction
 from tests.study.sampler.studies import Floats
 
 LINE = np.linspace(0.0, 1.0, 40)
