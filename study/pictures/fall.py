@@ -7,11 +7,13 @@ what was the cause.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from study.pictures.stick_figure import LEFT, RIGHT, finite, leg
+from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, of_side
 from taichi_nmm.result import (
     EVENT_KINDS,
     FALL_HEIGHT_M,
@@ -22,64 +24,99 @@ from taichi_nmm.result import (
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 
 Floats = NDArray[np.float64]
+Truths = NDArray[np.bool_]
 
 SIDES = {LEFT: "left", RIGHT: "right"}
-TRUNK_MASS_M = (
-    0.35  # centre of mass of head, arms and trunk, above the hip along the trunk
-)
-ABOVE_FOOT_M = (
-    0.10  # the trunk's mass is this far from the foot in a fall forwards or backwards
-)
+PARTS = ("heel", "toe")  # of a foot
+TRUNK_MASS_M = 0.35  # of head, arms and trunk, above the hip along the trunk
+ABOVE_FOOT_M = 0.10  # a fall forwards or backwards has this mass farther from the foot
 LOOKED_AT_S = 1.5  # before the end
 FEWEST_SAMPLES = 2  # of fewer, nothing is known
 # Beyond these a walker was lost; what feet did then is a part of the fall.
 LOST_LEAN_RAD, LOST_HEIGHT_M = math.radians(30.0), 0.75
 TOUCHING_M = 0.003  # a point of a foot is as near to the ground, or in it
-SLIPPING_MPS, LEAST_SLIP_M = (
-    0.3,
-    0.05,
-)  # a foot that bears weight on dry ground slides 1 cm
+SLIPPING_MPS = 0.3
+LEAST_SLIP_M = 0.05  # a foot that bears weight on dry ground slides 1 cm
 STEEP = 0.3  # rise over run: ramps have 0.2, the risers of blocks 0.32 and more
 WITHIN_M = 0.3  # of a riser, its foot and its top
-LOADED_N, GAVE_WAY_RAD = (
-    200.0,
-    math.radians(60.0),
-)  # people bend a loaded knee by 25 deg
+LOADED_N = 200.0
+GAVE_WAY_RAD = math.radians(60.0)  # people bend a loaded knee by 25 deg
+ALONG_TIME = np.array([[0, 1, 0]] * 3)  # neighbours in [t, parts]: of the same part
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Foot:
+    """What a foot did in a walk of t samples.
+
+    Attributes:
+        name: its side.
+        points_m: heel and ball, x and z, [t, 2, 2].
+        speed_mps: of both forwards, [t, 2].
+        touching: whether each is on the ground, [t, 2].
+        loaded: whether the foot bears weight, [t].
+        knee_rad: flexion of the knee above, [t].
+    """
+
+    name: str
+    points_m: Floats
+    speed_mps: Floats
+    touching: Truths
+    loaded: Truths
+    knee_rad: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Seen:
     """The end of a walk of t samples, and where each foot is.
 
     Attributes:
         walk: the whole walk, as far as its pose is finite, [t].
         terrain: the ground it walked on.
-        since: the first sample that is looked at.
-        lost: the first one from which on the walker is lost, at `since` or later; t: it
-            never was.
     """
 
     walk: Trajectory
     terrain: Terrain
-    since: int
-    lost: int
 
-    def points(self, side: int) -> Floats:
-        """Heel and ball of a foot, [t, 2, 2] in metres."""
+    @cached_property
+    def since(self) -> int:
+        """The first sample that is looked at."""
+        time_s = self.walk.time_s
+        return int(np.searchsorted(time_s, time_s[-1] - LOOKED_AT_S))
+
+    @cached_property
+    def before_lost(self) -> Truths:
+        """The samples that are looked at and before those from which on the walker is lost, [t]."""
+        x, z, lean = self.walk.q[:, :3].T
+        high = z - self.terrain.height(x) > LOST_HEIGHT_M
+        held = (np.abs(lean) < LOST_LEAN_RAD) & high
+        samples = np.arange(len(held))
+        last_held = samples[held].max(initial=-1)
+        return np.asarray((samples >= self.since) & (samples <= last_held))
+
+    @cached_property
+    def feet(self) -> list[Foot]:
+        """The left one, then the right one."""
+        return [self._foot(side) for side in SIDES]
+
+    def _foot(self, side: int) -> Foot:
         joints = leg(self.walk.q, side)
-        return np.stack([joints.heel, joints.ball], axis=1)
-
-    def touching(self, side: int) -> NDArray[np.bool_]:
-        """Whether heel and ball of a foot are on the ground, [t, 2]."""
-        points = self.points(side)
-        above = points[..., 1] - self.terrain.height(points[..., 0].ravel()).reshape(
-            -1, 2
+        points_m = np.stack([joints.heel, joints.ball], axis=1)
+        x, z = np.moveaxis(points_m, -1, 0)
+        _, up_n = of_side(self.walk.ground_force_n, side).T
+        _, knee_rad, _ = of_side(self.walk.joint_rad, side).T
+        near = z - self.terrain.height(x) < TOUCHING_M
+        return Foot(
+            name=SIDES[side],
+            points_m=points_m,
+            speed_mps=np.gradient(x, self.walk.time_s, axis=0),
+            touching=near & of_side(self.walk.stance, side),
+            loaded=up_n > LOADED_N,
+            knee_rad=knee_rad,
         )
-        return np.asarray((above < TOUCHING_M) & self.walk.stance[:, side : side + 1])
 
-    def before_end_s(self, sample: int) -> float:
-        """How long before the end a sample was."""
-        return float(self.walk.time_s[-1] - self.walk.time_s[sample])
+    def before(self, time_s: float) -> str:
+        """How long before the end a time was."""
+        return f"{self.walk.time_s[-1] - time_s:.2f} s before"
 
 
 def fall_text(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
@@ -93,56 +130,49 @@ def fall_text(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
     samples = np.isfinite(trajectory.q).all(axis=1).sum()
     if row["end_reason"] != FELL or samples < FEWEST_SAMPLES:
         return ""
-    walk = finite(trajectory)
-    seen = Seen(walk, terrain, *_ends(walk, terrain))
-    parts = [_way(seen), _bound(seen), _last_foot(seen)]
-    parts += [_caught(seen, side) for side in SIDES]
-    parts += [_slip(seen, side) for side in SIDES]
-    parts += [_knee(seen)]
-    return f": {'; '.join(part for part in parts if part)}"
+    seen = Seen(finite(trajectory), terrain)
+    parts = [
+        _way(seen),
+        _bound(seen),
+        _last_foot(seen),
+        *(_caught(seen, foot) for foot in seen.feet),
+        *(_slip(seen, foot) for foot in seen.feet),
+        _knee(seen),
+    ]
+    return f": {'; '.join(filter(None, parts))}"
 
 
-def _ends(walk: Trajectory, terrain: Terrain) -> tuple[int, int]:
-    """The first sample that is looked at, and the first from which on the walker is lost."""
-    height_m = walk.q[:, 1] - terrain.height(walk.q[:, 0])
-    held = (np.abs(walk.q[:, 2]) < LOST_LEAN_RAD) & (height_m > LOST_HEIGHT_M)
-    lost = int(np.flatnonzero(held).max(initial=-1)) + 1
-    since = int(np.searchsorted(walk.time_s, walk.time_s[-1] - LOOKED_AT_S))
-    return since, max(lost, since)
+def _towards(ahead: float) -> str:
+    return "forwards" if ahead > 0 else "backwards"
 
 
 def _way(seen: Seen) -> str:
     """By the trunk that leans, or by its mass ahead of or behind the foot that touched last."""
     x, _, lean = seen.walk.q[-1, :3]
     if abs(lean) >= LOST_LEAN_RAD:
-        return "forwards" if lean > 0 else "backwards"
+        return _towards(lean)
     strike = _last_strike(seen)
-    side = LEFT if strike is None else strike[1]
-    foot_m = float(seen.points(side)[-1, :, 0].mean())
+    side = LEFT if strike is None else int(strike["side"])
+    foot_m = seen.feet[side].points_m[-1, :, 0].mean()
     ahead_m = x + TRUNK_MASS_M * math.sin(lean) - foot_m
-    if abs(ahead_m) < ABOVE_FOOT_M:
-        return "straight down"
-    return "forwards" if ahead_m > 0 else "backwards"
+    return "straight down" if abs(ahead_m) < ABOVE_FOOT_M else _towards(ahead_m)
 
 
 def _bound(seen: Seen) -> str:
     """The bound of a fall that the last pose exceeds, or comes nearest to."""
     x, z, lean = seen.walk.q[-1, :3]
-    height_m = float(z - seen.terrain.height(x))
-    degrees, way = abs(math.degrees(lean)), "forwards" if lean > 0 else "backwards"
-    if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / max(height_m, 1e-6):
-        return f"the trunk leaned {degrees:.0f} deg {way}"
-    return f"the hip sank to {FALL_HEIGHT_M:g} m over the ground, the trunk {degrees:.0f} deg {way}"
+    height_m = max(float(z - seen.terrain.height(x)), 1e-6)
+    leaned = f"{abs(math.degrees(lean)):.0f} deg {_towards(lean)}"
+    if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / height_m:
+        return f"the trunk leaned {leaned}"
+    return f"the hip sank to {FALL_HEIGHT_M:g} m over the ground, the trunk {leaned}"
 
 
-def _last_strike(seen: Seen) -> tuple[float, int] | None:
-    """Time and side of the last foot that came down; None: each has stood since the start."""
+def _last_strike(seen: Seen) -> np.void | None:
+    """The event of the last foot that came down; None: each has stood since the start."""
     events = seen.walk.events
     strikes = events[events["kind"] == EVENT_KINDS.index("strike")]
-    if not len(strikes):
-        return None
-    last = strikes[np.argmax(strikes["time_s"])]
-    return float(last["time_s"]), int(last["side"])
+    return strikes[strikes["time_s"].argmax()] if len(strikes) else None
 
 
 def _last_foot(seen: Seen) -> str:
@@ -150,81 +180,67 @@ def _last_foot(seen: Seen) -> str:
     strike = _last_strike(seen)
     if strike is None:
         return "no foot had been set down again"
-    time_s, side = strike
-    sample = min(
-        int(np.searchsorted(seen.walk.time_s, time_s)), len(seen.walk.time_s) - 1
-    )
-    points = seen.points(side)[sample]
-    above = points[:, 1] - seen.terrain.height(points[:, 0])
-    x = float(points[above.argmin(), 0])
-    words = f"the {SIDES[side]} foot touched last, {seen.walk.time_s[-1] - time_s:.2f} s before"
-    words += f" at {x:.2f} m"
-    if abs(steepness(seen.terrain, x)) < STEEP:
+    foot = seen.feet[strike["side"]]
+    after = np.searchsorted(seen.walk.time_s, strike["time_s"])
+    x, z = foot.points_m[min(after, len(seen.walk.time_s) - 1)].T
+    lowest = (z - seen.terrain.height(x)).argmin()
+    words = f"the {foot.name} foot touched last, {seen.before(strike['time_s'])}"
+    words += f" at {x[lowest]:.2f} m"
+    if abs(steepness(seen.terrain, x[lowest])) < STEEP:
         return words
-    part = "toe" if above.argmin() else "heel"
-    return f"{words}: its {part} on the edge of a step {_step(seen.terrain, x)}"
+    step = _step(seen.terrain, x[lowest])
+    return f"{words}: its {PARTS[lowest]} on the edge of a step {step}"
 
 
-def steepness(terrain: Terrain, x_m: float) -> float:
-    """Rise over run of the ground about a place."""
-    low, high = terrain.height(np.array([x_m - GRID_SPACING_M, x_m + GRID_SPACING_M]))
-    return float(high - low) / (2.0 * GRID_SPACING_M)
+def steepness(terrain: Terrain, x_m: Floats) -> Floats:
+    """Rise over run of the ground about some places, of their shape."""
+    rise = terrain.height(x_m + GRID_SPACING_M) - terrain.height(x_m - GRID_SPACING_M)
+    return np.asarray(rise / (2.0 * GRID_SPACING_M))
 
 
-def _step(terrain: Terrain, x_m: float) -> str:
+def _step(terrain: Terrain, x_m: Floats) -> str:
     """Which way the ground goes about a place, and how far."""
     around = terrain.height(np.linspace(x_m - WITHIN_M, x_m + WITHIN_M, 25))
     way = "up" if steepness(terrain, x_m) > 0 else "down"
     return f"{way} ({100 * np.ptp(around):.0f} cm)"
 
 
-def _caught(seen: Seen, side: int) -> str:
+def _caught(seen: Seen, foot: Foot) -> str:
     """Where a foot that swung forwards met the edge of a step, before the walker was lost."""
-    points, touching = seen.points(side), seen.touching(side)
-    speed = np.gradient(points[:, :, 0], seen.walk.time_s, axis=0)
-    met = touching & (speed > SLIPPING_MPS)
-    for sample in range(seen.since, seen.lost):
-        for place, part in enumerate(("heel", "toe")):
-            x = float(points[sample, place, 0])
-            if met[sample, place] and steepness(seen.terrain, x) > STEEP:
-                words = f"the {SIDES[side]} {part} caught the edge of a step"
-                step = _step(seen.terrain, x)
-                return f"{words} {step} at {x:.2f} m, {seen.before_end_s(sample):.2f} s before"
-    return ""
-
-
-def _slip(seen: Seen, side: int) -> str:
-    """How far a foot slid without a stop while it bore weight and the walker was not yet lost."""
-    walk = seen.walk
-    speed = np.gradient(seen.points(side)[:, :, 0], walk.time_s, axis=0)
-    loaded = walk.ground_force_n[:, 2 * side + 1] > LOADED_N
-    slides = seen.touching(side) & loaded[:, None] & (np.abs(speed) > SLIPPING_MPS)
-    step_s = np.diff(walk.time_s).mean()
-    most_m, began = 0.0, seen.since
-    for place in range(2):  # heel and ball
-        slid_m, first = 0.0, seen.since
-        for sample in range(seen.since, seen.lost):
-            if not slides[sample, place]:
-                slid_m, first = 0.0, sample + 1
-                continue
-            slid_m += float(speed[sample, place] * step_s)
-            if abs(slid_m) > abs(most_m):
-                most_m, began = slid_m, first
-    if abs(most_m) < LEAST_SLIP_M:
+    x = foot.points_m[..., 0]
+    met = foot.touching & (foot.speed_mps > SLIPPING_MPS)
+    met &= seen.before_lost[:, None] & (steepness(seen.terrain, x) > STEEP)
+    if not met.any():
         return ""
-    way = "forwards" if most_m > 0 else "backwards"
-    before = f"{seen.before_end_s(began):.2f} s before"
-    return f"the {SIDES[side]} foot slipped {100 * abs(most_m):.0f} cm {way}, from {before}"
+    sample, part = np.argwhere(met)[0]
+    at = x[sample, part]
+    words = f"the {foot.name} {PARTS[part]} caught the edge of a step"
+    before = seen.before(seen.walk.time_s[sample])
+    return f"{words} {_step(seen.terrain, at)} at {at:.2f} m, {before}"
+
+
+def _slip(seen: Seen, foot: Foot) -> str:
+    """How far a foot slid without a stop while it bore weight and the walker was not yet lost."""
+    slides = foot.touching & (np.abs(foot.speed_mps) > SLIPPING_MPS)
+    slides &= (foot.loaded & seen.before_lost)[:, None]
+    numbered, count = ndimage.label(slides, ALONG_TIME)
+    moved_m = foot.speed_mps * np.diff(seen.walk.time_s).mean()
+    slid_m = ndimage.sum_labels(moved_m, numbered, range(1, count + 1))
+    if np.abs(slid_m).max(initial=0.0) < LEAST_SLIP_M:
+        return ""
+    longest = np.abs(slid_m).argmax()
+    first, _ = np.argwhere(numbered == longest + 1)[0]
+    far = f"{100 * abs(slid_m[longest]):.0f} cm {_towards(slid_m[longest])}"
+    before = seen.before(seen.walk.time_s[first])
+    return f"the {foot.name} foot slipped {far}, from {before}"
 
 
 def _knee(seen: Seen) -> str:
     """The knee that bent most under load, if it bent as none does in a stance."""
-    bent_rad = {}
-    for side in SIDES:
-        knee = seen.walk.joint_rad[seen.since :, 3 * side + 1]
-        loaded = seen.walk.ground_force_n[seen.since :, 2 * side + 1] > LOADED_N
-        bent_rad[side] = float(np.where(loaded, knee, 0.0).max(initial=0.0))
-    side = max(bent_rad, key=bent_rad.__getitem__)
-    if bent_rad[side] < GAVE_WAY_RAD:
+    bent_rad = [np.where(foot.loaded, foot.knee_rad, 0.0) for foot in seen.feet]
+    most_rad = [float(knee[seen.since :].max()) for knee in bent_rad]
+    side = int(np.argmax(most_rad))
+    if most_rad[side] < GAVE_WAY_RAD:
         return ""
-    return f"the {SIDES[side]} knee gave way: {math.degrees(bent_rad[side]):.0f} deg under load"
+    bent = f"{math.degrees(most_rad[side]):.0f} deg under load"
+    return f"the {SIDES[side]} knee gave way: {bent}"

@@ -11,12 +11,14 @@ enough to judge by eye or to steer a search, not to fit.
 
 import math
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -24,7 +26,7 @@ from matplotlib.patches import Patch
 from numpy.typing import ArrayLike, NDArray
 
 from study.pictures import style
-from study.pictures.stick_figure import LEFT, RIGHT, finite
+from study.pictures.stick_figure import LEFT, RIGHT, finite, of_side
 from taichi_nmm.result import EVENT_KINDS, MUSCLES, Trajectory
 
 SOURCE = "human ± 1 sd, approx. (Winter 1991)"
@@ -40,26 +42,18 @@ STRIKE, TAKE_OFF = EVENT_KINDS.index("strike"), EVENT_KINDS.index("takeoff")
 
 @dataclass(frozen=True, eq=False)
 class Strides:
-    """n strides of a leg at `PERCENT` [p], in clinical signs.
+    """n strides of a leg at `PERCENT` [p].
 
     Attributes:
-        hip_flexion_deg: of the thigh against the trunk, [n, p]; 0 is standing straight.
-        knee_flexion_deg: likewise; 0 is straight.
-        dorsiflexion_deg: likewise; 0 is a foot square to the shank.
-        vertical_bw: ground force on its foot over body weight, [n, p].
-        forward_bw: likewise, positive where it drives the walker on.
-        activation: of its muscles, 0 to 1, in the order of `MUSCLES`, [7, n, p].
+        curves: by the names of `PANELS`, [n, p]: joint angles in clinical signs, 0 is
+            standing straight; ground forces over body weight, forward positive where
+            they drive the walker on; activations of muscles, 0 to 1.
         take_off_percent: when the foot first leaves the ground, [k] of the strides that
             have it.
         duration_s: [n].
     """
 
-    hip_flexion_deg: Array
-    knee_flexion_deg: Array
-    dorsiflexion_deg: Array
-    vertical_bw: Array
-    forward_bw: Array
-    activation: Array
+    curves: dict[str, Array]
     take_off_percent: Array
     duration_s: Array
 
@@ -71,6 +65,26 @@ class Strides:
     def enough(self) -> bool:
         """Whether a mean and a spread make sense."""
         return len(self) >= FEWEST_STRIDES
+
+    def mean(self, name: str) -> Array:
+        """The mean of a curve, [p]; NaN where strides are too few."""
+        if not self.enough:
+            return np.full(len(PERCENT), np.nan)
+        return np.asarray(self.curves[name].mean(axis=0))
+
+    def band(self, name: str) -> Array:
+        """One standard deviation below and above the mean, an activation within 0 to 1, [2, p]."""
+        mean = self.mean(name)
+        sd = self.curves[name].std(axis=0) if self.enough else mean
+        limits = (0.0, 1.0) if name in MUSCLES else (-np.inf, np.inf)
+        return np.clip([mean - sd, mean + sd], *limits)
+
+    @property
+    def toe_off_percent(self) -> float | None:
+        """Mean of the times at which the foot leaves the ground; None: unknown."""
+        if self.enough and len(self.take_off_percent):
+            return float(self.take_off_percent.mean())
+        return None
 
 
 def strides_of(
@@ -85,31 +99,32 @@ def strides_of(
     """
     strikes = event_times(trajectory, side, STRIKE)[SETTLING_STRIDES:]
     starts, ends = strikes[:-1], strikes[1:]
-    joints = np.rad2deg(trajectory.joint_rad[:, 3 * side : 3 * side + 3])
-    activation = trajectory.activation[:, len(MUSCLES) * side :]
+    times_s = starts[:, None] + (ends - starts)[:, None] * (PERCENT / 100.0)
     # A force is the mean over the interval that ends at its sample: it belongs to the
     # middle.
     half_interval_s = 0.5 * np.diff(trajectory.time_s[:2]).sum()
 
     def cut(column: Array, lag_s: float = 0.0) -> Array:
-        fractions = PERCENT / 100.0
-        times = starts[:, None] + (ends - starts)[:, None] * fractions
-        if not times.size:
-            return np.zeros((0, len(PERCENT)))
-        return np.interp(times + lag_s, trajectory.time_s, column)
+        return np.interp(times_s + lag_s, trajectory.time_s, column)
 
-    force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2] / body_weight_n
+    hip, knee, ankle = np.rad2deg(of_side(trajectory.joint_rad, side)).T
+    forward, up = (of_side(trajectory.ground_force_n, side) / body_weight_n).T
+    activation = of_side(trajectory.activation, side).T
+    curves = {
+        "hip_flexion_deg": -cut(hip),
+        "knee_flexion_deg": cut(knee),
+        "dorsiflexion_deg": -cut(ankle),
+        "vertical_bw": cut(up, half_interval_s),
+        "forward_bw": cut(forward, half_interval_s),
+    }
+    curves |= {
+        muscle: cut(column) for muscle, column in zip(MUSCLES, activation, strict=True)
+    }
     take_offs = event_times(trajectory, side, TAKE_OFF)
-    first = np.append(take_offs, np.inf)[
-        np.searchsorted(take_offs, starts, side="right")
-    ]
+    following = np.searchsorted(take_offs, starts, side="right")
+    first = np.append(take_offs, np.inf)[following]
     return Strides(
-        hip_flexion_deg=-cut(joints[:, 0]),
-        knee_flexion_deg=cut(joints[:, 1]),
-        dorsiflexion_deg=-cut(joints[:, 2]),
-        vertical_bw=cut(force[:, 1], half_interval_s),
-        forward_bw=cut(force[:, 0], half_interval_s),
-        activation=np.array([cut(activation[:, m]) for m in range(len(MUSCLES))]),
+        curves=curves,
         take_off_percent=(100.0 * (first - starts) / (ends - starts))[first < ends],
         duration_s=ends - starts,
     )
@@ -141,25 +156,27 @@ GRID = {
 
 @dataclass(frozen=True)
 class Panel:
-    """A quantity over a stride, 0 % = heel strike: its name, the range of people, and its axis.
+    """A quantity over a stride, 0 % = heel strike: its name, what people do, and its axis.
 
     Attributes:
         title: over the panel.
         unit: of its axis, with the sign in words.
-        rows: of people: percent (0 to 100), mean, standard deviation.
         low: the axis begins here at the latest, in the quantity's unit.
         high: the axis ends here at the earliest.
         floor: the axis never begins below.
         ceiling: the axis never ends above.
+        rows: of people: percent (0 to 100), mean, standard deviation; none of a muscle.
+        on_percent: when the muscle of people is on, and until when.
     """
 
     title: str
     unit: str
-    rows: list[list[float]]
     low: float
     high: float
     floor: float = -math.inf
     ceiling: float = math.inf
+    rows: list[list[float]] = field(default_factory=list)
+    on_percent: list[list[float]] = field(default_factory=list)
 
     def at(self, percent: ArrayLike) -> tuple[Array, Array]:
         """Mean and standard deviation of people at these percentages, each of their shape."""
@@ -171,8 +188,22 @@ class Panel:
 PEOPLE = tomllib.loads(
     Path(__file__).with_name("human_walking.toml").read_text(encoding="utf-8")
 )
-PANELS = {name: Panel(**panel) for name, panel in PEOPLE["panels"].items()}
-EMG_ON_PERCENT: dict[str, list[list[float]]] = PEOPLE["emg_on_percent"]
+OF_PEOPLE = {name: Panel(**panel) for name, panel in PEOPLE["panels"].items()}
+"""Joints and ground forces."""
+
+PANELS = OF_PEOPLE | {
+    muscle: Panel(
+        title=f"{muscle}, {words}",
+        unit="activation (1)",
+        low=0.0,
+        high=1.05,
+        floor=0.0,
+        ceiling=1.05,
+        on_percent=PEOPLE["emg_on_percent"][muscle],
+    )
+    for muscle, words in PEOPLE["muscles"].items()
+}
+"""All panels of the picture, in their order."""
 
 
 def write_gait_cycle(
@@ -193,74 +224,58 @@ def write_gait_cycle(
         InputError: the file cannot be written.
     """
     whole = finite(trajectory)
-    strides, right = (strides_of(whole, body_weight_n, side) for side in (LEFT, RIGHT))
+    left, right = (strides_of(whole, body_weight_n, side) for side in (LEFT, RIGHT))
     figure = style.new_figure(*SIZE_IN)
     grid = figure.subplots(4, 3, gridspec_kw=GRID)
-    places = iter(grid.flat)
-    for (name, panel), axes in zip(PANELS.items(), places, strict=False):
+    for (name, panel), axes in zip(PANELS.items(), grid.flat, strict=True):
+        _draw_people(axes, panel)
+        axes.plot(PERCENT, right.mean(name), color=style.OTHER_LEG, linewidth=1.1)
+        low, high = left.band(name)
+        axes.fill_between(PERCENT, low, high, color=style.MODEL, alpha=0.3, linewidth=0)
+        axes.plot(PERCENT, left.mean(name), color=style.MODEL, linewidth=1.6)
+        if (percent := left.toe_off_percent) is not None:
+            axes.axvline(percent, color=style.MODEL, linewidth=0.9, linestyle=":")
+        _label(axes, panel)
+        _scale(axes, panel, peak=np.fmax(high, right.mean(name)).max())
+    for axes in grid[-1]:
+        axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
+    _caption(figure, left, title)
+    return style.save_png(figure, path)
+
+
+def _draw_people(axes: Axes, panel: Panel) -> None:
+    if panel.rows:
         mean, sd = panel.at(PERCENT)
         axes.fill_between(
             PERCENT, mean - sd, mean + sd, color=style.HUMAN, alpha=0.35, linewidth=0
         )
         axes.plot(PERCENT, mean, color=style.FAINT, linewidth=1.0, linestyle="--")
-        _draw_right(axes, getattr(right, name), right)
-        _draw_model(axes, getattr(strides, name), strides, panel.title, panel.unit)
-        _scale(axes, panel, getattr(strides, name))
-    for (muscle, words), axes in zip(PEOPLE["muscles"].items(), places, strict=False):
-        for start, end in EMG_ON_PERCENT[muscle]:
-            axes.axvspan(
-                start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5
-            )
-        number = MUSCLES.index(muscle)
-        curves = strides.activation[number]
-        _draw_right(axes, right.activation[number], right)
-        _draw_model(axes, curves, strides, f"{muscle}, {words}", "activation (1)")
-        axes.set(ylim=(0.0, 1.05), yticks=[0.0, 0.5, 1.0])
-    for axes in grid[-1]:
-        axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
-    _caption(figure, strides, title)
-    return style.save_png(figure, path)
+    for start, end in panel.on_percent:
+        axes.axvspan(start, end, color=style.EMG, alpha=0.6, linewidth=0, zorder=0.5)
 
 
-def _draw_model(
-    axes: Axes, curves: Array, strides: Strides, title: str, unit: str
-) -> None:
-    if strides.enough:
-        mean, sd = curves.mean(axis=0), curves.std(axis=0)
-        band = np.array([mean - sd, mean + sd])
-        if unit.startswith("activation"):
-            band = np.clip(band, 0.0, 1.0)
-        axes.fill_between(PERCENT, *band, color=style.MODEL, alpha=0.3, linewidth=0)
-        axes.plot(PERCENT, mean, color=style.MODEL, linewidth=1.6)
-        if len(strides.take_off_percent):
-            percent = strides.take_off_percent.mean()
-            axes.axvline(percent, color=style.MODEL, linewidth=0.9, linestyle=":")
+def _label(axes: Axes, panel: Panel) -> None:
     style.tidy(axes)
     axes.set(xlim=(0.0, 100.0), xticks=[0, 20, 40, 60, 80, 100])
-    axes.set_title(
-        title, loc="left", fontsize=style.TEXT_PT, color=style.INK, weight="bold"
-    )
-    axes.set_ylabel(unit, fontsize=style.SMALL_PT, color=style.INK, labelpad=2)
+    words: dict[str, Any] = {
+        "fontsize": style.TEXT_PT,
+        "color": style.INK,
+        "weight": "bold",
+    }
+    axes.set_title(panel.title, loc="left", **words)
+    axes.set_ylabel(panel.unit, fontsize=style.SMALL_PT, color=style.INK, labelpad=2)
     axes.axhline(0.0, color=style.FAINT, linewidth=0.6, zorder=0.8)
+    if panel.on_percent:
+        axes.set_yticks([0.0, 0.5, 1.0])
 
 
-def _draw_right(axes: Axes, curves: Array, strides: Strides) -> None:
-    if strides.enough:
-        axes.plot(PERCENT, curves.mean(axis=0), color=style.OTHER_LEG, linewidth=1.1)
-
-
-def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
+def _scale(axes: Axes, panel: Panel, peak: float) -> None:
     """Set the axis, alike for different gaits.
 
     The impact of the heel lasts a few milliseconds and would flatten all else: a peak
     above the panel's ceiling is given in words.
     """
     low, high = axes.get_ylim()
-    lines = axes.get_lines() if len(curves) else []
-    drawn = [np.asarray(line.get_ydata(), dtype=np.float64) for line in lines]
-    peaks = [float(np.max(each)) for each in drawn if len(each) == len(PERCENT)]
-    spread = (curves.mean(axis=0) + curves.std(axis=0)).max() if len(curves) else 0.0
-    peak = max([*peaks, spread])
     axes.set_ylim(
         max(min(low, panel.low), panel.floor), min(max(high, panel.high), panel.ceiling)
     )
@@ -276,32 +291,21 @@ def _scale(axes: Axes, panel: Panel, curves: Array) -> None:
 
 
 def _caption(figure: Figure, strides: Strides, title: str) -> None:
-    model = [
-        Line2D([], [], color=style.MODEL, linewidth=1.6, label="left leg ± 1 sd"),
-        Line2D([], [], color=style.OTHER_LEG, linewidth=1.1, label="right leg"),
-        Line2D(
-            [],
-            [],
-            color=style.MODEL,
-            linewidth=0.9,
-            linestyle=":",
-            label="left toe-off",
-        ),
-    ]
-    handles = [
-        *(model if strides.enough else []),
+    blue = partial(Line2D, [], [], color=style.MODEL)
+    handles: list[Artist] = [
         Patch(facecolor=style.HUMAN, alpha=0.35, label=SOURCE),
         Patch(facecolor=style.EMG, alpha=0.6, label=EMG_SOURCE),
     ]
-    figure.text(0.012, 0.978, title, fontsize=style.TITLE_PT, color=style.INK, va="top")
-    figure.text(
-        0.012,
-        0.953,
-        subtitle(strides),
-        fontsize=style.TEXT_PT,
-        color=style.INK,
-        va="top",
-    )
+    if strides.enough:
+        handles = [
+            blue(linewidth=1.6, label="left leg ± 1 sd"),
+            Line2D([], [], color=style.OTHER_LEG, linewidth=1.1, label="right leg"),
+            blue(linewidth=0.9, linestyle=":", label="left toe-off"),
+            *handles,
+        ]
+    above = ((0.978, title, style.TITLE_PT), (0.953, subtitle(strides), style.TEXT_PT))
+    for top, text, size in above:
+        figure.text(0.012, top, text, fontsize=size, color=style.INK, va="top")
     figure.legend(
         handles=handles,
         loc="upper left",
@@ -324,10 +328,7 @@ def subtitle(strides: Strides) -> str:
     return f"Left leg, heel strike to heel strike: {count} strides of {mean_s:.2f} s."
 
 
-ACCURACY = {
-    "deg": 3.0,
-    "bw": 0.05,
-}  # of the published tables: `study.pictures.gait_cycle`
+ACCURACY = {"deg": 3.0, "bw": 0.05}  # of the published tables, by a curve's unit
 
 
 class Distance(NamedTuple):
@@ -344,16 +345,17 @@ class Distance(NamedTuple):
 
 
 def human_distances(strides: Strides) -> dict[str, Distance]:
-    """The distance of each of `PANELS`; none where the strides are too few for a mean."""
+    """The distance of each of `OF_PEOPLE`; none where the strides are too few for a mean."""
     if not strides.enough:
         return {}
     found = {}
-    for name, panel in PANELS.items():
-        mean, sd = panel.at(PERCENT)
-        difference = getattr(strides, name).mean(axis=0) - mean
+    for name, panel in OF_PEOPLE.items():
+        people, sd = panel.at(PERCENT)
+        difference = strides.mean(name) - people
         scaled = difference / np.maximum(sd, ACCURACY[name.rpartition("_")[2]])
-        rms = [
-            float(np.sqrt(np.mean(np.square(each)))) for each in (difference, scaled)
-        ]
-        found[name] = Distance(*rms)
+        found[name] = Distance(rmse=_rms(difference), deviations=_rms(scaled))
     return found
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from storage.mujoco_simulator import MujocoSimulator
 
 NO_OPENGL = "OpenGL: without a screen, MUJOCO_GL=egl in the environment, and the package libegl1"
+OPTIONS = (  # of ffmpeg: RGB frames come in, and H.264 goes out that every player shows
+    "-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {film.rate_hz} -i - "
+    "-an -c:v libx264 -crf {film.quality} -preset {film.effort} -threads {film.threads} "
+    "-pix_fmt yuv420p -movflags +faststart -f mp4"
+)
 FIXING = "a working ffmpeg: pip install imageio-ffmpeg, or leave the film out"
 
 
@@ -117,13 +122,11 @@ def filmable(name: str, parameters: Collection[str]) -> Any:
 
     robot = find_simulator(name)
     if not isinstance(robot, MujocoSimulator):
-        raise InputError(
-            "simulator", name, "a MujocoSimulator: others have nothing to film"
-        )
+        allowed = "a MujocoSimulator: others have nothing to film"
+        raise InputError("simulator", name, allowed)
     if set(parameters) != set(robot.space):
-        raise InputError(
-            "simulator", name, f"one with the parameters {listed(parameters)}"
-        )
+        allowed = f"one with the parameters {listed(parameters)}"
+        raise InputError("simulator", name, allowed)
     return robot
 
 
@@ -140,7 +143,8 @@ def _drawn(
     model, states = simulator.states(point, world, seconds)
     times_s = np.arange(0.0, len(states) * simulator.control_step_s, 1.0 / film.rate_hz)
     width, height = film.size_px
-    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    model.vis.global_.offwidth = width
+    model.vis.global_.offheight = height
     data = mujoco.MjData(model)
     try:
         renderer = mujoco.Renderer(model, height, width)
@@ -167,51 +171,18 @@ def encoded(pictures: Iterator[bytes], film: Film) -> bytes:
     Raises:
         InputError: no ffmpeg that works.
     """
-    program, (width, height) = find_ffmpeg(), film.size_px
-    command = [
-        program,
-        "-y",
-        "-loglevel",
-        "error",
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-s",
-        f"{width}x{height}",
-        "-r",
-        str(film.rate_hz),
-        "-i",
-        "-",
-        "-an",
-        "-c:v",
-        "libx264",
-        "-crf",
-        str(film.quality),
-        "-preset",
-        film.effort,
-        "-threads",
-        str(film.threads),
-        "-pix_fmt",
-        "yuv420p",
-        "-movflags",
-        "+faststart",
-        "-f",
-        "mp4",
-    ]
-    with tempfile.NamedTemporaryFile(
-        suffix=".mp4"
-    ) as file:  # no pipe: the index is put first
-        command.append(file.name)
+    width, height = film.size_px
+    options = OPTIONS.format(width=width, height=height, film=film)
+    # Not through a pipe: the index is put first when the film is whole.
+    with tempfile.NamedTemporaryFile(suffix=".mp4") as file:
+        command = [find_ffmpeg(), *options.split(), file.name]
         with subprocess.Popen(
             command, stdin=subprocess.PIPE, stderr=subprocess.PIPE
         ) as process:
             assert process.stdin is not None and process.stderr is not None
             try:
-                with (
-                    suppress(BrokenPipeError),
-                    process.stdin,
-                ):  # its exit code tells why it ended
+                # Its exit code tells why it ended.
+                with suppress(BrokenPipeError), process.stdin:
                     for picture in pictures:
                         process.stdin.write(picture)
                 complaint = process.stderr.read().decode(errors="replace").strip()
@@ -219,10 +190,6 @@ def encoded(pictures: Iterator[bytes], film: Film) -> bytes:
                 process.kill()
                 raise
         if process.returncode != 0 or not (content := file.read()):
-            reason = (
-                complaint.splitlines()[-1]
-                if complaint
-                else f"exit code {process.returncode}"
-            )
-            raise InputError("ffmpeg", reason, FIXING)
+            lines = complaint.splitlines() or [f"exit code {process.returncode}"]
+            raise InputError("ffmpeg", lines[-1], FIXING)
     return content

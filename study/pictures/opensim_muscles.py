@@ -16,17 +16,17 @@ one step older than the recorded one.
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.pictures.stick_figure import DRAWN
+from study.pictures.stick_figure import DRAWN, FIRST_LEG_COLUMN
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.muscle_table import FMAX_N, LENGTHS_M, MUSCLE_DATA, TORQUES_NM
 from taichi_nmm.result import MUSCLES, Trajectory
-from taichi_nmm.world import MUSCLE_NAMES, Worlds
+from taichi_nmm.world import Worlds
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,8 @@ class OwnMuscle:
         name: OpenSim's, with the side, as `soleus_l`.
         muscle: of `MUSCLES`.
         side: of `SIDES`.
-        fmax: largest isometric force, N; 0 where the muscle is missing.
+        column: of the trajectory's muscles and of the world's.
+        fmax: largest isometric force, N.
         optimal: the fibre's optimal length, m.
         slack: the tendon's slack length, m.
         time: constant of the activation, s.
@@ -58,50 +59,48 @@ class OwnMuscle:
     name: str
     muscle: str
     side: str
+    column: int
     fmax: float
     optimal: float
     slack: float
     time: float
 
 
-def muscles_of(world: Worlds | None) -> list[OwnMuscle]:
-    """The 14 muscles of the first of some worlds, in the order of `SIDED`; None is the nominal."""
-    own, muscles = world or Worlds.nominal(), []
-    for side, muscle in SIDED:
+def muscles_of(world: Worlds) -> list[OwnMuscle]:
+    """The muscles of the first of some worlds, in the order of `SIDED`, but those missing."""
+    muscles = []
+    for column, (side, muscle) in enumerate(SIDED):
         data = MUSCLE_DATA[muscle]
-        whole_side = "left" if side == "l" else "right"
-        column = MUSCLE_NAMES.index(f"{muscle}_{whole_side}")
-        muscles.append(
-            OwnMuscle(
+        fmax = data.fmax_n * float(world.strength[0, column])
+        if fmax > 0.0:
+            found = OwnMuscle(
                 name=f"{OPENSIM['muscles'][muscle]}_{side}",
                 muscle=muscle,
                 side=side,
-                fmax=data.fmax_n * float(own.strength[0, column]),
-                optimal=data.optimal_length_m * float(own.optimal_length[0, column]),
-                slack=data.slack_length_m * float(own.slack_length[0, column]),
-                time=ACTIVATION_TIME_S * float(own.activation_time[0, column]),
+                column=column,
+                fmax=fmax,
+                optimal=data.optimal_length_m * float(world.optimal_length[0, column]),
+                slack=data.slack_length_m * float(world.slack_length[0, column]),
+                time=ACTIVATION_TIME_S * float(world.activation_time[0, column]),
             )
-        )
+            muscles.append(found)
     return muscles
+
+
+def by_leg(values: Array) -> Array:
+    """Columns of the left leg, then of the right [t, 2 k], as [t, 2, k]."""
+    return values.reshape(len(values), len(SIDES), -1)
 
 
 def path_lengths(trajectory: Trajectory) -> Array:
     """Lengths of fibre and tendon together, in the order of `SIDED`, m, [14, t]."""
-    hip, knee, ankle = trajectory.joint_rad.reshape(
-        -1, len(SIDES), len(JOINTS)
-    ).transpose(2, 1, 0)
-    factors = (
-        np.ones_like(hip),
-        hip,
-        np.sin(knee),
-        np.cos(knee),
-        np.sin(ankle),
-        np.cos(ankle),
-    )
-    return np.concatenate(list(np.einsum("mf,fst->smt", LENGTHS_M, np.array(factors))))
+    hip, knee, ankle = by_leg(trajectory.joint_rad).T
+    sines_cosines = [np.sin(knee), np.cos(knee), np.sin(ankle), np.cos(ankle)]
+    factors = np.array([np.ones_like(hip), hip, *sines_cosines])
+    return np.concatenate(list(np.einsum("mf,fst->smt", LENGTHS_M, factors)))
 
 
-def fibre_lengths(trajectory: Trajectory, world: Worlds | None) -> dict[str, Array]:
+def fibre_lengths(trajectory: Trajectory, world: Worlds) -> dict[str, Array]:
     """By muscle, the fibre's length with which OpenSim's tendon has the walker's force, m, [t].
 
     Of a slack tendon, the walker's own length, or what keeps it slack. Missing muscles
@@ -109,13 +108,11 @@ def fibre_lengths(trajectory: Trajectory, world: Worlds | None) -> dict[str, Arr
     """
     forces, strains = tendon_curve()
     paths, lengths = path_lengths(trajectory), {}
-    for column, muscle in enumerate(muscles_of(world)):
-        if muscle.fmax == 0.0:
-            continue
-        share = trajectory.muscle_force_n[:, column] / muscle.fmax
-        unstretched = paths[column] - muscle.slack
+    for muscle in muscles_of(world):
+        share = trajectory.muscle_force_n[:, muscle.column] / muscle.fmax
+        unstretched = paths[muscle.column] - muscle.slack
         taut = unstretched - muscle.slack * np.interp(share, forces, strains)
-        slack = np.maximum(trajectory.fibre_length_m[:, column], unstretched)
+        slack = np.maximum(trajectory.fibre_length_m[:, muscle.column], unstretched)
         lengths[muscle.name] = np.where(share > 0.0, taut, slack)
     return lengths
 
@@ -130,35 +127,39 @@ def tendon_curve() -> tuple[Array, Array]:
     As `SmoothSegmentedFunctionFactory::createTendonForceLengthCurve` of OpenSim 4.6 has
     it: two quintic Bezier curves, then a line.
     """
-    strain, stiffness, toe, curviness = (
-        OPENSIM["tendon"][name] for name in ("strain", "stiffness", "toe", "curviness")
-    )
+    strain, stiffness, toe, curviness = OPENSIM["tendon"].values()
 
     def on_line(force: float) -> float:
         return float(strain + (force - 1.0) / stiffness)
 
     foot = 0.1 * on_line(toe)
-    slope = 0.5 * toe / (on_line(0.5 * toe) - foot)
-    between = 0.5 * (foot + on_line(0.5 * toe))
-    ends = [
-        (0.0, 0.0, 0.0),
-        (between, slope * (between - foot), slope),
-        (on_line(toe), toe, stiffness),
-    ]
+    middle = on_line(0.5 * toe)
+    slope = 0.5 * toe / (middle - foot)
+    between = 0.5 * (foot + middle)
+    start = Point(x=0.0, y=0.0, slope=0.0)
+    knee = Point(x=between, y=slope * (between - foot), slope=slope)
+    end = Point(x=on_line(toe), y=toe, slope=stiffness)
     bend = 0.1 + 0.8 * curviness
-    parts = [_corner(*pair, bend) for pair in pairwise(ends)]
-    points = np.concatenate([*parts, [(on_line(LARGEST_FORCE), LARGEST_FORCE)]])
-    return points[:, 1], points[:, 0]
+    last = np.array([[on_line(LARGEST_FORCE), LARGEST_FORCE]])
+    parts = [_corner(start, knee, bend), _corner(knee, end, bend), last]
+    strains, forces = np.concatenate(parts).T
+    return forces, strains
 
 
-def _corner(
-    start: tuple[float, float, float], end: tuple[float, float, float], bend: float
-) -> Array:
-    """Points of a quintic Bezier curve between two lines, given as x, y and slope, [k, 2]."""
-    (x0, y0, slope0), (x1, y1, slope1) = start, end
-    x = (y1 - y0 - x1 * slope1 + x0 * slope0) / (slope0 - slope1)
-    corner = np.array([x, y1 + slope1 * (x - x1)])
-    first, last = np.array([x0, y0]), np.array([x1, y1])
+class Point(NamedTuple):
+    """A point of a curve, and the curve's slope there."""
+
+    x: float
+    y: float
+    slope: float
+
+
+def _corner(start: Point, end: Point, bend: float) -> Array:
+    """Points of a quintic Bezier curve between two points, along their slopes, [k, 2]."""
+    rise = end.y - start.y - end.x * end.slope + start.x * start.slope
+    x = rise / (start.slope - end.slope)  # where the lines along the slopes meet
+    corner = np.array([x, end.y + end.slope * (x - end.x)])
+    first, last = np.array(start[:2]), np.array(end[:2])
     near, far = first + bend * (corner - first), last + bend * (corner - last)
     controls = np.array([first, near, near, far, far, last])
     u = np.linspace(0.0, 1.0, BEZIER_SAMPLES)[:, None]
@@ -167,22 +168,24 @@ def _corner(
     return np.asarray(weights @ controls)
 
 
-def forces_text(world: Worlds | None) -> str:
+def forces_text(world: Worlds) -> str:
     """Muscles, passive feet, and a motor of each joint, as XML."""
-    parts = [_muscle_text(muscle) for muscle in muscles_of(world) if muscle.fmax > 0.0]
-    feet = (world or Worlds.nominal()).prosthesis[0].tolist()
-    for side, (stiffness, damping, rest) in zip(SIDES, feet, strict=True):
+    parts = [_muscle_text(muscle) for muscle in muscles_of(world)]
+    feet = world.prosthesis[0].tolist()
+    for side, (stiffness, damping, rest_rad) in zip(SIDES, feet, strict=True):
         if stiffness or damping:
-            numbers = {"stiffness": stiffness, "damping": damping, "rest": -rest}
-            ankle = _coordinate("ankle", side)
-            parts.append(
-                XML["prosthesis"].format(side=side, coordinate=ankle, **numbers)
+            spring = XML["prosthesis"].format(
+                side=side,
+                coordinate=_coordinate("ankle", side),
+                stiffness=stiffness,
+                damping=damping,
+                rest=-rest_rad,
             )
+            parts.append(spring)
     for name in MOTORS:
         _, joint, side = name.split("_")
-        parts.append(
-            XML["actuator"].format(name=name, coordinate=_coordinate(joint, side))
-        )
+        coordinate = _coordinate(joint, side)
+        parts.append(XML["actuator"].format(name=name, coordinate=coordinate))
     return "".join(f"{part}\n" for part in parts)
 
 
@@ -220,29 +223,26 @@ ARM_TERMS = {
 
 def _muscle_text(muscle: OwnMuscle) -> str:
     row = MUSCLES.index(muscle.muscle)
-    lengths_m, arms_m = LENGTHS_M[row], TORQUES_NM[row] / FMAX_N[row]
+    arms_m = TORQUES_NM[row] / FMAX_N[row]
     sums = {joint: _sum(arms_m, terms) for joint, terms in ARM_TERMS.items()}
-    arms = {joint: expression for joint, expression in sums.items() if expression}
+    arms = {joint: text for joint, text in sums.items() if text}  # that it spans
     names = {joint: _coordinate(joint, muscle.side) for joint in JOINTS}
-    spanned = [names[joint] for joint in arms]
+    spanned = " ".join(names[joint] for joint in arms)
+    speeds = " ".join(f"{names[joint]}_speed" for joint in arms)
 
-    def function(expression: str, variables: Iterable[str]) -> str:
-        return XML["function"].format(
-            expression=expression.format(**names), variables=" ".join(variables)
-        )
+    def function(expression: str, variables: str) -> str:
+        text = expression.format(**names)
+        return XML["function"].format(expression=text, variables=variables)
 
+    paths = [f"/jointset/{_path(joint, muscle.side)}" for joint in arms]
+    speed = _sum(LENGTHS_M[row], SPEED_TERMS)
     return XML["muscle"].format(
         **vars(muscle),
         vmax=float(MUSCLE_DATA[muscle.muscle].vmax_per_s),
-        coordinates=" ".join(
-            f"/jointset/{_path(joint, muscle.side)}" for joint in arms
-        ),
-        length=function(_sum(lengths_m, LENGTH_TERMS), spanned),
+        coordinates=" ".join(paths),
+        length=function(_sum(LENGTHS_M[row], LENGTH_TERMS), spanned),
         arms="".join(function(expression, spanned) for expression in arms.values()),
-        speed=function(
-            _sum(lengths_m, SPEED_TERMS),
-            [*spanned, *(f"{name}_speed" for name in spanned)],
-        ),
+        speed=function(speed, f"{spanned} {speeds}"),
         tendon=OPENSIM["tendon"],
     )
 
@@ -255,25 +255,26 @@ def _sum(factors: Array, terms: Iterable[str]) -> str:
     )
 
 
-def lines_text(world: Worlds | None) -> str:
+def lines_text(world: Worlds) -> str:
     """Lines for the eye along muscle_paths.toml: OpenSim does not draw a FunctionBasedPath."""
     lines = []
     for muscle in muscles_of(world):
-        if muscle.fmax == 0.0:
-            continue
         points = []
         for number, (segment, along, ahead) in enumerate(DRAWN[muscle.muscle]["path"]):
-            body, *directions = OPENSIM["segments"][segment]
-            x, y = (np.array([along, ahead]) @ np.reshape(directions, (2, 2))).tolist()
-            name, frame = f"{muscle.name}_{number}", body.format(side=muscle.side)
-            points.append(XML["point"].format(name=name, body=frame, x=x, y=y))
+            frame = OPENSIM["segments"][segment]
+            x, y = np.array([along, ahead]) @ frame["directions"]
+            point = XML["point"].format(
+                name=f"{muscle.name}_{number}",
+                body=frame["body"].format(side=muscle.side),
+                x=float(x),
+                y=float(y),
+            )
+            points.append(point)
         lines.append(XML["line"].format(name=muscle.name, points="\n".join(points)))
     return "".join(f"{line}\n" for line in lines)
 
 
-def motor_torques(
-    trajectory: Trajectory, world: Worlds | None = None
-) -> dict[str, Array]:
+def motor_torques(trajectory: Trajectory, world: Worlds) -> dict[str, Array]:
     """What turns a coordinate beside the model's muscles and passive feet, by its motor, N m, [t].
 
     The controller of the swing leg, an exoskeleton, stops, and what the walker holds
@@ -281,16 +282,15 @@ def motor_torques(
     share of their torques. The trajectory's torques are means over its intervals, and
     so are these.
     """
-    angle = trajectory.joint_rad.reshape(-1, len(SIDES), len(JOINTS))
-    share = trajectory.muscle_force_n.reshape(-1, len(SIDES), len(MUSCLES)) / FMAX_N
-    factors = share @ TORQUES_NM
-    within = np.empty_like(angle)
-    within[..., 0] = factors[..., 0]
-    cosines, sines = factors[..., 1::2], factors[..., 2::2]
-    within[..., 1:] = cosines * np.cos(angle[..., 1:]) + sines * np.sin(angle[..., 1:])
-    ankle_rate = trajectory.qdot[:, [5, 8]] - trajectory.qdot[:, [4, 7]]
-    stiffness, damping, rest_rad = (world or Worlds.nominal()).prosthesis[0].T
-    within[..., 2] += stiffness * (rest_rad - angle[..., 2]) - damping * ankle_rate
+    activity = by_leg(trajectory.muscle_force_n) / FMAX_N
+    hip, knee_cos, knee_sin, ankle_cos, ankle_sin = (activity @ TORQUES_NM).T
+    _, knee_rad, ankle_rad = by_leg(trajectory.joint_rad).T
+    knee = knee_cos * np.cos(knee_rad) + knee_sin * np.sin(knee_rad)
+    ankle = ankle_cos * np.cos(ankle_rad) + ankle_sin * np.sin(ankle_rad)
+    _, shank_rate, foot_rate = by_leg(trajectory.qdot[:, FIRST_LEG_COLUMN:]).T
+    stiffness, damping, rest_rad = world.prosthesis[0].T[..., None]
+    ankle += stiffness * (rest_rad - ankle_rad) - damping * (foot_rate - shank_rate)
+    within = np.array([hip, knee, ankle]).T.reshape(-1, len(MOTORS))
     means = within - 0.5 * np.diff(within, axis=0, prepend=within[:1])
-    beside = means.reshape(-1, len(MOTORS)) - trajectory.joint_torque_nm
+    beside = means - trajectory.joint_torque_nm
     return dict(zip(MOTORS, beside.T, strict=True))

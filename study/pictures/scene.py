@@ -6,7 +6,7 @@ Matplotlib, and so does the font.
 """
 
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from io import BytesIO
@@ -21,11 +21,10 @@ from scipy.signal import lfilter
 
 from study.pictures import stick_figure as stick
 from study.pictures import style
-from taichi_nmm.result import MUSCLES, Trajectory
+from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
 Array = NDArray[np.float64]
-Colour = str | tuple[int, ...]
 
 SMOOTHING = 2  # shapes are drawn this much larger
 FONT = "fonts/ttf/DejaVuSans.ttf"
@@ -47,30 +46,38 @@ class Canvas:
         self._large = Image.new("RGB", large, "white")
         self._draw = ImageDraw.Draw(self._large)
 
-    def polygon(
-        self, points_m: Array, fill: Colour, edge: Colour | None = None
-    ) -> None:
-        """A filled polygon [k, 2], with a hair line round it if `edge` is given."""
-        self._draw.polygon(self._pixels(points_m), fill=fill, outline=edge)
+    def polygon(self, points_m: Array, fill: str) -> None:
+        """A filled polygon [k, 2]."""
+        self._draw.polygon(self._pixels(points_m), fill=fill)
 
-    def line(self, points_m: Array, colour: Colour, width_px: float) -> None:
+    def muscles(self, outlines: Sequence[Array], activation: Array, edge: str) -> None:
+        """Filled outlines [k, 2], coloured by activation, with a hair line round each."""
+        colours = stick.COLOURS(activation, bytes=True)[:, :3].tolist()
+        for outline, colour in zip(outlines, colours, strict=True):
+            pixels = self._pixels(outline)
+            self._draw.polygon(pixels, fill=tuple(colour), outline=edge)
+
+    def line(self, points_m: Array, colour: str, width_px: float) -> None:
         """A line through points [k, 2], of a width on the finished picture."""
         width = max(round(width_px * SMOOTHING), 1)
         self._draw.line(self._pixels(points_m), fill=colour, width=width)
 
-    def disc(self, centre_m: Array, radius_m: float, fill: Colour) -> None:
+    def disc(self, centre_m: Array, radius_m: float, colour: str) -> None:
         """A filled circle."""
-        self._draw.circle(self._pixels(centre_m), radius_m * self._px_per_m[0], fill)
+        self._draw.circle(self._pixels(centre_m), radius_m * self._px_per_m[0], colour)
 
-    def bones(self, parts: Iterable[stick.Bone], fill: Colour) -> None:
+    def joints(self, points_m: Array) -> None:
+        """Small dots [k, 2]."""
+        for point in points_m:
+            self.disc(point, JOINT_RADIUS_M, style.INK)
+
+    def bones(self, parts: Iterable[stick.Bone], colour: str) -> None:
         """Thick lines with round ends."""
         for start_m, end_m, width_m in parts:
-            width = width_m * self._px_per_m[0]
-            self._draw.line(
-                self._pixels(np.stack([start_m, end_m])), fill, round(width)
-            )
+            width = round(width_m * self._px_per_m[0])
+            self._draw.line(self._pixels(np.stack([start_m, end_m])), colour, width)
             for end in (start_m, end_m):
-                self.disc(end, 0.5 * width_m, fill)
+                self.disc(end, 0.5 * width_m, colour)
 
     def finish(self) -> None:
         """Shrink the shapes to the picture's size."""
@@ -82,11 +89,10 @@ class Canvas:
         at_px: tuple[float, float],
         text: str,
         size_px: int,
-        colour: Colour,
         anchor: str,
     ) -> None:
         """Words on the finished picture; `anchor` as Pillow's: "la" left top, "ma" middle top."""
-        self._text.text(at_px, text, fill=colour, font=font(size_px), anchor=anchor)
+        self._text.text(at_px, text, fill=style.INK, font=font(size_px), anchor=anchor)
 
     def place(self, x_m: float, z_m: float) -> tuple[float, float]:
         """Pixel of a point on the finished picture."""
@@ -95,10 +101,8 @@ class Canvas:
 
     def _pixels(self, points_m: Array) -> list[float]:
         """x, y, x, y, ... on the large picture."""
-        pixels: list[float] = (
-            ((points_m - self._corner_m) * self._px_per_m).ravel().tolist()
-        )
-        return pixels
+        pixels = (points_m - self._corner_m) * self._px_per_m
+        return list(pixels.ravel().tolist())
 
 
 @cache
@@ -141,10 +145,10 @@ class Film:
     threads: int
 
 
-LARGE = Film((1280, 640), 30, "medium", 20, threads=0)
+LARGE = Film(size_px=(1280, 640), rate_hz=30, effort="medium", quality=20, threads=0)
 """For one walk: 1280 x 640 pixels."""
 
-SMALL = Film((640, 320), 20, "veryfast", 26, threads=1)
+SMALL = Film(size_px=(640, 320), rate_hz=20, effort="veryfast", quality=26, threads=1)
 """For many: 8 s are 0.2 MB, and a second of one core."""
 
 
@@ -177,9 +181,9 @@ def frames(
 ) -> Iterator[bytes]:
     """RGB frames of the last `seconds`, as bytes."""
     motion = motion_of(stick.finite(trajectory), terrain, seconds, film.rate_hz)
-    yield from map(
-        Scene(motion, terrain, title, film.size_px).picture, range(len(motion.time_s))
-    )
+    scene = Scene(motion, terrain, title, film.size_px)
+    for number in range(len(motion.time_s)):
+        yield scene.picture(number)
 
 
 def motion_of(
@@ -205,32 +209,19 @@ class Scene:
     def __init__(
         self, motion: Motion, terrain: Terrain, title: str, size_px: tuple[int, int]
     ) -> None:
-        self._motion, self._terrain, self._title, self._size_px = (
-            motion,
-            terrain,
-            title,
-            size_px,
-        )
+        self._motion, self._terrain = motion, terrain
+        self._title, self._size_px = title, size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
-        sides = stick.LEFT, stick.RIGHT
         self._arrows = force_arrows(motion)
-        self._outlines = [stick.muscle_outlines(motion.q, side) for side in sides]
-        colours = matplotlib.colormaps[style.ACTIVATION_MAP](
-            motion.activation, bytes=True
-        )
-        self._colours = [
-            [tuple(c) for c in frame] for frame in colours[..., :3].tolist()
-        ]
+        self._walker = stick.Walker(motion.q, motion.activation)
         self._bar = self._activation_bar()
 
     def picture(self, number: int) -> bytes:
         """Frame `number` as RGB bytes."""
-        motion = self._motion
-        q = motion.q[number]
-        left_m = q[0] - AHEAD * VIEW_WIDTH_M
-        bottom_m = motion.level_m[number] - BELOW_GROUND_M
+        left_m = self._motion.q[number, 0] - AHEAD * VIEW_WIDTH_M
+        bottom_m = self._motion.level_m[number] - BELOW_GROUND_M
         canvas = Canvas(self._size_px, left_m, bottom_m, VIEW_WIDTH_M)
-        self._draw_walker(canvas, number)
+        self._walker.draw(canvas, number)
         for foot, tip in self._arrows[number]:
             if np.hypot(*(tip - foot)) > FORCE_WIDTH_M:
                 canvas.bones([(foot, tip, FORCE_WIDTH_M)], style.MODEL)
@@ -239,24 +230,6 @@ class Scene:
         self._write(canvas, number, metres)
         canvas.picture.paste(self._bar, (round(0.9 * self._size_px[0]), 0), self._bar)
         return canvas.picture.tobytes()
-
-    def _draw_walker(self, canvas: Canvas, number: int) -> None:
-        q = self._motion.q[number]
-        near, far = stick.leg(q, stick.LEFT), stick.leg(q, stick.RIGHT)
-        shoulder, head = stick.trunk(q)
-        canvas.bones(far.bones(), style.FAR_LIMB)
-        self._draw_muscles(canvas, number, stick.RIGHT, style.FAINT)
-        canvas.bones([(near.hip, shoulder, stick.TRUNK_WIDTH_M)], style.NEAR_LIMB)
-        canvas.disc(head, stick.HEAD_RADIUS_M, style.NEAR_LIMB)
-        canvas.bones(near.bones(), style.NEAR_LIMB)
-        self._draw_muscles(canvas, number, stick.LEFT, style.INK)
-        for joint in (near.hip, near.knee, near.ankle):
-            canvas.disc(joint, JOINT_RADIUS_M, style.INK)
-
-    def _draw_muscles(self, canvas: Canvas, number: int, side: int, edge: str) -> None:
-        colours = self._colours[number][len(MUSCLES) * side :][: len(MUSCLES)]
-        for outlines, colour in zip(self._outlines[side], colours, strict=True):
-            canvas.polygon(outlines[number], colour, edge)
 
     def _draw_ground(self, canvas: Canvas, left_m: float, bottom_m: float) -> list[int]:
         """The ground with a mark at every metre; returns the metres that are in the picture."""
@@ -279,10 +252,10 @@ class Scene:
         lines = (*titles, (f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (KEY, 15))
         for line, (text, size) in enumerate(lines):
             at = (left, (0.03 + 0.06 * line) * self._size_px[1])
-            canvas.text(at, text, self._text_px(size), style.INK, "la")
+            canvas.text(at, text, self._text_px(size), "la")
         for metre in metres:
             at = canvas.place(metre, float(self._terrain.height(metre)) - 0.08)
-            canvas.text(at, f"{metre} m", self._text_px(15), style.INK, "ma")
+            canvas.text(at, f"{metre} m", self._text_px(15), "ma")
 
     def _text_px(self, size_px: int) -> int:
         return max(round(size_px * self._unit_px), SMALLEST_TEXT_PX)
@@ -307,10 +280,10 @@ def force_arrows(motion: Motion) -> Array:
     arrows = []
     for side in (stick.LEFT, stick.RIGHT):
         joints = stick.leg(motion.q, side)
-        lower = joints.heel[:, 1:] - joints.ball[:, 1:]
-        share = np.clip(0.5 + lower / PRESSURE_SHIFT_M, 0.0, 1.0)
+        tilt_m = joints.heel[:, 1:] - joints.ball[:, 1:]
+        share = np.clip(0.5 + tilt_m / PRESSURE_SHIFT_M, 0.0, 1.0)
         foot = joints.heel + share * (joints.ball - joints.heel)
-        push = FORCE_M_PER_N * motion.force_n[:, 2 * side : 2 * side + 2]
+        push = FORCE_M_PER_N * stick.of_side(motion.force_n, side)
         arrows.append(np.stack([foot, foot + push], axis=1))
     return np.stack(arrows, axis=1)
 

@@ -8,15 +8,15 @@ the model.
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import Normalize
-from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from storage.inputs.errors import InputError
@@ -28,65 +28,63 @@ Array = NDArray[np.float64]
 Bone = tuple[Array, Array, float]  # its ends, each [2], and its width in metres
 
 LEFT, RIGHT = 0, 1
-FULL_ACTIVATION = Normalize(0.0, 1.0)
+COLOURS = matplotlib.colormaps[style.ACTIVATION_MAP]  # of activations, 0 to 1
 TRUNK_WIDTH_M = 0.15
 WIDTHS_M = (0.09, 0.06, 0.04)  # of thigh, shank and foot
 
 
-def draw_walker(axes: Axes, q: Array, activation: Array, layer: float) -> None:
-    """Draw a pose q [9] on axes whose limits are set.
+class Surface(Protocol):
+    """On which a walker is drawn, in metres; what comes later covers what is there."""
 
-    The scale is alike in both directions. `activation` is of the muscles, left leg
-    first, [14]; `layer` is that of the far leg, and all else is less than one above it.
-    """
-    near, far = leg(q, LEFT), leg(q, RIGHT)
-    shoulder, head = trunk(q)
-    pixels = axes.transData.transform([(0.0, 0.0), (1.0, 0.0)])
-    points_per_m = float((pixels[1, 0] - pixels[0, 0]) * 72.0 / axes.figure.dpi)
+    def bones(self, parts: Sequence[Bone], colour: str) -> None:
+        """Thick lines with round ends."""
 
-    def bones(parts: Sequence[Bone], colour: str, above: float) -> None:
-        lines = [np.array([start, end]) for start, end, _ in parts]
-        widths = [points_per_m * width_m for *_, width_m in parts]
-        drawn = LineCollection(
-            lines,
-            colors=colour,
-            capstyle="round",
-            linewidths=widths,
-            zorder=layer + above,
-        )
-        axes.add_collection(drawn, autolim=False)
+    def muscles(self, outlines: Sequence[Array], activation: Array, edge: str) -> None:
+        """Filled outlines [k, 2], coloured by activation, with a hair line round each."""
 
-    def muscles(side: int, edge: str, above: float) -> None:
-        drawn = PolyCollection(
-            muscle_outlines(q, side),
-            cmap=style.ACTIVATION_MAP,
-            norm=FULL_ACTIVATION,
-            edgecolors=edge,
-            linewidths=0.4,
-            zorder=layer + above,
-        )
-        drawn.set_array(activation[len(MUSCLES) * side :][: len(MUSCLES)])
-        axes.add_collection(drawn, autolim=False)
+    def disc(self, centre_m: Array, radius_m: float, colour: str) -> None:
+        """A filled circle."""
 
-    bones(far.bones(), style.FAR_LIMB, 0.0)
-    muscles(RIGHT, style.FAINT, 0.1)
-    bones([(q[:2], shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB, 0.2)
-    axes.add_patch(
-        Circle(
-            (head[0], head[1]),
-            HEAD_RADIUS_M,
-            facecolor=style.NEAR_LIMB,
-            zorder=layer + 0.2,
-        )
-    )
-    bones(near.bones(), style.NEAR_LIMB, 0.3)
-    muscles(LEFT, style.INK, 0.4)
-    axes.plot(*near.chain()[:3].T, "o", color=style.INK, ms=2.0, zorder=layer + 0.5)
+    def joints(self, points_m: Array) -> None:
+        """Small dots [k, 2]."""
+
+
+class Walker:
+    """A walker in n poses, with its muscles; the left leg is in front."""
+
+    def __init__(self, q: Array, activation: Array) -> None:
+        """Prepare what is drawn of all poses.
+
+        Args:
+            q: generalised coordinates, [n, 9].
+            activation: of the muscles, left leg first, 0 to 1, [n, 14].
+        """
+        self._q, self._activation = q, activation
+        self._outlines = [muscle_outlines(q, side) for side in (LEFT, RIGHT)]
+
+    def draw(self, surface: Surface, number: int) -> None:
+        """Draw a pose, by its number."""
+        q = self._q[number]
+        near, far = leg(q, LEFT), leg(q, RIGHT)
+        shoulder, head = trunk(q)
+        surface.bones(far.bones(), style.FAR_LIMB)
+        self._draw_muscles(surface, number, RIGHT, style.FAINT)
+        surface.bones([(near.hip, shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB)
+        surface.disc(head, HEAD_RADIUS_M, style.NEAR_LIMB)
+        surface.bones(near.bones(), style.NEAR_LIMB)
+        self._draw_muscles(surface, number, LEFT, style.INK)
+        surface.joints(near.chain()[:3])
+
+    def _draw_muscles(
+        self, surface: Surface, number: int, side: int, edge: str
+    ) -> None:
+        outlines = [outline[number] for outline in self._outlines[side]]
+        surface.muscles(outlines, of_side(self._activation[number], side), edge)
 
 
 def activation_bar(axes: Axes) -> None:
     """The colour bar of the activations, in axes of its own."""
-    colours = ScalarMappable(FULL_ACTIVATION, style.ACTIVATION_MAP)
+    colours = ScalarMappable(Normalize(0.0, 1.0), COLOURS)
     bar = axes.figure.colorbar(colours, cax=axes, ticks=[0, 0.5, 1])
     bar.set_label("muscle activation (1)", fontsize=style.SMALL_PT, color=style.INK)
     bar.ax.tick_params(labelsize=style.SMALL_PT, colors=style.INK, length=2)
@@ -97,10 +95,8 @@ SHOULDER_M = 0.50  # above the hip, along the trunk
 HEAD_M = 0.69  # centre of the head; the trunk link is 0.80 m long
 HEAD_RADIUS_M = 0.105
 
-LEG_COLUMNS = (
-    (2, 3, 4, 5),
-    (2, 6, 7, 8),
-)  # th of HAT, thigh, shank, foot in q; left, right
+HAT_COLUMN = 2  # of q: the trunk's angle
+FIRST_LEG_COLUMN = 3  # of q: thigh, shank and foot of the left leg, then of the right
 
 DRAWN = tomllib.loads(
     Path(__file__).with_name("muscle_paths.toml").read_text(encoding="utf-8")
@@ -108,8 +104,7 @@ DRAWN = tomllib.loads(
 PATH_POINTS = 15
 
 
-@dataclass(frozen=True, eq=False)
-class Leg:
+class Leg(NamedTuple):
     """Joint positions of one leg, each x and z in metres, [..., 2].
 
     Attributes:
@@ -128,14 +123,31 @@ class Leg:
 
     def chain(self) -> Array:
         """Hip, knee, ankle, heel, ball, [..., 5, 2]; the ankle lies on the foot's line."""
-        return np.stack(
-            [self.hip, self.knee, self.ankle, self.heel, self.ball], axis=-2
-        )
+        return np.stack(self, axis=-2)
 
     def bones(self) -> list[Bone]:
         """Thigh, shank and foot of one pose."""
-        ends = (self.hip, self.knee), (self.knee, self.ankle), (self.heel, self.ball)
-        return [(*pair, width) for pair, width in zip(ends, WIDTHS_M, strict=True)]
+        thigh_m, shank_m, foot_m = WIDTHS_M
+        return [
+            (self.hip, self.knee, thigh_m),
+            (self.knee, self.ankle, shank_m),
+            (self.heel, self.ball, foot_m),
+        ]
+
+
+def of_side(values: NDArray[Any], side: int) -> NDArray[Any]:
+    """What belongs to a leg, [..., k], of columns [..., 2 k]: those of the left, then of the right.
+
+    Args:
+        values: of both legs, such as `Trajectory.joint_rad`.
+        side: `LEFT` (0) or `RIGHT` (1).
+    """
+    return np.split(values, 2, axis=-1)[side]
+
+
+def leg_angles(q: Array, side: int) -> Array:
+    """Thigh, shank and foot of a leg in coordinates or rates [..., 9], each [...], [3, ...]."""
+    return np.moveaxis(of_side(q[..., FIRST_LEG_COLUMN:], side), -1, 0)
 
 
 def down(angle: Array) -> Array:
@@ -150,17 +162,24 @@ def forward(angle: Array) -> Array:
 
 def leg(q: Array, side: int) -> Leg:
     """The left (0) or right (1) leg of coordinates q [..., 9]."""
-    _, thigh, shank, foot = (q[..., column] for column in LEG_COLUMNS[side])
+    thigh, shank, foot = leg_angles(q, side)
     hip = q[..., :2]
     knee = hip + THIGH_LENGTH_M * down(thigh)
     ankle = knee + SHANK_LENGTH_M * down(shank)
-    heel = ankle + HEEL_OFFSET_M * forward(foot)
-    return Leg(hip, knee, ankle, heel, ankle + BALL_OFFSET_M * forward(foot))
+    along = forward(foot)
+    return Leg(
+        hip=hip,
+        knee=knee,
+        ankle=ankle,
+        heel=ankle + HEEL_OFFSET_M * along,
+        ball=ankle + BALL_OFFSET_M * along,
+    )
 
 
 def trunk(q: Array) -> tuple[Array, Array]:
     """Shoulder and centre of the head of poses q [..., 9], each [..., 2]."""
-    hip, axis = q[..., :2], -down(q[..., 2])
+    hip = q[..., :2]
+    axis = -down(q[..., HAT_COLUMN])
     return hip + SHOULDER_M * axis, hip + HEAD_M * axis
 
 
@@ -172,32 +191,30 @@ def muscle_outlines(q: Array, side: int) -> list[Array]:
 
 def muscle_paths(q: Array, side: int) -> list[Array]:
     """The lines along which these muscles run, each [..., `PATH_POINTS`, 2]."""
-    hat, thigh, shank, foot = (q[..., column] for column in LEG_COLUMNS[side])
+    thigh, shank, foot = leg_angles(q, side)
+    hat = q[..., HAT_COLUMN]
     joints = leg(q, side)
-    frames = {
+    frames = {  # origin, axis and front of each segment
         "hat": (joints.hip, -down(hat), forward(hat)),
         "thigh": (joints.hip, down(thigh), forward(thigh)),
         "shank": (joints.knee, down(shank), forward(shank)),
         "foot": (joints.ankle, forward(foot), -down(foot)),
     }
-    return [_path(frames, name) for name in MUSCLES]
+    lines = []
+    for name in MUSCLES:
+        points = []
+        for segment, along, ahead in DRAWN[name]["path"]:
+            origin, axis, front = frames[segment]
+            points.append((origin + along * axis + ahead * front)[..., None, :])
+        lines.append(_smooth(*points))
+    return lines
 
 
-def _path(frames: dict[str, tuple[Array, Array, Array]], name: str) -> Array:
-    """A smooth line from origin to insertion that bends towards the middle point, [..., k, 2].
-
-    `frames` has origin, axis and front of each segment, each [..., 2].
-    """
-    points = []
-    for segment, along, ahead in DRAWN[name]["path"]:
-        origin, axis, front = frames[segment]
-        points.append((origin + along * axis + ahead * front)[..., None, :])
-    start, middle, end = points
+def _smooth(start: Array, middle: Array, end: Array) -> Array:
+    """A line from origin to insertion that bends towards the middle point, [..., k, 2]."""
     s = np.linspace(0.0, 1.0, PATH_POINTS)[:, None]
-    control = 2.0 * middle - 0.5 * (
-        start + end
-    )  # the curve passes through the middle point
-    control = 0.5 * (control + middle)  # bend less than that: a belly, not a bow
+    through = 2.0 * middle - 0.5 * (start + end)  # the curve passes through the middle
+    control = 0.5 * (through + middle)  # bend less than that: a belly, not a bow
     return np.asarray((1 - s) ** 2 * start + 2 * s * (1 - s) * control + s**2 * end)
 
 
@@ -208,11 +225,20 @@ def _belly(path: Array, half_thickness: float) -> Array:
     normal = np.stack([-tangent[..., 1], tangent[..., 0]], axis=-1)
     s = np.linspace(0.0, 1.0, path.shape[-2])
     thickness = half_thickness * (0.12 + 0.88 * np.sin(np.pi * s) ** 1.3)[:, None]
-    there, back = path + thickness * normal, (path - thickness * normal)[..., ::-1, :]
-    return np.concatenate([there, back], axis=-2)
+    there = path + thickness * normal
+    back = path - thickness * normal
+    return np.concatenate([there, back[..., ::-1, :]], axis=-2)
 
 
 NOT_SAMPLED = ("walker", "events")
+
+
+def samples(trajectory: Trajectory, chosen: slice | NDArray[np.bool_]) -> Trajectory:
+    """Some of the samples of a walk, with all of its events."""
+    names = {field.name for field in fields(trajectory)}.difference(NOT_SAMPLED)
+    return replace(
+        trajectory, **{name: getattr(trajectory, name)[chosen] for name in names}
+    )
 
 
 def finite(trajectory: Trajectory) -> Trajectory:
@@ -221,17 +247,10 @@ def finite(trajectory: Trajectory) -> Trajectory:
     Raises:
         InputError: there is none.
     """
-    good = np.isfinite(trajectory.q).all(axis=1)
+    good = np.asarray(np.isfinite(trajectory.q).all(axis=1))
     if not good.any():
         raise InputError("trajectory", "no finite sample", "a walker that was recorded")
-    if good.all():
-        return trajectory
-    per_sample = [
-        field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED
-    ]
-    return replace(
-        trajectory, **{name: getattr(trajectory, name)[good] for name in per_sample}
-    )
+    return trajectory if good.all() else samples(trajectory, good)
 
 
 def at_times(trajectory: Trajectory, values: Array, times_s: Array) -> Array:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from study.pictures import stick_figure as stick
@@ -29,10 +30,57 @@ SCALE_IN_PER_M = 1.12
 LEFT_IN, RIGHT_IN, TITLE_IN, AXIS_IN, PROFILE_IN = 0.75, 1.0, 0.35, 0.45, 0.7
 COLOURS = (style.VERMILION, style.BLUE)  # of two walks
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
-GROUND_LAYER = (
-    100.0  # over the soles: a foot is a line, and half its drawn width is below it
-)
+GROUND_LAYER = 100.0  # over the soles: half the drawn width of a foot is below them
 LEVEL_M = 0.01  # ground that varies by less is level
+
+
+class AxesSurface:
+    """Takes the shapes of a walker on axes whose limits are set, alike in both directions."""
+
+    def __init__(self, axes: Axes, layer: float) -> None:
+        """The first shape lies on this layer, and the later ones less than one above it."""
+        self._axes, self._layer = axes, layer
+        pixels = axes.transData.transform([(0.0, 0.0), (1.0, 0.0)])
+        self._points_per_m = float(np.ptp(pixels[:, 0]) * 72.0 / axes.figure.dpi)
+
+    def _next_layer(self) -> float:
+        self._layer += 0.1
+        return self._layer
+
+    def bones(self, parts: Sequence[stick.Bone], colour: str) -> None:
+        """Thick lines with round ends."""
+        drawn = LineCollection(
+            [np.array([start, end]) for start, end, _ in parts],
+            colors=colour,
+            capstyle="round",
+            linewidths=[self._points_per_m * width_m for *_, width_m in parts],
+            zorder=self._next_layer(),
+        )
+        self._axes.add_collection(drawn, autolim=False)
+
+    def muscles(self, outlines: Sequence[Array], activation: Array, edge: str) -> None:
+        """Filled outlines [k, 2], coloured by activation, with a hair line round each."""
+        drawn = PolyCollection(
+            outlines,
+            facecolors=stick.COLOURS(activation),
+            edgecolors=edge,
+            linewidths=0.4,
+            zorder=self._next_layer(),
+        )
+        self._axes.add_collection(drawn, autolim=False)
+
+    def disc(self, centre_m: Array, radius_m: float, colour: str) -> None:
+        """A filled circle."""
+        x, z = centre_m
+        layer = self._next_layer()
+        circle = Circle((x, z), radius_m, facecolor=colour, zorder=layer)
+        self._axes.add_patch(circle)
+
+    def joints(self, points_m: Array) -> None:
+        """Small dots [k, 2]."""
+        self._axes.plot(
+            *points_m.T, "o", color=style.INK, ms=2.0, zorder=self._next_layer()
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,19 +104,16 @@ class Stretch:
         style.tidy(axes)
         axes.grid(False)
         low_x, high_x, low_z, high_z = self.frame
-        axes.set(
-            xlim=(low_x, high_x), ylim=(low_z, high_z)
-        )  # the bones are as wide as its scale
-        q = stick.at_times(self.trajectory, self.trajectory.q, self.poses_s)
-        activation = stick.at_times(
-            self.trajectory, self.trajectory.activation, self.poses_s
+        # Before the bones, which are as wide as the scale has it.
+        axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
+        walker = stick.Walker(
+            stick.at_times(self.trajectory, self.trajectory.q, self.poses_s),
+            stick.at_times(self.trajectory, self.trajectory.activation, self.poses_s),
         )
-        for number in range(len(q)):
-            stick.draw_walker(axes, q[number], activation[number], layer=3.0 + number)
+        for number in range(len(self.poses_s)):
+            walker.draw(AxesSurface(axes, layer=3.0 + number), number)
         times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
-        if len(
-            times_s
-        ):  # the left leg and the hip's path between, as in a chronophotograph
+        if len(times_s):  # the left leg and the hip's path, as in a chronophotograph
             between = stick.at_times(self.trajectory, self.trajectory.q, times_s)
             near = stick.leg(between, stick.LEFT)
             lines = list(near.chain()[:, [0, 1, 2, 4]])

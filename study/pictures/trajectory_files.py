@@ -8,8 +8,8 @@ its origin. Angles are counter-clockwise positive, flexion of the knee negative.
 have as many digits as needed to read the same float64 back.
 """
 
-from collections.abc import Iterable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,12 +31,14 @@ from study.pictures.opensim_muscles import (
 )
 from study.pictures.stick_figure import (
     LEFT,
-    NOT_SAMPLED,
     RIGHT,
     down,
     finite,
     forward,
     leg,
+    leg_angles,
+    of_side,
+    samples,
     trunk,
 )
 from taichi_nmm import __version__
@@ -53,19 +55,15 @@ from taichi_nmm.world import Worlds
 Array = NDArray[np.float64]
 Columns = dict[str, Array]
 
-FOLDER = Path(
-    __file__
-).parent  # of the model's template, and the list of external loads
-FEET = (
-    "1_",
-    "",
-)  # before the names of the left and right foot's columns, as in OpenSim's examples
+FOLDER = Path(__file__).parent  # of the model's template, and the list of loads
+FEET = ("1_", "")  # begin the columns of the left and right foot in OpenSim's examples
 BASE = [f"ground_pelvis/pelvis_{name}" for name in ("tilt", "tx", "ty")]
 COORDINATES = BASE + [
     path.format(side=side) for side in SIDES for path in OPENSIM["leg"]
 ]
 MOTION, STATES, LOADS = "motion.mot", "states.sto", "ground_forces.mot"
 CONTROLS = "controls.sto"
+LENGTHS = ("pelvis_tx", "pelvis_ty")  # among the coordinates; all others are angles
 MODEL, EXTERNAL = "walker.osim", "external_loads.xml"
 
 
@@ -89,18 +87,21 @@ def write_opensim(
         InputError: the folder cannot be written.
     """
     trajectory = finite(trajectory)
+    world = world or Worlds.nominal()
     torques = motor_torques(trajectory, world)
-    controls = {f"/forceset/{motor}": values for motor, values in torques.items()}
-    controls = {"time": _interval_middles(trajectory), **controls}
+    controls = {"time": _interval_middles(trajectory)}
+    controls |= {f"/forceset/{motor}": values for motor, values in torques.items()}
+    texts = {
+        MODEL: model_text(body, name, world),
+        MOTION: storage_text(motion(trajectory), "coordinates", name),
+        STATES: storage_text(states(trajectory, world), "states", name),
+        CONTROLS: storage_text(controls, "controls", name),
+        LOADS: storage_text(loads(trajectory, body), "loads", name),
+        EXTERNAL: FOLDER.joinpath(EXTERNAL).read_text("utf-8"),
+    }
     with together(folder) as new:
-        commit_text(new / MODEL, model_text(body, name, world))
-        commit_text(new / MOTION, storage_text(motion(trajectory), "coordinates", name))
-        commit_text(
-            new / STATES, storage_text(states(trajectory, world), "states", name)
-        )
-        commit_text(new / CONTROLS, storage_text(controls, "controls", name))
-        commit_text(new / LOADS, storage_text(loads(trajectory, body), "loads", name))
-        commit_text(new / EXTERNAL, FOLDER.joinpath(EXTERNAL).read_text("utf-8"))
+        for file, text in texts.items():
+            commit_text(new / file, text)
 
 
 def storage_text(columns: Columns, words: str, name: str) -> str:
@@ -118,54 +119,48 @@ def table_lines(columns: Columns, between: str) -> str:
     return "".join(between.join(map(repr, row)) + "\n" for row in rows)
 
 
-def table(
-    time: str, time_s: Array, named: Iterable[tuple[Sequence[str], Array]]
-) -> Columns:
-    """The time, and the columns of arrays [t, k] by their names, k each."""
-    columns = {time: time_s}
-    for names, values in named:
-        columns |= dict(zip(names, values.T, strict=True))
-    return columns
+def named(names: Sequence[str], values: Array) -> Columns:
+    """The columns of values [t, k], by k names."""
+    return dict(zip(names, values.T, strict=True))
 
 
 def _coordinates(pose: Array) -> Array:
     """OpenSim's coordinates of q, or their rates of qdot, [t, 9] both."""
-    joints = (
-        pose[:, 3:] - pose[:, [2, 3, 4, 2, 6, 7]]
-    )  # extension, flexion, plantarflexion
-    return np.hstack([-pose[:, 2:3], pose[:, :2], -joints])
+    x, z, tilt = pose[:, :3].T
+    columns = [-tilt, x, z]
+    for side in (LEFT, RIGHT):
+        thigh, shank, foot = leg_angles(pose, side)
+        columns += [-(thigh - tilt), -(shank - thigh), -(foot - shank)]
+    return np.column_stack(columns)
 
 
 def motion(trajectory: Trajectory) -> Columns:
     """Coordinates of the model, angles in degrees."""
-    values = _coordinates(trajectory.q)
-    values[:, [0, *range(3, 9)]] = np.rad2deg(values[:, [0, *range(3, 9)]])
     names = [path.rpartition("/")[2] for path in COORDINATES]
-    return table("time", trajectory.time_s, [(names, values)])
+    columns = named(names, _coordinates(trajectory.q))
+    for name in names:
+        if name not in LENGTHS:
+            columns[name] = np.rad2deg(columns[name])
+    return {"time": trajectory.time_s, **columns}
 
 
-def states(trajectory: Trajectory, world: Worlds | None = None) -> Columns:
+def states(trajectory: Trajectory, world: Worlds) -> Columns:
     """All states of the model by the paths of OpenSim 4: coordinates, speeds, muscles.
 
     A muscle that is missing in this world has none; fibres are as `fibre_lengths` has
     them.
     """
     paths = [f"/jointset/{path}" for path in COORDINATES]
-    columns = table(
-        "time",
-        trajectory.time_s,
-        [
-            ([f"{path}/value" for path in paths], _coordinates(trajectory.q)),
-            ([f"{path}/speed" for path in paths], _coordinates(trajectory.qdot)),
-        ],
-    )
+    columns = {
+        "time": trajectory.time_s,
+        **named([f"{path}/value" for path in paths], _coordinates(trajectory.q)),
+        **named([f"{path}/speed" for path in paths], _coordinates(trajectory.qdot)),
+    }
     lengths = fibre_lengths(trajectory, world)
-    for muscle, activation in zip(
-        muscles_of(world), trajectory.activation.T, strict=True
-    ):
-        if muscle.name in lengths:
-            columns[f"/forceset/{muscle.name}/activation"] = activation
-            columns[f"/forceset/{muscle.name}/fiber_length"] = lengths[muscle.name]
+    for muscle in muscles_of(world):
+        path = f"/forceset/{muscle.name}"
+        columns[f"{path}/activation"] = trajectory.activation[:, muscle.column]
+        columns[f"{path}/fiber_length"] = lengths[muscle.name]
     return columns
 
 
@@ -175,37 +170,48 @@ def loads(trajectory: Trajectory, body: Bodies) -> Columns:
     The point follows from the foot's equation of motion; a torque is what a point
     between heel and ball leaves over.
     """
-    interval_s = _interval(trajectory)
-    q, qdot = trajectory.q, trajectory.qdot
     columns = {"time": _interval_middles(trajectory)}
     for side, foot in enumerate(FEET):
-        link = SEGMENT_NAMES.index(f"foot_{SIDES[side]}")
-        mass, inertia = body.mass_kg[0, link], body.inertia_kgm2[0, link]
-        com_m = body.com_m[0, link]
-        thigh, shank, angle = q[:, 3 + 3 * side : 6 + 3 * side].T
-        w = qdot[:, 3 + 3 * side : 6 + 3 * side, None]
-        speed = qdot[:, :2] - THIGH_LENGTH_M * w[:, 0] * forward(thigh)
-        speed += com_m * w[:, 2] * down(angle) - SHANK_LENGTH_M * w[:, 1] * forward(
-            shank
-        )
-        drawn, lever = leg(_middle(q), side), -com_m * forward(_middle(angle))
-        force = trajectory.ground_force_n[:, 2 * side : 2 * side + 2]
-        above = (
-            mass * (_gained(speed) / interval_s + [0.0, GRAVITY_MPS2]) - force
-        )  # of the shank
-        moment = trajectory.joint_torque_nm[:, 3 * side + 2] - _cross(lever, above)
-        moment -= inertia * _gained(w[:, 2, 0]) / interval_s
-        low, high = np.sort([drawn.heel, drawn.ball], axis=0) - (drawn.ankle - lever)
-        on = force[:, 1] > 0.0
-        ahead = (moment + low[:, 1] * force[:, 0]) / np.where(on, force[:, 1], np.inf)
-        point = np.column_stack([np.clip(ahead, low[:, 0], high[:, 0]), low[:, 1]])
-        left = np.where(on, moment - _cross(point, force), 0.0)
-        zero, (ahead, above) = np.zeros_like(left), (drawn.ankle - lever + point).T
-        values = (*force.T, zero, ahead, above, zero, zero, zero, left)
-        kinds = (f"{foot}ground_{kind}" for kind in ("force_v", "force_p", "torque_"))
-        names = [f"{kind}{axis}" for kind in kinds for axis in "xyz"]
-        columns |= dict(zip(names, values, strict=True))
+        push_n = of_side(trajectory.ground_force_n, side)
+        place_m, torque_nm = _pressure(trajectory, body, side)
+        nothing = np.zeros_like(torque_nm)
+        for name, in_plane, third in (
+            ("force_v", push_n, nothing),
+            ("force_p", place_m, nothing),
+            ("torque_", np.zeros_like(push_n), torque_nm),
+        ):
+            names = [f"{foot}ground_{name}{axis}" for axis in "xyz"]
+            columns |= named(names, np.column_stack([in_plane, third]))
     return columns
+
+
+def _pressure(trajectory: Trajectory, body: Bodies, side: int) -> tuple[Array, Array]:
+    """Where the ground pushes a foot, x and z [t, 2], and its torque about there [t]."""
+    link = SEGMENT_NAMES.index(f"foot_{SIDES[side]}")
+    com_m = body.com_m[0, link]
+    interval_s = _interval(trajectory)
+    thigh, shank, foot = leg_angles(trajectory.q, side)
+    thigh_rate, shank_rate, foot_rate = leg_angles(trajectory.qdot, side)[..., None]
+    speed = trajectory.qdot[:, :2] - THIGH_LENGTH_M * thigh_rate * forward(thigh)
+    turning = com_m * foot_rate * down(foot)
+    speed += turning - SHANK_LENGTH_M * shank_rate * forward(shank)
+    joints = leg(_middle(trajectory.q), side)
+    ankle_m = -com_m * forward(_middle(foot))  # as are all points: from the foot's mass
+    com = joints.ankle - ankle_m
+    push_n = of_side(trajectory.ground_force_n, side)
+    push_x, push_z = push_n.T
+    gravity = [0.0, GRAVITY_MPS2]
+    shank_n = body.mass_kg[0, link] * (_gained(speed) / interval_s + gravity) - push_n
+    *_, torque_nm = of_side(trajectory.joint_torque_nm, side).T
+    moment = torque_nm - _cross(ankle_m, shank_n)
+    moment -= body.inertia_kgm2[0, link] * _gained(foot_rate[:, 0]) / interval_s
+    low, high = np.sort([joints.heel, joints.ball], axis=0) - com
+    sole_z = low[:, 1]
+    on_ground = push_z > 0.0
+    x = (moment + sole_z * push_x) / np.where(on_ground, push_z, np.inf)
+    point = np.column_stack([np.clip(x, low[:, 0], high[:, 0]), sole_z])
+    left_over = np.where(on_ground, moment - _cross(point, push_n), 0.0)
+    return com + point, left_over
 
 
 def _interval(trajectory: Trajectory) -> float:
@@ -233,21 +239,21 @@ def _cross(arm: Array, force: Array) -> Array:
     return np.asarray(arm[:, 0] * force[:, 1] - arm[:, 1] * force[:, 0])
 
 
-def model_text(body: Bodies, name: str = "walk", world: Worlds | None = None) -> str:
+def model_text(body: Bodies, name: str, world: Worlds) -> str:
     """The model of the first body in the first world, as XML."""
-    numbers = {
-        "mass": body.mass_kg[0].tolist(),
-        "inertia": body.inertia_kgm2[0].tolist(),
-        "com": body.com_m[0].tolist(),
-        "down": (-body.com_m[0]).tolist(),
-    }
-    text = FOLDER.joinpath(MODEL).read_text("utf-8")
-    return text.format(
-        name=name,
-        version=__version__,
-        forces=forces_text(world),
-        lines=lines_text(world),
-        **numbers,
+    return (
+        FOLDER.joinpath(MODEL)
+        .read_text("utf-8")
+        .format(
+            name=name,
+            version=__version__,
+            forces=forces_text(world),
+            lines=lines_text(world),
+            mass=body.mass_kg[0].tolist(),
+            inertia=body.inertia_kgm2[0].tolist(),
+            com=body.com_m[0].tolist(),
+            down=(-body.com_m[0]).tolist(),
+        )
     )
 
 
@@ -262,26 +268,25 @@ def write_c3d(path: Path, trajectory: Trajectory) -> None:
     """Write the markers in mm: forwards, to the left (all in one plane, at 0), and up."""
     import ezc3d
 
-    shown, file = finite(trajectory), ezc3d.c3d()
+    shown = finite(trajectory)
     if len(shown.time_s) > MOST_FRAMES:
-        raise InputError(
-            "trajectory", path.name, f"a walk of at most {MOST_FRAMES} samples"
-        )
-    left, right = (leg(shown.q, side).chain() for side in (LEFT, RIGHT))
-    places_m = np.concatenate([trunk(shown.q)[0][:, None], left, right[:, 1:]], axis=1)
-    points = np.ones((4, *places_m.T.shape[1:]), np.float32)  # the last is not used
-    points[0], points[1], points[2] = (
-        1e3 * places_m[..., 0].T,
-        0.0,
-        1e3 * places_m[..., 1].T,
+        allowed = f"a walk of at most {MOST_FRAMES} samples"
+        raise InputError("trajectory", path.name, allowed)
+    shoulder, _ = trunk(shown.q)
+    left, right = leg(shown.q, LEFT).chain(), leg(shown.q, RIGHT).chain()
+    places_m = np.concatenate([shoulder[:, None], left, right[:, 1:]], axis=1)
+    across, up = 1e3 * places_m.T
+    file = ezc3d.c3d()
+    file["data"]["points"] = np.array(
+        [across, np.zeros_like(up), up, np.ones_like(up)],  # the last is not used
+        np.float32,
     )
-    rate_hz = 1.0 / float(shown.time_s[0])
-    for name, value in (("RATE", [rate_hz]), ("UNITS", ["mm"]), ("LABELS", MARKERS)):
-        file["parameters"]["POINT"][name]["value"] = value
-    file["data"]["points"] = points
-    with (
-        TemporaryDirectory() as folder
-    ):  # ezc3d insists on the ending, and tells of no full disk
+    point = file["parameters"]["POINT"]
+    point["RATE"]["value"] = [1.0 / float(shown.time_s[0])]
+    point["UNITS"]["value"] = ["mm"]
+    point["LABELS"]["value"] = MARKERS
+    # In a folder of its own: ezc3d insists on the ending, and tells of no full disk.
+    with TemporaryDirectory() as folder:
         made = Path(folder) / "walk.c3d"
         file.write(str(made))
         content = made.read_bytes()
@@ -293,78 +298,56 @@ RECORD_RATE_HZ = 1000.0  # of walks that are kept: loads of every tick
 KEPT_RATE_HZ = 200.0
 MEANS = ("ground_force_n", "joint_torque_nm", "swing_torque_nm", "device_torque_nm")
 
-SEGMENTS = ("thigh", "shank", "foot")
-OWN_COORDINATES = (
-    "x_m",
-    "z_m",
-    "hat_rad",
-    *(f"{segment}_{side}_rad" for side in SIDES for segment in SEGMENTS),
-)
+LINKS = [f"{link}_{side}" for side in SIDES for link in ("thigh", "shank", "foot")]
+OWN_COORDINATES = ["x_m", "z_m", "hat_rad", *(f"{link}_rad" for link in LINKS)]
 OWN_JOINTS = ("hip_extension", "knee_flexion", "ankle_plantarflexion")
-TORQUES = [f"{side}_{joint}" for side in SIDES for joint in OWN_JOINTS]
+JOINTS = [f"{side}_{joint}" for side in SIDES for joint in OWN_JOINTS]
+MUSCLES = [f"{side}_{muscle}" for side, muscle in SIDED]
+CSV = (  # a field of the trajectory, how the names of its columns begin, and their end
+    ("q", OWN_COORDINATES, ""),
+    ("qdot", OWN_COORDINATES, "ps"),
+    ("joint_rad", JOINTS, "_rad"),
+    ("activation", MUSCLES, "_activation"),
+    ("muscle_force_n", MUSCLES, "_force_n"),
+    (
+        "ground_force_n",
+        [f"{side}_ground_{axis}" for side in SIDES for axis in "xz"],
+        "_n",
+    ),
+    ("stance", SIDES, "_stance"),
+    ("joint_torque_nm", JOINTS, "_torque_nm"),
+    (
+        "swing_torque_nm",
+        [name for name in JOINTS if "ankle" not in name],
+        "_swing_torque_nm",
+    ),
+    ("device_torque_nm", JOINTS, "_device_torque_nm"),
+    ("fibre_length_m", MUSCLES, "_fibre_m"),
+    ("fibre_velocity_mps", MUSCLES, "_fibre_mps"),
+    ("delayed", DELAYED, ""),
+)
 
 
 def kept(trajectory: Trajectory) -> Trajectory:
     """`KEPT_RATE_HZ` of more samples: loads as means over the intervals, all else at their ends."""
-    interval_s = float(np.diff(trajectory.time_s[:2]).sum())
-    count = round(1.0 / (KEPT_RATE_HZ * interval_s)) if interval_s else 1
+    count = round(1.0 / (KEPT_RATE_HZ * _interval(trajectory)))
     if count < 2:
         return trajectory
     size = len(trajectory.time_s) // count
-    names = [
-        field.name for field in fields(trajectory) if field.name not in NOT_SAMPLED
-    ]
-    thin = {name: getattr(trajectory, name)[count - 1 :: count] for name in names}
-    whole = {name: getattr(trajectory, name)[: size * count] for name in MEANS}
-    means = {
-        name: each.reshape(size, count, -1).mean(axis=1) for name, each in whole.items()
-    }
-    return replace(trajectory, **(thin | means))
+    means = {}
+    for name in MEANS:
+        whole = getattr(trajectory, name)[: size * count]
+        means[name] = whole.reshape(size, count, -1).mean(axis=1)
+    return replace(samples(trajectory, slice(count - 1, None, count)), **means)
 
 
 def own_columns(trajectory: Trajectory) -> Columns:
     """All samples, by names with units; signs as in `Trajectory`."""
-    swing = [name for name in TORQUES if "ankle" not in name]
-    return table(
-        "time_s",
-        trajectory.time_s,
-        [
-            (OWN_COORDINATES, trajectory.q),
-            ([f"{name}ps" for name in OWN_COORDINATES], trajectory.qdot),
-            ([f"{name}_rad" for name in TORQUES], trajectory.joint_rad),
-            (
-                [f"{side}_{muscle}_activation" for side, muscle in SIDED],
-                trajectory.activation,
-            ),
-            (
-                [f"{side}_{muscle}_force_n" for side, muscle in SIDED],
-                trajectory.muscle_force_n,
-            ),
-            (
-                [f"{side}_ground_{axis}_n" for side in SIDES for axis in "xz"],
-                trajectory.ground_force_n,
-            ),
-            (
-                [f"{side}_stance" for side in SIDES],
-                trajectory.stance.astype(np.float64),
-            ),
-            ([f"{name}_torque_nm" for name in TORQUES], trajectory.joint_torque_nm),
-            ([f"{name}_swing_torque_nm" for name in swing], trajectory.swing_torque_nm),
-            (
-                [f"{name}_device_torque_nm" for name in TORQUES],
-                trajectory.device_torque_nm,
-            ),
-            (
-                [f"{side}_{muscle}_fibre_m" for side, muscle in SIDED],
-                trajectory.fibre_length_m,
-            ),
-            (
-                [f"{side}_{muscle}_fibre_mps" for side, muscle in SIDED],
-                trajectory.fibre_velocity_mps,
-            ),
-            (DELAYED, trajectory.delayed),
-        ],
-    )
+    columns = {"time_s": trajectory.time_s}
+    for field, stems, end in CSV:
+        values = getattr(trajectory, field).astype(np.float64)
+        columns |= named([f"{stem}{end}" for stem in stems], values)
+    return columns
 
 
 def require_trajectory_file(path: Path) -> None:
@@ -374,13 +357,11 @@ def require_trajectory_file(path: Path) -> None:
         InputError: another ending, or a place that cannot be written.
     """
     if path.suffix not in FORMATS:
-        raise InputError(
-            "trajectory", path.suffix, f"a file that ends in {', '.join(FORMATS)}"
-        )
+        allowed = f"a file that ends in {', '.join(FORMATS)}"
+        raise InputError("trajectory", path.suffix, allowed)
     if path.suffix == ".c3d" and find_spec("ezc3d") is None:
-        raise InputError(
-            "trajectory", ".c3d", "with ezc3d: pip install 'taichi-nmm[c3d]'"
-        )
+        allowed = "with ezc3d: pip install 'taichi-nmm[c3d]'"
+        raise InputError("trajectory", ".c3d", allowed)
     require_writable(path, "trajectory")
 
 
@@ -404,4 +385,5 @@ def write_trajectory(
     elif path.suffix == ".mot":
         commit_text(path, storage_text(motion(trajectory), "coordinates", name))
     else:
-        commit_text(path, storage_text(states(trajectory, world), "states", name))
+        columns = states(trajectory, world or Worlds.nominal())
+        commit_text(path, storage_text(columns, "states", name))

@@ -149,11 +149,11 @@ def test_an_axis_that_is_cut_says_so() -> None:
     level = chosen_setting("flat", "nominal", 1, "nominal", "taichi", 10.0)
     walked, cycle = walk(gains_of_source("published"), level), Cycle()
     cycle.show(walked, None)
-    plot, source, _ = cycle._panels["vertical_bw"]
+    plot, source, _ = cycle.plots["vertical_bw"]
     highest = max(source.data["high"].max(), source.data["right"].max())
     assert highest > plot.y_range.end == 1.6
     assert plot.title.text.endswith(f"; cut at 1.6: to {highest:.1f}")
-    knee, _, _ = cycle._panels["knee_flexion_deg"]
+    knee, _, _ = cycle.plots["knee_flexion_deg"]
     assert "cut" not in knee.title.text
 
 

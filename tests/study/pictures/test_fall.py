@@ -9,8 +9,8 @@ import pytest
 
 import taichi_nmm
 from study.experiment.gains import gains_of_source, named_gains
-from study.pictures.fall import fall_text
-from study.pictures.stick_figure import leg
+from study.pictures.fall import SIDES, fall_text
+from study.pictures.stick_figure import leg, leg_angles
 from taichi_nmm import terrain
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Trajectory
 from taichi_nmm.terrain import GRID_X_M, Terrain
@@ -27,12 +27,8 @@ def row(end_reason: int = FELL) -> np.void:
 
 @cache
 def reference() -> Trajectory:
-    walk = taichi_nmm.simulate(
-        gains_of_source("reference").gains,
-        duration_s=4.0,
-        record=[0],
-        record_rate_hz=100.0,
-    )
+    gains = gains_of_source("reference").gains
+    walk = taichi_nmm.simulate(gains, duration_s=4.0, record=[0], record_rate_hz=100.0)
     return walk.trajectories[0]
 
 
@@ -44,21 +40,25 @@ def pushed(way: float) -> Trajectory:
     return replace(walk, q=q)
 
 
+def last_strike(walk: Trajectory) -> np.void:
+    return walk.events[walk.events["kind"] == 0][-1]
+
+
 @pytest.mark.parametrize(("way", "word"), [(1.0, "forwards"), (-1.0, "backwards")])
 def test_a_trunk_that_is_pushed_over(way: float, word: str) -> None:
     walk = pushed(way)
     text = fall_text(row(), walk, LEVEL)
     degrees = abs(np.rad2deg(walk.q[-1, 2]))
     assert text.startswith(f": {word}; the trunk leaned {degrees:.0f} deg {word}; ")
-    strikes = walk.events[walk.events["kind"] == 0]
-    last = strikes[-1]
-    before_s = walk.time_s[-1] - last["time_s"]
-    foot = f"the {('left', 'right')[last['side']]} foot touched last, {before_s:.2f} s before at "
-    assert foot in text
-    told = float(re.search(r"before at (\d+\.\d+) m", text)[1])
-    at = np.searchsorted(walk.time_s, last["time_s"])
-    joints = leg(walk.q[at], int(last["side"]))
-    assert min(joints.heel[0], joints.ball[0]) - 0.01 <= told <= joints.ball[0] + 0.01
+    strike = last_strike(walk)
+    side = int(strike["side"])
+    before_s = walk.time_s[-1] - strike["time_s"]
+    told = re.search(
+        rf"the {SIDES[side]} foot touched last, {before_s:.2f} s before at (\S+) m",
+        text,
+    )
+    joints = leg(walk.q[np.searchsorted(walk.time_s, strike["time_s"])], side)
+    assert joints.heel[0] - 0.01 <= float(told[1]) <= joints.ball[0] + 0.01
     assert not re.search("caught|slipped|gave way", text)
     assert fall_text(row(COMPLETED), walk, LEVEL) == ""
 
@@ -66,13 +66,13 @@ def test_a_trunk_that_is_pushed_over(way: float, word: str) -> None:
 def test_a_hip_that_sinks_behind_or_ahead_of_the_foot() -> None:
     for shift_m, word in ((-0.6, "backwards"), (0.6, "forwards")):
         walk = pushed(0.0)
-        q, events = walk.q.copy(), walk.events[walk.events["time_s"] < 3.0]
-        side = int(events[events["kind"] == 0][-1]["side"])
-        ankle_m = leg(q[-1], side).ankle[0]
-        q[-1, :3] = ankle_m + shift_m, 0.59, 0.0
-        angles = q[-1, 3 + 3 * side : 6 + 3 * side]
-        angles[:] = np.arcsin(np.clip(shift_m / 2.0, -1.0, 1.0)), 0.9 * shift_m, 0.0
-        text = fall_text(row(), replace(walk, q=q, events=events), LEVEL)
+        walk = replace(walk, events=walk.events[walk.events["time_s"] < 3.0])
+        side = int(last_strike(walk)["side"])
+        q = walk.q.copy()
+        q[-1, :3] = leg(q[-1], side).ankle[0] + shift_m, 0.59, 0.0
+        thigh = np.arcsin(np.clip(shift_m / 2.0, -1.0, 1.0))
+        leg_angles(q[-1], side)[:] = thigh, 0.9 * shift_m, 0.0
+        text = fall_text(row(), replace(walk, q=q), LEVEL)
         assert text.startswith(f": {word}; the hip sank to 0.6 m over the ground"), text
 
 
