@@ -68,14 +68,14 @@ def plain_loop(kp: float, beats: int, world: dict[str, float]) -> dict[str, floa
     for step in range(steps):
         up = data.xmat[1].reshape(3, 3)[:, 2]
         now = SensedState(
-            step * 0.01,
-            data.qpos[None].copy(),
-            data.qvel[None].copy(),
-            data.xpos[1:2, 0].copy(),
-            data.xpos[1:2, 2].copy(),
-            np.array([np.arctan2(up[0], up[2])]),
-            np.zeros(1),
-            {"hip": data.sensordata[:1].copy()},
+            time_s=step * 0.01,
+            qpos=data.qpos[None].copy(),
+            qvel=data.qvel[None].copy(),
+            x_m=data.xpos[1:2, 0].copy(),
+            height_m=data.xpos[1:2, 2].copy(),
+            pitch_rad=np.array([np.arctan2(up[0], up[2])]),
+            tilt_rad=np.zeros(1),
+            sensors={"hip": data.sensordata[:1].copy()},
         )
         data.ctrl[:] = swing(
             {"kp": np.array([kp]), "beats": np.array([beats])}, now, memory
@@ -153,14 +153,15 @@ BLOCK, CART = ((ASSETS / name).read_text() for name in ("block.xml", "cart.xml")
 SHARE = {"share": FloatDistribution(0.0, 1.0)}
 
 
+def of_share(text: str, controller: Any, **more: Any) -> MujocoSimulator:
+    """A model whose controller knows one parameter, and which falls by no rule but one given."""
+    given = {"parameters": SHARE, "control_step_s": 0.01, "fallen": never} | more
+    return MujocoSimulator(rail.Model(text), controller, **given)
+
+
 def test_worlds_do_what_their_names_say() -> None:
     """A cart of 2 kg under 4 N; a block on a slope, whose friction is 0.2."""
-    given: dict[str, Any] = {
-        "parameters": SHARE,
-        "control_step_s": 0.01,
-        "fallen": never,
-    }
-    cart = MujocoSimulator(rail.Model(CART), full, **given)
+    cart = of_share(CART, full)
 
     def moved(**world: float) -> float:
         row = runs(cart, np.array([[1.0]]), world, seconds=1.0)[0, 0]
@@ -174,16 +175,12 @@ def test_worlds_do_what_their_names_say() -> None:
     assert (
         0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5
     )  # at a time between .5 and 1 s or not at all
-    block = MujocoSimulator(rail.Model(BLOCK), still, **given)
+    block = of_share(BLOCK, still)
     slopes = []
     for slope, friction in ((0.1, 1.0), (0.5, 1.0), (0.5, 3.0)):
-        row = runs(
-            block,
-            np.array([[0.0]]),
-            {"slope": slope, "friction": friction},
-            seconds=1.0,
-        )
-        slopes.append(float(row[0, 0]["distance_m"]))
+        world = {"slope": slope, "friction": friction}
+        row = runs(block, np.array([[0.0]]), world, seconds=1.0)[0, 0]
+        slopes.append(float(row["distance_m"]))
     turn = np.arctan(0.5)
     slid = -0.5 * 9.81 * (np.sin(turn) - 0.2 * np.cos(turn))
     assert slopes == pytest.approx([0.0, slid, 0.0], abs=0.02)
@@ -220,11 +217,6 @@ def test_a_number_means_the_same_on_any_model(
 
 def test_energy_and_weight_are_what_the_robot_has() -> None:
     """A joint takes 4 N of an actuator's 100; a table, a rail and gravity along y add nothing."""
-    given: dict[str, Any] = {
-        "parameters": SHARE,
-        "control_step_s": 0.01,
-        "fallen": never,
-    }
     strong = CART.replace('gear="4"', 'gear="100"')
     clipped = strong.replace('axis="1 0 0"', 'axis="1 0 0" actuatorfrcrange="-4 4"')
     table = '<body pos="9 9 9"><geom size="1" mass="70"/></body>'
@@ -236,15 +228,13 @@ def test_energy_and_weight_are_what_the_robot_has() -> None:
     )
     for text in (CART, clipped, tabled, sideways, railed):
         root = "cart" if text == railed else None
-        robot = MujocoSimulator(rail.Model(text), full, root=root, **given)
+        robot = of_share(text, full, root=root)
         row = robot.trial({"share": 1.0}, {}, 1.0)
         assert row["distance_m"] == pytest.approx(1.0, rel=5e-3)
         # sampled at the ends of 100 control steps: 1 % more than 4 N times 1 m
         assert row["energy_j"] == pytest.approx(4.04, rel=5e-3)
         assert row["cost_of_transport"] == pytest.approx(4.04 / 20.0, rel=5e-3)
-    afloat = MujocoSimulator(
-        rail.Model(CART.replace("0 0 -10", "0 0 0")), full, **given
-    )
+    afloat = of_share(CART.replace("0 0 -10", "0 0 0"), full)
     assert "cost_of_transport" not in afloat.trial({"share": 1.0}, {}, 1.0)
     assert afloat.outcomes == ("survived_fraction", "energy_j", "speed_mps")
 
@@ -261,10 +251,8 @@ def test_a_trial_is_a_row() -> None:
 
 def test_a_trial_has_the_types_of_a_row() -> None:
     exact = Rail.trial({"beats": 2, "kp": 1.5}, {"seed": 7}, SECONDS)
-    assert (
-        Rail.trial({"beats": 2.0, "kp": np.float32(1.5)}, {"seed": 7.0}, SECONDS)
-        == exact
-    )
+    floats = {"beats": 2.0, "kp": np.float32(1.5)}
+    assert Rail.trial(floats, {"seed": 7.0}, SECONDS) == exact
 
 
 POINT = {"kp": 1.0, "beats": 1}
@@ -275,6 +263,8 @@ POINT = {"kp": 1.0, "beats": 1}
     [
         (POINT, {}, 0.0, r"^seconds: 0\.0 .* 0\.01 s, one control step, or more"),
         (POINT, {}, np.nan, "^seconds: nan .* a finite number"),
+        ({"kp": 1.0}, {}, 1.0, r"^point: \['kp'\] .* the parameters kp, beats"),
+        (POINT, {"wind": 1.0}, 1.0, r"^world\.wind: 1\.0 .* of mass"),
         (POINT, {"mass": "heavy"}, 1.0, r"^world\.mass: 'heavy' .* a finite number"),
         (POINT, {"seed": -1}, 1.0, r"^world\.seed: -1 .* a whole number, 0 or more"),
         (POINT, {"seed": 7.9}, 1.0, r"^world\.seed: 7\.9 .* a whole number, 0 or more"),
@@ -294,32 +284,20 @@ def test_a_trial_of_no_numbers_is_refused(
 CUBE = "\n".join(f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1))
 FACES = "\nf 1 2 3\nf 4 5 6\nf 7 8 1\nf 2 5 8\n"
 GRID = np.array([2, 2], dtype=np.int32).tobytes()
+MESH = (CUBE + FACES).encode()
+LARGER_MESH = MESH.replace(b"1", b"1.8", 4)
+SHIN = """<mujoco model="shin">
+  <compiler meshdir="geo"/><asset><mesh name="shin" file="shin.obj"/></asset>
+  <worldbody><body name="shin"><geom type="mesh" mesh="shin" density="10"/></body></worldbody>
+</mujoco>"""
+PART = '<mujocoinclude><geom size=".3"/></mujocoinclude>'
 FILES: dict[str, tuple[bytes, bytes]] = {  # of a model, before and after a change
-    "geo/foot.obj": (
-        (CUBE + FACES).encode(),
-        (CUBE + FACES).replace("1", "1.8", 4).encode(),
-    ),
+    "geo/foot.obj": (MESH, LARGER_MESH),
     "geo/hills.bin": (GRID + bytes(16), GRID + np.float32([0, 0, 0, 1]).tobytes()),
-    "geo/net.obj": (
-        (CUBE + FACES).encode(),
-        (CUBE + FACES).replace("1", "1.8", 4).encode(),
-    ),
-    "shin/geo/shin.obj": (
-        (CUBE + FACES).encode(),
-        (CUBE + FACES).replace("1", "1.8", 4).encode(),
-    ),
-    "part.xml": (
-        b'<mujocoinclude><geom size=".3"/></mujocoinclude>',
-        b'<mujocoinclude><geom size=".4"/></mujocoinclude>',
-    ),
-    "shin/shin.xml": (
-        b"""<mujoco model="shin"><compiler meshdir="geo"/><asset><mesh name="shin" file="shin.obj"/>
-        </asset><worldbody><body name="shin"><geom type="mesh" mesh="shin" density="10"/></body>
-        </worldbody></mujoco>""",
-        b"""<mujoco model="shin"><compiler meshdir="geo"/><asset><mesh name="shin" file="shin.obj"/>
-        </asset><worldbody><body name="shin"><geom type="mesh" mesh="shin" density="20"/></body>
-        </worldbody></mujoco>""",
-    ),
+    "geo/net.obj": (MESH, LARGER_MESH),
+    "shin/geo/shin.obj": (MESH, LARGER_MESH),
+    "part.xml": (PART.encode(), PART.replace(".3", ".4").encode()),
+    "shin/shin.xml": (SHIN.encode(), SHIN.replace("10", "20").encode()),
 }
 NAMING = (ASSETS / "naming.xml").read_text()
 
@@ -341,9 +319,8 @@ def test_a_file_that_a_model_names_is_in_its_version(
     first = version()
     assert version() == first
     (tmp_path / changed).write_bytes(FILES[changed][1])
-    os.utime(
-        tmp_path / changed, (1e9, 1e9)
-    )  # MuJoCo keeps files, and asks for their times in s
+    # MuJoCo keeps files, and asks for their times in s.
+    os.utime(tmp_path / changed, (1e9, 1e9))
     assert version() != first
 
 
@@ -376,23 +353,21 @@ def test_assets_of_a_function_are_in_its_version() -> None:
     assert versions[0] == versions[2] != versions[1]
 
 
+def version_of_030(text: str) -> str:
+    """The code's version that 0.3.0 gave to the rail with this model."""
+    file = hashlib.sha256(Path(rail.__file__).read_bytes()).hexdigest()[:16]
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    whole = b"1" + file.encode() + spec.to_xml().encode()
+    return hashlib.sha256(whole).hexdigest()[:16]
+
+
 def test_a_model_without_files_has_the_version_of_before() -> None:
     """Half a store of 0.3.0 goes on, where its numbers are the same."""
-    file = hashlib.sha256(Path(rail.__file__).read_bytes()).hexdigest()[:16]
-    spec = mujoco.MjSpec.from_string(XML)
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    found = hashlib.sha256(b"1" + file.encode() + spec.to_xml().encode()).hexdigest()[
-        :16
-    ]
-    assert Rail.code_version == found
+    assert Rail.code_version == version_of_030(XML)
     for change in ('forcerange="-9 9"', 'damping="1"', 'armature="1"'):
         text = XML.replace('gear="20"', f'gear="20" {change}')
-        other = mujoco.MjSpec.from_string(text)
-        other.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        before = hashlib.sha256(
-            b"1" + file.encode() + other.to_xml().encode()
-        ).hexdigest()[:16]
-        assert made(text).code_version != before
+        assert made(text).code_version != version_of_030(text)
 
 
 def test_the_root_and_the_file_of_a_rule_are_in_a_store() -> None:
@@ -408,11 +383,7 @@ def soon(sensed: SensedState) -> Any:
 
 def test_half_a_store_of_another_rule_does_not_go_on(tmp_path: Path) -> None:
     """Rule and controller may be of one file: which rule it is, the file does not say."""
-    given: dict[str, Any] = {"parameters": SHARE, "control_step_s": 0.01}
-    cart = [
-        MujocoSimulator(rail.Model(CART), full, fallen=rule, **given)
-        for rule in (never, soon)
-    ]
+    cart = [of_share(CART, full, fallen=rule) for rule in (never, soon)]
     with pytest.raises(InputError, match="fallen"):
         for each in cart:
             make_store(each, tmp_path / "cart", workers=1, samples=4)
@@ -455,89 +426,63 @@ FLOATING = XML.replace("<option ", '<option gravity="0 0 0" ')
 
 
 @pytest.mark.parametrize(
-    ("build", "match"),
+    ("given", "match"),
     [
+        ({"worlds": {"wind": 1.0}}, r"^worlds\.wind: .* one of mass, mass_spread"),
+        ({"worlds": {"mass": -1.0}}, r"^world\.mass: -1\.0 .* more than 0"),
+        ({"text": "<mujoco/>"}, "^model: 'rail' .* a model with actuators"),
         (
-            lambda: made(worlds={"wind": 1.0}),
-            r"^worlds\.wind: .* one of mass, mass_spread",
-        ),
-        (lambda: made("<mujoco/>"), "^model: 'rail' .* a model with actuators"),
-        (
-            lambda: made("<mujoco><nothing/></mujoco>"),
+            {"text": "<mujoco><nothing/></mujoco>"},
             "^model: 'rail' .* loads .XML Error.*nothing",
         ),
-        (lambda: made(root="knee"), "^root: .*knee.* a body of the model: trunk, leg"),
+        ({"root": "knee"}, "^root: 'knee' .* a body of the model: trunk, leg"),
+        ({"root": "world"}, "^root: 'world' .* a body of the model: trunk, leg"),
+        ({"control_step_s": 0.003}, "^control_step_s: 0.003 .* steps of 0.002 s"),
+        ({"start_qpos": [0.0]}, "^start_qpos: .* 4 numbers"),
         (
-            lambda: made(control_step_s=0.003),
-            "^control_step_s: 0.003 .* steps of 0.002 s",
-        ),
-        (lambda: made(start_qpos=[0.0]), "^start_qpos: .* 4 numbers"),
-        (
-            lambda: MujocoSimulator("none.xml", swing, parameters=rail.PARAMETERS),
-            "^model: 'none.xml'",
+            {"text": FLOATING, "worlds": {"slope": 0.1}, "fallen": never},
+            r"^world\.slope: 0\.1 .* 0 for rail: it has no gravity",
         ),
         (
-            lambda: runs(Rail, np.ones((1, 2)), {"mass": 0.0}),
-            r"^world\.mass: 0\.0 .* more than 0",
-        ),
-        (
-            lambda: runs(Rail, np.ones((1, 2)), {"delay_s": 2.0}),
-            r"^world\.delay_s: 2\.0 .* 0 to 1",
-        ),
-        (
-            lambda: runs(
-                made(XML.replace('name="floor" type="plane" size="5 5 1"', 'size="1"')),
-                np.ones((1, 2)),
-                {"rough_m": 0.1},
-            ),
-            r"^world\.rough_m: .* one plane",
-        ),
-        (
-            lambda: runs(
-                MujocoSimulator(
-                    rail.Model(XML), two_columns, parameters=rail.PARAMETERS
-                ),
-                np.ones((1, 2)),
-                {},
-            ),
-            r"controls of shape \[1, 1\] .* not \[1, 2\]",
-        ),
-        (
-            lambda: made(root="world"),
-            "^root: 'world' .* a body of the model: trunk, leg",
-        ),
-        (lambda: made(worlds={"mass": -1.0}), r"^world\.mass: -1\.0 .* more than 0"),
-        (
-            lambda: made(FLOATING, worlds={"slope": 0.1}, fallen=never),
-            r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity",
-        ),
-        (
-            lambda: made(FLOATING, fallen=never).read_worlds(
-                Table({"world": {"slope": [0.0, 0.1]}})
-            ),
-            r"^world\.slope: 0\.1 cannot be used; allowed: 0 for rail: it has no gravity",
-        ),
-        (
-            lambda: made(XML.replace('pos="0 0 0.5"', 'pos="0 0 -1"')),
-            "^fallen: None .* a rule of your own for rail: its root, trunk, starts at a height of -1 m",
-        ),
-        (
-            lambda: Rail.trial({"kp": 1.0}, {}, 1.0),
-            r"^point: \['kp'\] .* the parameters kp, beats",
-        ),
-        (
-            lambda: Rail.trial({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0),
-            r"^world\.wind: .* of mass",
-        ),
-        (
-            lambda: Rail.states({"kp": 1.0, "beats": 1}, {"wind": 1.0}, 1.0),
-            r"^world\.wind: 1\.0",
+            {"text": XML.replace('pos="0 0 0.5"', 'pos="0 0 -1"')},
+            "^fallen: None .* a rule of your own for rail: its root, trunk, "
+            "starts at a height of -1 m",
         ),
     ],
 )
-def test_what_is_refused(build: Any, match: str) -> None:
+def test_a_model_that_is_refused(given: dict[str, Any], match: str) -> None:
     with pytest.raises(InputError, match=match):
-        build()
+        made(**given)
+
+
+def test_a_file_that_is_not_there_is_refused() -> None:
+    with pytest.raises(InputError, match=r"^model: 'none\.xml'"):
+        MujocoSimulator("none.xml", swing, parameters=rail.PARAMETERS)
+
+
+BALL = XML.replace('name="floor" type="plane" size="5 5 1"', 'size="1"')
+
+
+@pytest.mark.parametrize(
+    ("text", "world", "match"),
+    [
+        (XML, {"mass": 0.0}, r"^world\.mass: 0\.0 .* more than 0"),
+        (XML, {"delay_s": 2.0}, r"^world\.delay_s: 2\.0 .* 0 to 1"),
+        (BALL, {"rough_m": 0.1}, r"^world\.rough_m: .* one plane"),
+        (FLOATING, {"slope": [0.0, 0.1]}, r"^world\.slope: 0\.1 .* it has no gravity"),
+    ],
+)
+def test_worlds_that_are_refused(text: str, world: dict[str, Any], match: str) -> None:
+    robot = made(text, fallen=never)
+    with pytest.raises(InputError, match=match):
+        robot.read_worlds(Table({"world": world}))
+
+
+def test_controls_of_another_shape_are_refused() -> None:
+    robot = MujocoSimulator(rail.Model(XML), two_columns, parameters=rail.PARAMETERS)
+    allowed = r"controls of shape \[1, 1\] .* not \[1, 2\]"
+    with pytest.raises(InputError, match=allowed):
+        runs(robot, np.ones((1, 2)), {})
 
 
 def test_a_controller_without_a_number_is_a_failed_run() -> None:
