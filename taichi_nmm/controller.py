@@ -14,21 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from taichi_nmm.body import Bodies
-from taichi_nmm.initial import muscles_and_nerves
+from taichi_nmm.initial import relax
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.actuation import actuate
-from taichi_nmm.kernel.layout import (
-    FIRST_DELAY,
-    FIRST_EVENT,
-    FIRST_FIBRE,
-    LEGS,
-    MUSCLE_COUNT,
-    WALKER_ROWS,
-    Muscle,
-    Sense,
-    Signal,
-    State,
-)
+from taichi_nmm.kernel.layout import LEGS, Sense, WalkerRows
 from taichi_nmm.kernel.muscle_table import FMAX_N, muscle_table
 from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.observation import JOINTS, Observation, sense_rows
@@ -139,21 +128,19 @@ class Controller:
         """
         if self._packs is None:
             raise InputError("controller.muscles", "no step yet", "a first step")
-        rows = self._packs.unfold(self._packs.rows)[:, FIRST_FIBRE:].astype(np.float64)
-        activation, stimulation, length, force = (
-            rows[:, first : first + MUSCLE_COUNT]
-            for first in (
-                Muscle.activation,
-                Muscle.stimulation,
-                Muscle.length,
-                Muscle.force,
-            )
+        rows = self._packs.unfold(self._packs.rows).astype(np.float64)
+        fibres = WalkerRows.of(rows.T).fibres
+        return Muscles(
+            activation=fibres.activation.T,
+            stimulation=fibres.stimulation.T,
+            length=fibres.length.T,
+            force_n=fibres.force.T * np.tile(FMAX_N, LEGS),
         )
-        return Muscles(activation, stimulation, length, force * np.tile(FMAX_N, LEGS))
 
     def _bind(self, rows: NDArray[Any]) -> Packs:
         """The controllers' rows in packs, and the kernel bound to them."""
-        step_s, real = self._settings.physics_step_s, backend.real_dtype()
+        step_s = self._settings.physics_step_s
+        real = backend.real_dtype()
         packs = self._packs = Packs(rows, self._constants)
         self._senses = np.zeros((len(packs.rows), Sense.count, packs.lanes), dtype=real)
         self._torques = np.zeros((len(packs.rows), JOINTS, packs.lanes), dtype=real)
@@ -174,22 +161,21 @@ class Controller:
 
 def _first_rows(observation: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     """The controllers at the start: relaxed muscles, nerves that feel the first moment."""
-    rows = np.zeros((len(observation["trunk_rad"]), WALKER_ROWS))
-    rows[:, State.leg_angle_filter : State.leg_angle_filter + LEGS] = observation[
-        "leg_angle_rad"
-    ]
-    rows[:, State.stance_before : State.stance_before + LEGS] = observation["contact"]
-    rows[:, State.swing_phase : State.swing_phase + LEGS] = HOLD
-    rows[:, State.active] = 1.0
-    joints, rates = (
-        observation[name].reshape(-1, LEGS, 3)
-        for name in ("joint_rad", "joint_rate_radps")
-    )
-    for n, row in enumerate(rows):
-        trunk = observation["trunk_rad"][n], observation["trunk_rate_radps"][n]
-        contact, knee_rates = observation["contact"][n], rates[n, :, 1]
-        fibres, felt, delay = muscles_and_nerves(joints[n], contact, knee_rates, trunk)
-        row[FIRST_FIBRE:FIRST_DELAY] = fibres
-        row[State.felt : State.felt + Signal.count] = felt
-        row[FIRST_DELAY:FIRST_EVENT] = delay
+    contact = observation["contact"]
+    rows = np.zeros((len(contact), WalkerRows.count))
+    state = WalkerRows.of(rows.T).state
+    state.leg_angle_filter[:] = observation["leg_angle_rad"].T
+    state.stance_before[:] = contact.T
+    state.swing_phase[:] = HOLD
+    state.active[:] = 1.0
+    joints_rad = observation["joint_rad"].reshape(-1, LEGS, 3)
+    rates_radps = observation["joint_rate_radps"].reshape(-1, LEGS, 3)
+    for n in range(len(rows)):
+        relax(
+            WalkerRows.of(rows[n : n + 1].T),
+            joints_rad[n],
+            contact[n],
+            knee_rates_radps=rates_radps[n, :, 1],
+            trunk=(observation["trunk_rad"][n], observation["trunk_rate_radps"][n]),
+        )
     return rows

@@ -10,21 +10,7 @@ from storage.inputs import checks
 from storage.inputs.errors import InputError
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel import joints as stops
-from taichi_nmm.kernel.layout import (
-    COORDINATES,
-    FIRST_DELAY,
-    FIRST_EVENT,
-    FIRST_FIBRE,
-    FIRST_SUM,
-    LEGS,
-    MUSCLE_COUNT,
-    RINGS,
-    WALKER_ROWS,
-    Gait,
-    Muscle,
-    State,
-    Sums,
-)
+from taichi_nmm.kernel.layout import LEGS, RINGS, State, Sums, WalkerRows
 from taichi_nmm.kernel.muscle_table import (
     FMAX_N,
     OPTIMAL_LENGTH_M,
@@ -63,75 +49,80 @@ def result_rows(
         duration_s: that was asked for.
     """
     rows = np.zeros(len(final), dtype=RESULT_DTYPE)
+    state = State.of(final.T)
     # A diverged walker's last numbers may be NaN; finite sums are kept.
-    sums = np.nan_to_num(sums, nan=0.0, posinf=0.0, neginf=0.0)
-    rows["end_reason"] = final[:, State.end_reason].astype(np.uint8)
-    rows["duration_s"] = (
-        np.round(final[:, State.end_tick].astype(np.float64)) * CONTROL_TICK_S
-    )
-    rows["hip_x_m"] = final[:, State.end_x]
-    rows["hip_z_m"] = final[:, State.end_z]
+    total = Sums.of(np.nan_to_num(sums, nan=0.0, posinf=0.0, neginf=0.0).T)
+    rows["end_reason"] = state.end_reason.astype(np.uint8)
+    ticks = np.round(state.end_tick.astype(np.float64))
+    rows["duration_s"] = ticks * CONTROL_TICK_S
+    rows["hip_x_m"] = state.end_x
+    rows["hip_z_m"] = state.end_z
     rows["distance_m"] = rows["hip_x_m"]
     rows["mean_speed_mps"] = _quotient(rows["distance_m"], rows["duration_s"])
     mass = bodies.mass_kg.sum(axis=1)
     work = mass * np.maximum(rows["distance_m"], 0.0)
-    energy, motors = sums[:, Sums.metabolic_energy], sums[:, Sums.motor_energy]
-    rows[OF_MUSCLES] = _quotient(energy, work)
-    rows[ENERGY] = _quotient(energy + motors, work)
+    rows[OF_MUSCLES] = _quotient(total.metabolic_energy, work)
+    rows[ENERGY] = _quotient(total.metabolic_energy + total.motor_energy, work)
     rows["survived_fraction"] = rows["duration_s"] / duration_s
-    steps = sums[:, Sums.steps]
-    rows["step_count"] = np.round(steps).astype(np.int32)
+    rows["step_count"] = np.round(total.steps).astype(np.int32)
     for column, name in COLUMNS["sums"].items():
-        rows[column] = sums[:, getattr(Sums, name)]
-    for column, name in COLUMNS["step_means"].items():
-        rows[column] = _quotient(sums[:, getattr(Sums, name)], steps)
+        rows[column] = getattr(total, name)
+    for over, columns in COLUMNS["means"].items():
+        for column, name in columns.items():
+            rows[column] = _quotient(getattr(total, name), getattr(total, over))
     binary = rows["m1_sum"] + rows["m2_sum"] + rows["m3_sum"] + rows["m4_sum"]
     rows["phi_printed"] = binary + rows["m5_sum_mps"]
     rows["phi_corrected"] = binary + rows["m5_corrected_sum"]
-    _summary(rows, sums, mass * GRAVITY_MPS2)
+    _summary(rows, total, mass * GRAVITY_MPS2)
     return rows
 
 
-def _summary(rows: NDArray[np.void], sums: Array, weight_n: Array) -> None:
-    ticks = sums[:, Sums.ticks]
+def _summary(rows: NDArray[np.void], total: Any, weight_n: Array) -> None:
+    """The columns of whole walks; `total` are named rows of `Sums`, [row, n]."""
     for name, of in COLUMNS["moments"].items():
-        row, count = getattr(Sums, name), sums[:, getattr(Sums, of["over"])]
-        mean = _quotient(sums[:, row], count)
-        square = _quotient(
-            sums[:, row + 1], count
-        )  # the row after a sum holds its squares
-        rows[of["sd"]] = np.sqrt(np.maximum(square - mean**2, 0.0))
+        values, squares = getattr(total, name)
+        count = getattr(total, of["over"])
+        mean = _quotient(values, count)
+        variance = _quotient(squares, count) - mean**2
+        rows[of["sd"]] = np.sqrt(np.maximum(variance, 0.0))
         if "mean" in of:
             rows[of["mean"]] = mean
-    for column, name in COLUMNS["tick_means"].items():
-        rows[column] = _quotient(sums[:, getattr(Sums, name)], ticks)
-    vertical = sums[:, Sums.impulse + 1] + sums[:, Sums.impulse + 3]
+    vertical = total.impulse[1] + total.impulse[3]
     rows["grf_vertical_mean_bw"] = _quotient(vertical, weight_n * rows["duration_s"])
-    for m, muscle in enumerate(MUSCLES):
-        rows[f"activation_{muscle.lower()}_mean"] = _quotient(
-            sums[:, Sums.activation + m], ticks
-        )
-    for name, number in (
-        ("step_length", "strikes"),
-        ("step_duration", "step_durations"),
-    ):
-        (total, count), (left, lefts) = (
-            (sums[:, getattr(Sums, side + name)], sums[:, getattr(Sums, side + number)])
-            for side in ("", "left_")
-        )
-        left, right = _quotient(left, lefts), _quotient(total - left, count - lefts)
-        rows[f"{name}_asymmetry"] = _quotient(left - right, left + right)
+    for muscle, activation in zip(MUSCLES, total.activation, strict=True):
+        column = f"activation_{muscle.lower()}_mean"
+        rows[column] = _quotient(activation, total.ticks)
+    rows["step_length_asymmetry"] = _asymmetry(
+        total.step_length[0],
+        total.strikes,
+        left=total.left_step_length,
+        left_count=total.left_strikes,
+    )
+    rows["step_duration_asymmetry"] = _asymmetry(
+        total.step_duration[0],
+        total.step_durations,
+        left=total.left_step_duration,
+        left_count=total.left_step_durations,
+    )
     deviations = [
         (rows[name] - mean) / sd for name, (mean, sd) in COLUMNS["human"].items()
     ]
     rows["human_deviation"] = np.sqrt(np.mean(np.square(deviations), axis=0))
 
 
+def _asymmetry(both: Array, count: Array, left: Array, left_count: Array) -> Array:
+    """(left - right) / (left + right) of the means, from sums of both legs and of the left."""
+    left_mean = _quotient(left, left_count)
+    right_mean = _quotient(both - left, count - left_count)
+    return _quotient(left_mean - right_mean, left_mean + right_mean)
+
+
 def _quotient(a: Array, b: Array) -> Array:
     return np.divide(a, b, out=np.zeros(len(a)), where=b > 0)
 
 
-OPTIMAL_M, FASTEST_PER_S = np.tile(OPTIMAL_LENGTH_M, LEGS), np.tile(VMAX_PER_S, LEGS)
+OPTIMAL_M = np.tile(OPTIMAL_LENGTH_M, LEGS)
+FASTEST_PER_S = np.tile(VMAX_PER_S, LEGS)
 
 
 class Recorder:
@@ -182,65 +173,50 @@ class Recorder:
     def _trajectory(self, walker: int) -> Trajectory:
         # Empty for a walker that diverged before the first sample.
         samples = self._samples[walker]
-        rows = np.array(list(samples.values())).reshape(-1, WALKER_ROWS)
-        q, fibres = rows[:, State.q : State.q + COORDINATES], rows[:, FIRST_FIBRE:]
-        touching = rows[:, State.touching : State.touching + 2 * LEGS].reshape(
-            -1, LEGS, 2
-        )
-        activation, length, velocity, force = (
-            fibres[:, first : first + MUSCLE_COUNT]
-            for first in (
-                Muscle.activation,
-                Muscle.length,
-                Muscle.velocity,
-                Muscle.force,
-            )
-        )
-        swing = [
-            row + side
-            for side in range(LEGS)
-            for row in (State.hip_torque, State.knee_torque)
-        ]
+        rows = np.array(list(samples.values())).reshape(-1, WalkerRows.count)
+        ticks = np.array(list(samples), dtype=np.int64)
+        walk = WalkerRows.of(rows.T)  # [row, t]
+        state, fibres = walk.state, walk.fibres
+        q = state.q.T
+        swing = np.stack([state.hip_torque, state.knee_torque], axis=1)
         optimal_m = OPTIMAL_M * self._worlds.optimal_length[walker]
+        prosthesis = self._worlds.prosthesis[walker]
         return Trajectory(
             walker=walker,
-            time_s=np.array(list(samples), dtype=np.float64) * CONTROL_TICK_S,
+            time_s=ticks * CONTROL_TICK_S,
             q=q,
-            qdot=rows[:, State.qdot : State.qdot + COORDINATES],
+            qdot=state.qdot.T,
             joint_rad=q[:, 3:] - q[:, [2, 3, 4, 2, 6, 7]],
-            activation=activation,
-            muscle_force_n=force * np.tile(FMAX_N, LEGS),
-            ground_force_n=_mean_forces(rows, self._interval),
-            joint_torque_nm=_joint_torques(
-                rows, self._settings, self._worlds.prosthesis[walker]
-            ),
-            swing_torque_nm=rows[:, swing],
-            device_torque_nm=rows[:, State.device_torque :][:, : 3 * LEGS],
-            fibre_length_m=length * optimal_m,
-            fibre_velocity_mps=velocity * optimal_m * FASTEST_PER_S,
-            delayed=_delayed(rows, np.array(list(samples), dtype=np.int64)),
-            stance=np.any(touching > 0.5, axis=2),
-            events=_events(rows),
+            activation=fibres.activation.T,
+            muscle_force_n=fibres.force.T * np.tile(FMAX_N, LEGS),
+            ground_force_n=_mean_forces(walk.sums, self._interval),
+            joint_torque_nm=_joint_torques(state, fibres, self._settings, prosthesis),
+            swing_torque_nm=swing.reshape(2 * LEGS, -1).T,
+            device_torque_nm=state.device_torque.T,
+            fibre_length_m=fibres.length.T * optimal_m,
+            fibre_velocity_mps=fibres.velocity.T * optimal_m * FASTEST_PER_S,
+            delayed=_delayed(walk.delay, ticks),
+            stance=state.touching.reshape(LEGS, 2, -1).max(axis=1).T > 0.5,
+            events=_events(walk.events),
         )
 
 
-def _delayed(rows: Array, ticks: NDArray[np.int64]) -> Array:
+def _delayed(delay: Any, ticks: NDArray[np.int64]) -> Array:
     """What the next tick takes out of the delay rings after so many ticks, [t, Signal.count]."""
-    slots = [
-        FIRST_DELAY + row + signal * delay_ticks + ticks % delay_ticks
-        for _, signals, delay_ticks, row in RINGS
+    samples = np.arange(len(ticks))
+    found = [
+        delay[row + signal * late + ticks % late, samples]
+        for _, signals, late, row in RINGS
         for signal in range(signals)
     ]
-    return np.take_along_axis(rows, np.stack(slots, axis=1), axis=1)
+    return np.stack(found, axis=1)
 
 
-def _mean_forces(rows: Array, interval: int) -> Array:
+def _mean_forces(sums: Any, interval: int) -> Array:
     """Forces over each sample interval, from the running impulses (drained at every chunk)."""
-    first = FIRST_SUM + Sums.impulse
-    impulse = rows[:, first : first + 2 * LEGS]
-    ticks = rows[:, FIRST_SUM + Sums.ticks]
+    impulse = sums.impulse.T
     before = np.vstack([np.zeros((1, 2 * LEGS)), impulse])[:-1]
-    restarted = np.diff(ticks, prepend=0.0) <= 0
+    restarted = np.diff(sums.ticks, prepend=0.0) <= 0
     before[restarted] = 0.0
     return (impulse - before) / (interval * CONTROL_TICK_S)
 
@@ -257,34 +233,31 @@ YIELD_RADPS = np.array([stops.HIP_RELAXATION_RADPS, *[stops.STOP_RELAXATION_RADP
 IMPLICIT = np.array([0.0, 1.0, 1.0])
 
 
-def _joint_torques(rows: Array, settings: Settings, prosthesis: Array) -> Array:
+def _joint_torques(
+    state: Any, fibres: Any, settings: Settings, prosthesis: Array
+) -> Array:
     """Torques of the last physics step, from the pose before it: `kernel.joints`, [t, 6].
 
     `prosthesis` is the walker's own of `Worlds`, [2, 3].
     """
-    q, rates = (rows[:, first : first + COORDINATES] for first in (State.q, State.qdot))
     links, step_s = [[2, 3, 4, 5], [2, 6, 7, 8]], settings.physics_step_s
-    angle, rate = (
-        np.diff(each[:, links]) for each in (q - step_s * rates, rates)
-    )  # [t, leg, 3]
-    first = FIRST_FIBRE + Muscle.force
-    force = rows[:, first : first + MUSCLE_COUNT].reshape(-1, LEGS, len(MUSCLES))
-    hip, *rest = np.moveaxis(force @ TORQUES_NM, -1, 0)
-    knee, ankle = (
-        cosine * np.cos(angle[..., joint]) + sine * np.sin(angle[..., joint])
-        for joint, cosine, sine in ((stops.KNEE, *rest[:2]), (stops.ANKLE, *rest[2:]))
+    rates = state.qdot.T
+    angle = np.diff((state.q.T - step_s * rates)[:, links])  # [t, leg, 3]
+    rate = np.diff(rates[:, links])
+    force = fibres.force.T.reshape(-1, LEGS, len(MUSCLES))
+    hip, knee_cosine, knee_sine, ankle_cosine, ankle_sine = np.moveaxis(
+        force @ TORQUES_NM, -1, 0
     )
-    weight, ideal_hip, ideal_knee = (
-        rows[:, first : first + LEGS]
-        for first in (State.stance_weight, State.hip_torque, State.knee_torque)
-    )
+    bent, turned = angle[..., stops.KNEE], angle[..., stops.ANKLE]
+    knee = knee_cosine * np.cos(bent) + knee_sine * np.sin(bent)
+    ankle = ankle_cosine * np.cos(turned) + ankle_sine * np.sin(turned)
     stiffness, damping, rest_rad = prosthesis.T
-    ankle += (
-        stiffness * (rest_rad - angle[..., stops.ANKLE])
-        - damping * rate[..., stops.ANKLE]
-    )
-    torque = np.stack([weight * hip + ideal_hip, weight * knee + ideal_knee, ankle], -1)
-    torque += rows[:, State.device_torque :][:, : 3 * LEGS].reshape(torque.shape)
+    ankle += stiffness * (rest_rad - turned) - damping * rate[..., stops.ANKLE]
+    weight = state.stance_weight.T
+    hip = weight * hip + state.hip_torque.T
+    knee = weight * knee + state.knee_torque.T
+    torque = np.stack([hip, knee, ankle], axis=-1)
+    torque += state.device_torque.T.reshape(torque.shape)
     if settings.engine == OWN_ENGINE:
         beyond = np.clip(angle, LOWEST_RAD, HIGHEST_RAD) - angle
         stop = beyond - (np.abs(beyond) / YIELD_RADPS + step_s * IMPLICIT) * rate
@@ -292,13 +265,13 @@ def _joint_torques(rows: Array, settings: Settings, prosthesis: Array) -> Array:
     return np.asarray(torque.reshape(-1, 3 * LEGS))
 
 
-def _events(rows: Array) -> NDArray[np.void]:
+def _events(gait: Any) -> NDArray[np.void]:
     """Strikes and take-offs, from the ticks that the legs remember."""
     events = []
-    for kind, row in enumerate((Gait.tick_strike, Gait.tick_takeoff)):
-        for side in range(LEGS):
-            remembered = np.unique(rows[:, FIRST_EVENT + row + side])
+    for kind, rows in enumerate((gait.tick_strike, gait.tick_takeoff)):
+        for side, remembered in enumerate(rows):
+            ticks = np.unique(remembered)
             events += [
-                (tick * CONTROL_TICK_S, side, kind) for tick in remembered if tick > 0
+                (tick * CONTROL_TICK_S, side, kind) for tick in ticks if tick > 0
             ]
     return np.sort(np.array(events, dtype=EVENT_DTYPE), order="time_s")

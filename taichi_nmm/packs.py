@@ -1,12 +1,13 @@
 """Packs of walkers between launches: which walker is in which lane, and the sums so far."""
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.layout import FIRST_SUM, State, Sums
+from taichi_nmm.kernel.layout import State, Sums, WalkerRows
 
 PACKS_A_COPY = (
     16  # no second copy of all rows, and what is turned round stays in the cache
@@ -36,7 +37,8 @@ class Packs:
                 own.
         """
         self.lanes = backend.lanes()  # walkers a pack
-        real, count = backend.real_dtype(), len(constants)
+        real = backend.real_dtype()
+        count = len(constants)
         grounds = np.zeros(count, dtype=np.int32) if terrains is None else terrains
         # Batch row of each occupied lane; the last pack's rest are idle copies.
         self.walkers = np.arange(count)
@@ -50,8 +52,8 @@ class Packs:
 
     def drain(self) -> None:
         """Move the kernel's sums into float64 totals, so that long walks lose no digits."""
-        self._sums[self.walkers] += self.unfold(self.rows[:, FIRST_SUM:, :])
-        self.rows[:, FIRST_SUM:, :] = 0.0
+        self._sums[self.walkers] += self.unfold(self.rows[:, WalkerRows.sums :, :])
+        self.rows[:, WalkerRows.sums :, :] = 0.0
 
     def compact(self) -> None:
         """Let the walkers that have ended go where this empties a pack.
@@ -60,16 +62,18 @@ class Packs:
         """
         up = self.up()
         count = int(np.count_nonzero(up))
-        packs = -(-count // self.lanes)
+        packs = math.ceil(count / self.lanes)
         if packs == len(self.rows):
             return
         self._keep_final(np.flatnonzero(~up))
-        last, free = count + np.flatnonzero(up[count:]), np.flatnonzero(~up[:count])
+        last = count + np.flatnonzero(up[count:])
+        free = np.flatnonzero(~up[:count])
         self._copy(last, free)
         self._copy(np.array([count - 1]), np.arange(count, packs * self.lanes))
         self.walkers[free] = self.walkers[last]
         self.walkers = self.walkers[:count]
-        self.rows, self.constants = self.rows[:packs], self.constants[:packs]
+        self.rows = self.rows[:packs]
+        self.constants = self.constants[:packs]
         self.terrains = self.terrains[:packs]
 
     def collect(self) -> tuple[NDArray[Any], NDArray[np.float64]]:
@@ -107,7 +111,7 @@ class Packs:
             which: rows of `flat` to fold, [n], if there are others than all.
         """
         which = np.arange(len(flat)) if which is None else which
-        packs = -(-len(which) // self.lanes)
+        packs = math.ceil(len(which) / self.lanes)
         folded = np.empty((packs, flat.shape[1], self.lanes), dtype=flat.dtype)
         places = np.minimum(np.arange(packs * self.lanes), len(which) - 1).reshape(
             packs, self.lanes

@@ -18,15 +18,7 @@ from taichi_nmm.body import Bodies
 from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import accelerate, advance
-from taichi_nmm.kernel.layout import (
-    COORDINATES,
-    FIRST_FIBRE,
-    FIRST_SUM,
-    LEGS,
-    MUSCLE_COUNT,
-    WALKER_ROWS,
-    Muscle,
-)
+from taichi_nmm.kernel.layout import COORDINATES, LEGS, WalkerRows
 from taichi_nmm.kernel.muscle import SHORTEST_FIBRE
 from taichi_nmm.kernel.muscle_table import (
     OPTIMAL_LENGTH_M,
@@ -149,18 +141,16 @@ def _start(
 
 def start_packs(batch: Batch, settings: Settings) -> Packs:
     """The walkers at the start. The backend runs already: it sets lanes and precision."""
-    rows = np.zeros((len(batch.terrains), WALKER_ROWS))
-    rows[:, :FIRST_SUM] = [initial_rows(terrain) for terrain in batch.terrains]
+    rows = np.array([initial_rows(terrain) for terrain in batch.terrains])
     index = starts = batch.terrain_index
     fibre, slack = batch.worlds.optimal_length, batch.worlds.slack_length
-    if np.any(
-        (fibre != 1.0) | (slack != 1.0)
-    ):  # relaxed fibres of other lengths: a row a walker
-        rows, starts = rows[index], np.arange(len(batch), dtype=np.int32)
-        lengths = rows[:, FIRST_FIBRE + Muscle.length :][:, :MUSCLE_COUNT]
-        slack_m, optimal_m = (
-            np.tile(each, LEGS) for each in (SLACK_LENGTH_M, OPTIMAL_LENGTH_M)
-        )
+    if np.any((fibre != 1.0) | (slack != 1.0)):
+        # Relaxed fibres of other lengths: a row a walker.
+        rows = rows[index]
+        starts = np.arange(len(batch), dtype=np.int32)
+        slack_m = np.tile(SLACK_LENGTH_M, LEGS)
+        optimal_m = np.tile(OPTIMAL_LENGTH_M, LEGS)
+        lengths = WalkerRows.of(rows.T).fibres.length.T
         lengths += (1.0 - slack) * slack_m / optimal_m
         lengths[:] = np.maximum(lengths / fibre, SHORTEST_FIBRE)
     return Packs(rows, constant_rows(batch, settings), index, starts=starts)

@@ -6,15 +6,16 @@ Constants stay as they are, unless the walkers have a `Switch` to other gains.
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from storage.inputs import checks
 from storage.inputs.errors import InputError
-from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
+from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies, Rows
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
-from taichi_nmm.kernel.layout import LEGS, MUSCLE_COUNT, Const
+from taichi_nmm.kernel.layout import LEGS, Const
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
 from taichi_nmm.kernel.muscle_table import T_STRAIN, muscle_table
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
@@ -28,7 +29,9 @@ from taichi_nmm.parameters import (
 )
 from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
-from taichi_nmm.world import MUSCLE_LIMITS, Worlds
+from taichi_nmm.world import Worlds
+
+R = TypeVar("R", bound=Rows)
 
 CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
 BLEND_TICKS = 10  # of a switch, for which gains stay the same
@@ -76,28 +79,25 @@ def check_batch(
     defaults = [parameter.default for parameter in LOW_LEVEL_GAINS]
     given = defaults if low_level_gains is None else low_level_gains
     low_level = _row_each("low_level_gains", given, LOW_LEVEL_GAINS, count)
-    bodies = checks.instance(Bodies)(
-        "bodies", Bodies.nominal() if bodies is None else bodies
-    )
-    worlds = checks.instance(Worlds)(
-        "worlds", Worlds.nominal() if worlds is None else worlds
-    )
-    for field, one, length in (
-        ("bodies", "body", len(bodies)),
-        ("worlds", "world", len(worlds)),
-    ):
-        if length not in (1, count):
-            raise InputError(field, length, f"one {one}, or {count}: one a walker")
+    bodies = Bodies.nominal() if bodies is None else bodies
+    worlds = Worlds.nominal() if worlds is None else worlds
     grounds, index = _check_terrains(terrains, terrain_index, count)
-    everyone = np.arange(count)
     return Batch(
-        rows,
-        low_level,
-        bodies.take(everyone % len(bodies)),
-        worlds.take(everyone % len(worlds)),
-        grounds,
-        index,
+        gains=rows,
+        low_level=low_level,
+        bodies=_one_each("bodies", "body", bodies, Bodies, count),
+        worlds=_one_each("worlds", "world", worlds, Worlds, count),
+        terrains=grounds,
+        terrain_index=index,
     )
+
+
+def _one_each(field: str, one: str, given: R, kind: type[R], count: int) -> R:
+    """Bodies or worlds of `count` walkers, from theirs or from one of all."""
+    rows: R = checks.instance(kind)(field, given)
+    if len(rows) not in (1, count):
+        raise InputError(field, len(rows), f"one {one}, or {count}: one a walker")
+    return rows.take(np.arange(count) % len(rows))
 
 
 def _row_each(
@@ -160,48 +160,46 @@ class Schedule:
         self, batch: Batch, settings: Settings, switches: Sequence[Switch]
     ) -> None:
         """Refuses switches that are not one after another."""
-        self._ticks, self._rows = (
-            [0],
-            [constant_rows(batch, settings)],
-        )  # the line's knots
+        # The knots of the line that constants follow.
+        self._ticks = [0]
+        self._rows = [constant_rows(batch, settings)]
         every: tuple[Switch, ...] = checks.each(checks.instance(Switch))(
             "switches", switches
         )
         for number, switch in enumerate(every):
-            field, before_s = f"switches[{number}]", self._ticks[-1] * CONTROL_TICK_S
+            field = f"switches[{number}]"
+            before_s = self._ticks[-1] * CONTROL_TICK_S
             at_s = checks.number(before_s)(f"{field}.at_s", switch.at_s)
             over_s = checks.number(CONTROL_TICK_S)(f"{field}.over_s", switch.over_s)
-            given = (
-                batch.low_level
-                if switch.low_level_gains is None
-                else switch.low_level_gains
-            )
+            given = switch.low_level_gains
             low_level = _row_each(
-                f"{field}.low_level_gains", given, LOW_LEVEL_GAINS, len(batch)
+                f"{field}.low_level_gains",
+                batch.low_level if given is None else given,
+                LOW_LEVEL_GAINS,
+                len(batch),
             )
             gains = _row_each(f"{field}.gains", switch.gains, GAINS, len(batch))
-            later = constant_rows(
-                replace(batch, gains=gains, low_level=low_level), settings
-            )
+            later = replace(batch, gains=gains, low_level=low_level)
             self._ticks += [
                 round(time / CONTROL_TICK_S) for time in (at_s, at_s + over_s)
             ]
-            self._rows += [self._rows[-1], later]
+            self._rows += [self._rows[-1], constant_rows(later, settings)]
 
     def set_constants(self, packs: Packs, tick: int) -> int:
         """Give the walkers that are up the constants of a tick; for how many ticks they hold."""
         if len(self._ticks) == 1:
             return CHUNK_TICKS  # as they were packed
         place = bisect_right(self._ticks, tick) - 1
-        before, after = (
-            self._rows[place],
-            self._rows[min(place + 1, len(self._rows) - 1)],
-        )
-        ends = [*self._ticks, tick + CHUNK_TICKS][place : place + 2]
-        share = (tick - ends[0]) / (ends[1] - ends[0]) if after is not before else 0.0
+        last = place == len(self._ticks) - 1
+        before = self._rows[place]
+        after = before if last else self._rows[place + 1]
+        begin = self._ticks[place]
+        end = tick + CHUNK_TICKS if last else self._ticks[place + 1]
+        changes = after is not before
+        share = (tick - begin) / (end - begin) if changes else 0.0
         rows = ((1.0 - share) * before + share * after)[packs.walkers]
         packs.constants[...] = packs.fold(rows)
-        return min(CHUNK_TICKS if after is before else BLEND_TICKS, ends[1] - tick)
+        return min(BLEND_TICKS if changes else CHUNK_TICKS, end - tick)
 
 
 def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
@@ -209,64 +207,56 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     bodies, worlds = batch.bodies, batch.worlds
     mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
     rows = np.zeros((len(batch), Const.count))
+    const = Const.of(rows.T)
     low_level, asymmetry = np.split(batch.low_level, [-len(ASYMMETRIES)], axis=1)
-    by_leg = (
-        np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1) * batch.gains[:, :, None]
-    )
-    rows[:, : Const.total_mass] = np.hstack([by_leg.reshape(len(batch), -1), low_level])
-    rows[:, Const.leg_angle_blend] = 1.0 - np.exp(
-        -rows[:, Const.w_filter] * CONTROL_TICK_S
-    )
-    rows[:, Const.total_mass] = mass.sum(axis=1)
+    of_legs = np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1)
+    by_leg = (of_legs * batch.gains[:, :, None]).reshape(len(batch), -1)
+    rows[:, : Const.total_mass] = np.hstack([by_leg, low_level])
+    const.leg_angle_blend[:] = 1.0 - np.exp(-const.w_filter * CONTROL_TICK_S)
+    const.total_mass[:] = mass.sum(axis=1)
     nominal_n_per_m = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
-    rows[:, Const.contact_stiffness] = nominal_n_per_m * worlds.contact_stiffness
-    rows[:, Const.relaxation_speed] = (
+    const.contact_stiffness[:] = nominal_n_per_m * worlds.contact_stiffness
+    const.relaxation_speed[:] = (
         settings.contact_relaxation_speed_mps * worlds.relaxation_speed
     )
-    rows[:, Const.friction] = worlds.friction
-    _fill_muscles(rows, worlds, settings.physics_step_s)
+    const.friction[:] = worlds.friction
+    _fill_muscles(const, worlds, settings.physics_step_s)
     with np.errstate(divide="ignore"):  # no lag: all of the way in a tick
-        rows[:, Const.nerve_blend] = 1.0 - np.exp(-CONTROL_TICK_S / worlds.nerve_lag_s)
-    rows[:, Const.sensing_noise] = worlds.sensing_noise
-    rows[:, Const.noise_seed] = worlds.noise_seed
-    rows[:, Const.catch_ns] = worlds.catch_ns
-    for number, row in enumerate(
-        (Const.ankle_stiffness, Const.ankle_damping, Const.ankle_rest)
-    ):
-        rows[:, row : row + LEGS] = worlds.prosthesis[:, :, number]
-    rows[:, Const.exo_share : Const.exo_power] = worlds.exoskeleton[:, :, :3].reshape(
-        len(rows), -1
-    )
-    rows[:, Const.exo_power : Const.exo_power + LEGS] = worlds.exoskeleton[:, :, 3]
-    rows[:, Const.hat_weight] = mass[:, 0] * GRAVITY_MPS2
+        const.nerve_blend[:] = 1.0 - np.exp(-CONTROL_TICK_S / worlds.nerve_lag_s)
+    const.sensing_noise[:] = worlds.sensing_noise
+    const.noise_seed[:] = worlds.noise_seed
+    const.catch_ns[:] = worlds.catch_ns
+    stiffness, damping, rest = worlds.prosthesis.T
+    const.ankle_stiffness[:] = stiffness
+    const.ankle_damping[:] = damping
+    const.ankle_rest[:] = rest
+    const.exo_share[:] = worlds.exoskeleton[:, :, :3].reshape(len(rows), -1).T
+    const.exo_power[:] = worlds.exoskeleton[:, :, 3].T
+    const.hat_weight[:] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.
-    rows[:, Const.a_hat] = -mass[:, 0] * com[:, 0]
-    rows[:, Const.b_hat] = inertia[:, 0] + mass[:, 0] * com[:, 0] ** 2
+    const.a_hat[:] = -mass[:, 0] * com[:, 0]
+    const.b_hat[:] = inertia[:, 0] + mass[:, 0] * com[:, 0] ** 2
     for leg in range(LEGS):
         links = slice(1 + 3 * leg, 4 + 3 * leg)
-        rows[:, Const.leg_weight + leg] = mass[:, links].sum(axis=1) * GRAVITY_MPS2
+        const.leg_weight[leg] = mass[:, links].sum(axis=1) * GRAVITY_MPS2
         a, b = leg_coefficients(mass[:, links], inertia[:, links], com[:, links])
-        rows[:, Const.a_leg + 3 * leg : Const.a_leg + 3 * leg + 3] = a
-        rows[:, Const.b_leg + 6 * leg : Const.b_leg + 6 * leg + 6] = b
-        _check_prosthesis(
-            batch, leg, rows[:, Const.b_leg + 6 * leg + 2], settings.physics_step_s
-        )
+        const.a_leg[3 * leg : 3 * leg + 3] = a.T
+        const.b_leg[6 * leg : 6 * leg + 6] = b.T
+        _check_prosthesis(batch, leg, b[:, 2], settings.physics_step_s)
     return rows
 
 
-def _fill_muscles(rows: NDArray[np.float64], worlds: Worlds, step_s: float) -> None:
-    """Constants of each walker's muscles, in `rows`, [n, Const.count]."""
-    fibre, slack, time = (getattr(worlds, name) for name in MUSCLE_LIMITS)
-    nominal = np.tile(muscle_table(step_s)[:, T_STRAIN], LEGS)
-    for row, values in (
-        (Const.strength, worlds.strength),
-        (Const.activation_blend, 1.0 - np.exp(-step_s / (ACTIVATION_TIME_S * time))),
-        (Const.stretch, nominal * fibre / slack),
-        (Const.tightness, 1.0 / slack),
-    ):
-        rows[:, row : row + MUSCLE_COUNT] = values
+def _fill_muscles(const: Any, worlds: Worlds, step_s: float) -> None:
+    """Constants of each walker's muscles, in `const`, named rows [row, n]."""
+    fibre, slack = worlds.optimal_length.T, worlds.slack_length.T
+    time = worlds.activation_time.T
+    nominal = np.tile(muscle_table(step_s)[:, T_STRAIN], LEGS)[:, None]
+    const.strength[:] = worlds.strength.T
+    const.activation_blend[:] = 1.0 - np.exp(-step_s / (ACTIVATION_TIME_S * time))
+    const.stretch[:] = nominal * fibre / slack
+    const.tightness[:] = 1.0 / slack
     own = (fibre != 1.0) | (slack != 1.0) | (time != 1.0)
-    rows[:, Const.own_muscles] = own.any(axis=1)
+    const.own_muscles[:] = own.any(axis=0)
 
 
 def _check_prosthesis(

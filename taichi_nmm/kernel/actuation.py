@@ -5,7 +5,7 @@ their senses come from outside. The host launches `actuate`.
 """
 
 from taichi_nmm.kernel import joints, kinematics, walker
-from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, named_rows, ti
 from taichi_nmm.kernel.entry_points import (
     load,
     load_slots,
@@ -15,13 +15,13 @@ from taichi_nmm.kernel.entry_points import (
     seat,
 )
 from taichi_nmm.kernel.layout import (
-    FIRST_FIBRE,
     LEGS,
     SEGMENT_COUNT,
     Const,
     Muscle,
     Sense,
     State,
+    WalkerRows,
     Work,
 )
 
@@ -64,16 +64,16 @@ def take_in(lane, senses: Rows, state: Rows, work: Rows):
     zero.
     """
     for i in ti.static(range(SEGMENT_COUNT)):
-        state[State.q + 2 + i, lane] = senses[Sense.angle + i, lane]
-        state[State.qdot + 2 + i, lane] = senses[Sense.rate + i, lane]
-    work[Work.com_x, lane] = 0.0
-    work[Work.com_speed, lane] = senses[Sense.com_speed, lane]
+        state.q[2 + i, lane] = senses.angle[i, lane]
+        state.qdot[2 + i, lane] = senses.rate[i, lane]
+    work.com_x[lane] = 0.0
+    work.com_speed[lane] = senses.com_speed[lane]
     for leg in ti.static(range(LEGS)):
-        state[State.touching + 2 * leg, lane] = senses[Sense.contact + leg, lane]
-        state[State.ground_force + 2 * leg + 1, lane] = senses[Sense.load + leg, lane]
-        work[Work.leg_length + leg, lane] = senses[Sense.leg_length + leg, lane]
-        work[Work.leg_angle + leg, lane] = senses[Sense.leg_angle + leg, lane]
-        work[Work.ankle_x + leg, lane] = 0.0 - senses[Sense.com_ahead + leg, lane]
+        state.touching[2 * leg, lane] = senses.contact[leg, lane]
+        state.ground_force[2 * leg + 1, lane] = senses.load[leg, lane]
+        work.leg_length[leg, lane] = senses.leg_length[leg, lane]
+        work.leg_angle[leg, lane] = senses.leg_angle[leg, lane]
+        work.ankle_x[leg, lane] = 0.0 - senses.com_ahead[leg, lane]
 
 
 @ti.kernel
@@ -91,19 +91,19 @@ def actuate(
 ):
     """Joint torques of all packs for one physics step, N m.
 
-    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], muscles [7,
+    packs [p, WalkerRows.count, lane], constants [p, Const.count, lane], muscles [7,
     TABLE_COLUMNS], sensed [p, Sense.count, lane], torques [p, 6, lane]. A turn takes
     `lanes` lanes of a pack.
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
-        work = local_rows(Work.count, lanes)
+        work = named_rows(Work, lanes)
         table = load_table(muscles)
-        state = load(packs, turn, 0, State.count, lanes)
-        fibres = load(packs, turn, FIRST_FIBRE, Muscle.count, lanes)
+        state = load(packs, turn, 0, State, lanes)
+        fibres = load(packs, turn, WalkerRows.fibres, Muscle, lanes)
         delay = load_slots(packs, turn, tick, lanes)
-        const = load(constants, turn, 0, Const.count, lanes)
-        senses = load(sensed, turn, 0, Sense.count, lanes)
+        const = load(constants, turn, 0, Const, lanes)
+        senses = load(sensed, turn, 0, Sense, lanes)
         step(
             tick,
             commands,
@@ -118,10 +118,10 @@ def actuate(
             const,
             work,
         )
-        save(packs, turn, 0, State.count, lanes, state)
-        save(packs, turn, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        save(packs, turn, 0, State, lanes, state)
+        save(packs, turn, WalkerRows.fibres, Muscle, lanes, fibres)
         save_slots(packs, turn, tick, lanes, delay)
         p, place = seat(turn, packs.shape[2], lanes)
         for lane in range(lanes):
             for joint in ti.static(range(3 * LEGS)):
-                torques[p, joint, place + lane] = work[Work.joint_torque + joint, lane]
+                torques[p, joint, place + lane] = work.joint_torque[joint, lane]

@@ -19,7 +19,7 @@ import numpy as np
 
 from storage.inputs.errors import InputError
 from taichi_nmm.kernel import compiler, program, registers
-from taichi_nmm.kernel.compiler import local_rows, ti
+from taichi_nmm.kernel.compiler import local_rows, named_rows, ti
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.settings import Settings
 
@@ -33,6 +33,7 @@ __all__ = [
     "launch",
     "local_rows",
     "metadata",
+    "named_rows",
     "real_dtype",
     "start",
     "ti",

@@ -5,7 +5,7 @@ gives the torques of a physics step, `follow` takes in where the bodies are afte
 """
 
 from taichi_nmm.kernel import contact, dynamics, gait, joints, walker
-from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, named_rows, ti
 from taichi_nmm.kernel.entry_points import (
     load,
     load_slots,
@@ -16,9 +16,6 @@ from taichi_nmm.kernel.entry_points import (
 )
 from taichi_nmm.kernel.layout import (
     COORDINATES,
-    FIRST_EVENT,
-    FIRST_FIBRE,
-    FIRST_SUM,
     LEGS,
     MUSCLE_COUNT,
     Const,
@@ -28,6 +25,7 @@ from taichi_nmm.kernel.layout import (
     Muscle,
     State,
     Sums,
+    WalkerRows,
     Work,
 )
 
@@ -65,7 +63,7 @@ def before(
         gait.follow_torques(lane, events, work)
     for lane in range(lanes):
         for i in ti.static(range(COORDINATES)):
-            work[Work.momentum + i, lane] = 0.0
+            work.momentum[i, lane] = 0.0
         dynamics.catch_feet(lane, tick, 1.0, const, work)
 
 
@@ -86,14 +84,14 @@ def after(
     """Positions, contacts and ground forces after the step; falls where `ends` is 1."""
     for lane in range(lanes):
         for i in ti.static(range(COORDINATES)):
-            state[State.q + i, lane] = motion[Motion.q + i, lane]
-            state[State.qdot + i, lane] = motion[Motion.qdot + i, lane]
+            state.q[i, lane] = motion.q[i, lane]
+            state.qdot[i, lane] = motion.qdot[i, lane]
         for leg in ti.static(range(LEGS)):
-            state[State.touching + 2 * leg, lane] = motion[Motion.touching + leg, lane]
+            state.touching[2 * leg, lane] = motion.touching[leg, lane]
         for i in ti.static(range(2 * LEGS)):
-            state[State.ground_force + i, lane] = motion[Motion.ground_force + i, lane]
-        work[Work.metabolic_power, lane] = drive_rows[Drive.metabolic_power, lane]
-        work[Work.ground_hip, lane] = drive_rows[Drive.ground_hip, lane]
+            state.ground_force[i, lane] = motion.ground_force[i, lane]
+        work.metabolic_power[0, lane] = drive_rows.metabolic_power[lane]
+        work.ground_hip[lane] = drive_rows.ground_hip[lane]
     for lane in range(lanes):
         walker.filter_loads(lane, load_blend, state, const)
         gait.add_up_forces(lane, step_s, state, sums, work)
@@ -117,19 +115,19 @@ def drive(
 ):
     """Torques on the bodies of all packs for a physics step: `drives` [p, Drive.count, lanes].
 
-    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], terrains [p,
+    packs [p, WalkerRows.count, lanes], constants [p, Const.count, lanes], terrains [p,
     lanes] (rows of `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        work = local_rows(Work.count, lanes)
+        work = named_rows(Work, lanes)
         table = load_table(muscles)
-        state = load(packs, p, 0, State.count, lanes)
-        fibres = load(packs, p, FIRST_FIBRE, Muscle.count, lanes)
+        state = load(packs, p, 0, State, lanes)
+        fibres = load(packs, p, WalkerRows.fibres, Muscle, lanes)
         delay = load_slots(packs, p, tick, lanes)
-        events = load(packs, p, FIRST_EVENT, Gait.count, lanes)
-        sums = load(packs, p, FIRST_SUM, Sums.count, lanes)
-        const = load(constants, p, 0, Const.count, lanes)
+        events = load(packs, p, WalkerRows.events, Gait, lanes)
+        sums = load(packs, p, WalkerRows.sums, Sums, lanes)
+        const = load(constants, p, 0, Const, lanes)
         terrain = load_terrains(terrains, p, lanes)
         before(
             tick,
@@ -147,23 +145,23 @@ def drive(
             const,
             work,
         )
-        save(packs, p, 0, State.count, lanes, state)
-        save(packs, p, FIRST_FIBRE, Muscle.count, lanes, fibres)
+        save(packs, p, 0, State, lanes, state)
+        save(packs, p, WalkerRows.fibres, Muscle, lanes, fibres)
         save_slots(packs, p, tick, lanes, delay)
-        save(packs, p, FIRST_EVENT, Gait.count, lanes, events)
-        save(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+        save(packs, p, WalkerRows.events, Gait, lanes, events)
+        save(packs, p, WalkerRows.sums, Sums, lanes, sums)
         for lane in range(lanes):
             power_w = 0.0
             for m in ti.static(range(MUSCLE_COUNT)):
-                power_w += work[Work.metabolic_power + m, lane]
+                power_w += work.metabolic_power[m, lane]
             for joint in ti.static(range(3 * LEGS)):
-                drives[p, Drive.joint_torque + joint, lane] = work[
-                    Work.joint_torque + joint, lane
+                drives[p, Drive.joint_torque + joint, lane] = work.joint_torque[
+                    joint, lane
                 ]
             drives[p, Drive.metabolic_power, lane] = power_w
-            drives[p, Drive.ground_hip, lane] = work[Work.ground_hip, lane]
+            drives[p, Drive.ground_hip, lane] = work.ground_hip[lane]
             for i in ti.static(range(COORDINATES)):
-                drives[p, Drive.catch + i, lane] = work[Work.momentum + i, lane]
+                drives[p, Drive.catch + i, lane] = work.momentum[i, lane]
 
 
 @ti.kernel
@@ -180,17 +178,17 @@ def follow(
 ):
     """Take in where the bodies of all packs are after a physics step.
 
-    packs [p, WALKER_ROWS, lanes], constants [p, Const.count, lanes], drives as `drive`
+    packs [p, WalkerRows.count, lanes], constants [p, Const.count, lanes], drives as `drive`
     left them, motions [p, Motion.count, lanes].
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
     for p in range(packs.shape[0]):
-        work = local_rows(Work.count, lanes)
-        state = load(packs, p, 0, State.count, lanes)
-        sums = load(packs, p, FIRST_SUM, Sums.count, lanes)
-        const = load(constants, p, 0, Const.count, lanes)
-        drive_rows = load(drives, p, 0, Drive.count, lanes)
-        motion = load(motions, p, 0, Motion.count, lanes)
+        work = named_rows(Work, lanes)
+        state = load(packs, p, 0, State, lanes)
+        sums = load(packs, p, WalkerRows.sums, Sums, lanes)
+        const = load(constants, p, 0, Const, lanes)
+        drive_rows = load(drives, p, 0, Drive, lanes)
+        motion = load(motions, p, 0, Motion, lanes)
         after(
             tick,
             ends,
@@ -204,5 +202,5 @@ def follow(
             const,
             work,
         )
-        save(packs, p, 0, State.count, lanes, state)
-        save(packs, p, FIRST_SUM, Sums.count, lanes, sums)
+        save(packs, p, 0, State, lanes, state)
+        save(packs, p, WalkerRows.sums, Sums, lanes, sums)

@@ -13,6 +13,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
+from taichi_nmm.kernel.layout import Layout
 from taichi_nmm.kernel_cache import COMPILER, settled_environment
 
 os.environ.setdefault(
@@ -34,26 +35,45 @@ class LocalRows:
     column: a kernel compiles in a quarter of the time, to the same bits.
     """
 
-    def __init__(self, rows: int, lanes: int) -> None:
-        self._lanes = lanes
-        self._column = impl.expr_init(
-            ti.lang.matrix.make_matrix([0.0] * (rows * lanes))
-        )
+    def __init__(self, column: Any, lanes: int, first: Any = 0) -> None:
+        self._column, self._lanes, self._first = column, lanes, first
 
-    def __getitem__(self, index: tuple[Any, Any]) -> Any:
+    def __getitem__(self, index: Any) -> Any:
+        """As NumPy: a slice of rows, one row (of which a lane is taken then), or a number."""
+        if isinstance(index, slice):
+            return LocalRows(self._column, self._lanes, self._first + index.start)
+        if not isinstance(index, tuple):
+            return LocalRow(self, index)
         row, lane = index
         builder = impl.get_runtime().compiling_callable.ast_builder()
-        return impl.subscript(builder, self._column, row * self._lanes + lane)
+        place = (self._first + row) * self._lanes + lane
+        return impl.subscript(builder, self._column, place)
+
+
+@ti.data_oriented
+class LocalRow:
+    """One row of such an array, [lane]."""
+
+    def __init__(self, rows: LocalRows, row: Any) -> None:
+        self._rows, self._row = rows, row
+
+    def __getitem__(self, lane: Any) -> Any:
+        return self._rows[self._row, lane]
 
 
 def local_rows(rows: int, lanes: int) -> Any:
     """Zeros [rows, lanes]; to be called in a kernel."""
-    return LocalRows(rows, lanes)
+    zeros = impl.expr_init(ti.lang.matrix.make_matrix([0.0] * (rows * lanes)))
+    return LocalRows(zeros, lanes)
 
 
-setattr(
-    local_rows, f"_is_{COMPILER}_function", False
-)  # known to the compiler: no warning
+def named_rows(layout: Layout, lanes: int) -> Any:
+    """The same with as many rows as a layout has, by its names."""
+    return layout.of(local_rows(layout.count, lanes))
+
+
+for function in (local_rows, named_rows):  # known to the compiler: no warning
+    setattr(function, f"_is_{COMPILER}_function", False)
 
 
 def _short_position(context: Any, node: Any) -> str:

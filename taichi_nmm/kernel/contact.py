@@ -9,7 +9,7 @@ from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.dynamics import point_velocity
 from taichi_nmm.kernel.elementary import larger, smaller
-from taichi_nmm.kernel.layout import CONTACTS, LEGS, Const, State, Work
+from taichi_nmm.kernel.layout import CONTACTS, LEGS
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
 STATIC_DEFLECTION_M = (
@@ -27,8 +27,8 @@ ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
 def find_cells(lane, state: Rows, work: Rows):
     """Cells of the terrain's grid under the four contact points and the hip."""
     for p in ti.static(range(CONTACTS)):
-        find_cell(lane, p, work[Work.point_x + p, lane], work)
-    find_cell(lane, CONTACTS, state[State.q + 0, lane], work)
+        find_cell(lane, p, work.point_x[p, lane], work)
+    find_cell(lane, CONTACTS, state.q[0, lane], work)
 
 
 @ti.func
@@ -39,11 +39,9 @@ def find_cell(lane, p: Rows, x, work: Rows):
         larger(0.0, cell), LAST_CELL + 1.0
     )  # NaN to 0: it becomes an index
     left = smaller(ti.floor(clamped), LAST_CELL)
-    work[Work.cell + p, lane] = left
-    work[Work.along_cell + p, lane] = clamped - left
-    work[Work.slope_per_rise + p, lane] = ti.select(
-        cell == clamped, 1.0 / GRID_SPACING_M, 0.0
-    )
+    work.cell[p, lane] = left
+    work.along_cell[p, lane] = clamped - left
+    work.slope_per_rise[p, lane] = ti.select(cell == clamped, 1.0 / GRID_SPACING_M, 0.0)
 
 
 @ti.func
@@ -53,51 +51,49 @@ def read_terrain(lane, index, heights: Rows, work: Rows):
     Reading takes one lane after the other, so nothing else is done here.
     """
     for p in ti.static(range(CONTACTS + 1)):
-        i = ti.cast(work[Work.cell + p, lane], ti.i32)
-        work[Work.height_left + p, lane] = heights[index, i]
-        work[Work.height_right + p, lane] = heights[index, i + 1]
+        i = ti.cast(work.cell[p, lane], ti.i32)
+        work.height_left[p, lane] = heights[index, i]
+        work.height_right[p, lane] = heights[index, i + 1]
 
 
 @ti.func
 def ground_under(lane, p: Rows, work: Rows):
     """Height and slope of the ground at point p: linear between nodes."""
-    low = work[Work.height_left + p, lane]
-    rise = work[Work.height_right + p, lane] - low
-    return low + rise * work[Work.along_cell + p, lane], rise * work[
-        Work.slope_per_rise + p, lane
-    ]
+    low = work.height_left[p, lane]
+    rise = work.height_right[p, lane] - low
+    return low + rise * work.along_cell[p, lane], rise * work.slope_per_rise[p, lane]
 
 
 @ti.func
 def ground_heights(lane, work: Rows):
     """Height of the ground under hip and contact points, and its slope under the latter."""
     height_hip, _slope_hip = ground_under(lane, CONTACTS, work)
-    work[Work.ground_hip, lane] = height_hip
+    work.ground_hip[lane] = height_hip
     for c in ti.static(range(CONTACTS)):
         height, slope = ground_under(lane, c, work)
-        work[Work.ground + c, lane] = height
-        work[Work.slope + c, lane] = slope
+        work.ground[c, lane] = height
+        work.slope[c, lane] = slope
 
 
 @ti.func
 def gaps(lane, state: Rows, work: Rows):
     """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
     for c in ti.static(range(CONTACTS)):
-        height, slope = work[Work.ground + c, lane], work[Work.slope + c, lane]
+        height, slope = work.ground[c, lane], work.slope[c, lane]
         cosine = 1.0 / ti.sqrt(1.0 + slope * slope)
-        gap = (height - work[Work.point_z + c, lane]) * cosine
-        work[Work.gap + c, lane] = gap
-        work[Work.normal_x + c, lane] = 0.0 - slope * cosine
-        work[Work.normal_z + c, lane] = cosine
+        gap = (height - work.point_z[c, lane]) * cosine
+        work.gap[c, lane] = gap
+        work.normal_x[c, lane] = 0.0 - slope * cosine
+        work.normal_z[c, lane] = cosine
         touching = ti.select(gap > 0.0, 1.0, 0.0)
-        fresh = touching > state[State.touching + c, lane]
-        state[State.anchor_x + c, lane] = ti.select(
-            fresh, work[Work.point_x + c, lane], state[State.anchor_x + c, lane]
+        fresh = touching > state.touching[c, lane]
+        state.anchor_x[c, lane] = ti.select(
+            fresh, work.point_x[c, lane], state.anchor_x[c, lane]
         )
-        state[State.anchor_z + c, lane] = ti.select(
-            fresh, work[Work.point_z + c, lane], state[State.anchor_z + c, lane]
+        state.anchor_z[c, lane] = ti.select(
+            fresh, work.point_z[c, lane], state.anchor_z[c, lane]
         )
-        state[State.touching + c, lane] = touching
+        state.touching[c, lane] = touching
 
 
 @ti.func
@@ -106,48 +102,40 @@ def spring_forces(lane, step_s, state: Rows, const: Rows, work: Rows):
 
     Every touching point starts the complementarity passes as sticking.
     """
-    stiffness = const[Const.contact_stiffness, lane]
-    relaxation_speed_mps = const[Const.relaxation_speed, lane]
-    work[Work.friction_damping, lane] = stiffness * (FRICTION_DAMPING_S + step_s)
+    stiffness = const.contact_stiffness[lane]
+    relaxation_speed_mps = const.relaxation_speed[lane]
+    work.friction_damping[lane] = stiffness * (FRICTION_DAMPING_S + step_s)
     for c in ti.static(range(CONTACTS)):
-        tangent_x = work[Work.normal_z + c, lane]
-        tangent_z = 0.0 - work[Work.normal_x + c, lane]
-        slid = (
-            work[Work.point_x + c, lane] - state[State.anchor_x + c, lane]
-        ) * tangent_x + (
-            work[Work.point_z + c, lane] - state[State.anchor_z + c, lane]
+        tangent_x = work.normal_z[c, lane]
+        tangent_z = 0.0 - work.normal_x[c, lane]
+        slid = (work.point_x[c, lane] - state.anchor_x[c, lane]) * tangent_x + (
+            work.point_z[c, lane] - state.anchor_z[c, lane]
         ) * tangent_z
-        work[Work.normal_force_0 + c, lane] = stiffness * work[Work.gap + c, lane]
-        work[Work.normal_damping + c, lane] = stiffness * (
-            work[Work.gap + c, lane] / relaxation_speed_mps + step_s
+        work.normal_force_0[c, lane] = stiffness * work.gap[c, lane]
+        work.normal_damping[c, lane] = stiffness * (
+            work.gap[c, lane] / relaxation_speed_mps + step_s
         )
-        work[Work.friction_0 + c, lane] = 0.0 - stiffness * slid
-        work[Work.normal_on + c, lane] = state[State.touching + c, lane]
-        work[Work.slip + c, lane] = 0.0
-        work[Work.normal_force + c, lane] = 0.0
-        work[Work.friction + c, lane] = 0.0
+        work.friction_0[c, lane] = 0.0 - stiffness * slid
+        work.normal_on[c, lane] = state.touching[c, lane]
+        work.slip[c, lane] = 0.0
+        work.normal_force[c, lane] = 0.0
+        work.friction[c, lane] = 0.0
 
 
 @ti.func
 def drag_anchors(lane, step_s, state: Rows, const: Rows, work: Rows):
     """A point that slips, or has let go, takes its anchor along: the spring holds what is left."""
-    stiffness = const[Const.contact_stiffness, lane]
+    stiffness = const.contact_stiffness[lane]
     for c in ti.static(range(CONTACTS)):
-        tangent_x = work[Work.normal_z + c, lane]
-        tangent_z = 0.0 - work[Work.normal_x + c, lane]
+        tangent_x = work.normal_z[c, lane]
+        tangent_z = 0.0 - work.normal_x[c, lane]
         speed_x, speed_z = point_velocity(lane, c, work)
-        hold = work[Work.friction + c, lane] / stiffness
-        new_x = work[Work.point_x + c, lane] + step_s * speed_x + tangent_x * hold
-        new_z = work[Work.point_z + c, lane] + step_s * speed_z + tangent_z * hold
-        slips = (work[Work.slip + c, lane] != 0.0) | (
-            work[Work.normal_on + c, lane] == 0.0
-        )
-        state[State.anchor_x + c, lane] = ti.select(
-            slips, new_x, state[State.anchor_x + c, lane]
-        )
-        state[State.anchor_z + c, lane] = ti.select(
-            slips, new_z, state[State.anchor_z + c, lane]
-        )
+        hold = work.friction[c, lane] / stiffness
+        new_x = work.point_x[c, lane] + step_s * speed_x + tangent_x * hold
+        new_z = work.point_z[c, lane] + step_s * speed_z + tangent_z * hold
+        slips = (work.slip[c, lane] != 0.0) | (work.normal_on[c, lane] == 0.0)
+        state.anchor_x[c, lane] = ti.select(slips, new_x, state.anchor_x[c, lane])
+        state.anchor_z[c, lane] = ti.select(slips, new_z, state.anchor_z[c, lane])
 
 
 @ti.func
@@ -159,27 +147,25 @@ def add_up_legs(lane, state: Rows, work: Rows):
         for end in ti.static(range(2)):
             c = ti.static(2 * leg + end)
             normal, friction = (
-                work[Work.normal_force + c, lane],
-                work[Work.friction + c, lane],
+                work.normal_force[c, lane],
+                work.friction[c, lane],
             )
-            nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+            nx, nz = work.normal_x[c, lane], work.normal_z[c, lane]
             force_x += normal * nx + friction * nz
             force_z += normal * nz - friction * nx
-        state[State.ground_force + 2 * leg, lane] = force_x
-        state[State.ground_force + 2 * leg + 1, lane] = force_z
+        state.ground_force[2 * leg, lane] = force_x
+        state.ground_force[2 * leg + 1, lane] = force_z
 
 
 @ti.func
 def ground_at_ankle(lane, leg: Rows, work: Rows):
     """Ground height under the ankle, from those under heel and ball."""
-    heel = work[Work.ground + 2 * leg, lane]
-    ball = work[Work.ground + 2 * leg + 1, lane]
+    heel = work.ground[2 * leg, lane]
+    ball = work.ground[2 * leg + 1, lane]
     return heel + ANKLE_SHARE_OF_BALL * (ball - heel)
 
 
 @ti.func
 def on_ground(lane, leg: Rows, state: Rows):
     """1 while heel or ball of the leg is in the ground, else 0."""
-    return larger(
-        state[State.touching + 2 * leg, lane], state[State.touching + 2 * leg + 1, lane]
-    )
+    return larger(state.touching[2 * leg, lane], state.touching[2 * leg + 1, lane])

@@ -14,9 +14,10 @@ the ankle are missing, their strength being 0.
 """
 
 from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.contact import on_ground
 from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.gait import DEBOUNCE_TICKS
-from taichi_nmm.kernel.layout import LEGS, Const, State, Work
+from taichi_nmm.kernel.layout import LEGS
 
 LEAST_RATE_RADPS = 1e-3  # no torque at a slower rate has a power that is limited
 
@@ -32,45 +33,39 @@ def rising(share):
 def assist(lane, state: Rows, const: Rows, work: Rows):
     """The torques on the joints of each leg at this tick, N m, in the signs of the joints."""
     for leg in ti.static(range(LEGS)):
-        heel, ball = ti.static(State.touching + 2 * leg, State.touching + 2 * leg + 1)
-        down = larger(state[heel, lane], state[ball, lane]) > 0.5
-        strike = down & (state[State.device_air + leg, lane] >= DEBOUNCE_TICKS)
-        before = state[
-            State.device_clock + leg, lane
+        down = on_ground(lane, leg, state) > 0.5
+        strike = down & (state.device_air[leg, lane] >= DEBOUNCE_TICKS)
+        before = state.device_clock[
+            leg, lane
         ]  # ticks since the last strike; 0: none yet
-        stride = ti.select(strike, before, state[State.device_stride + leg, lane])
+        stride = ti.select(strike, before, state.device_stride[leg, lane])
         clock = ti.select(strike, 1.0, ti.select(before > 0.0, before + 1.0, 0.0))
         share = clock / larger(stride, 1.0)
-        from_peak = share - const[Const.exo_peak, lane]
-        up = rising(1.0 + from_peak / const[Const.exo_rise, lane])
-        down_again = rising(from_peak / const[Const.exo_fall, lane])
-        curve = const[Const.exo_torque, lane] * up * (1.0 - down_again)
+        from_peak = share - const.exo_peak[lane]
+        up = rising(1.0 + from_peak / const.exo_rise[lane])
+        down_again = rising(from_peak / const.exo_fall[lane])
+        curve = const.exo_torque[lane] * up * (1.0 - down_again)
         torque = ti.select(stride > 0.0, curve, 0.0)
         rate = 0.0
         for joint in ti.static(range(3 * leg, 3 * leg + 3)):
-            rate += (
-                const[Const.exo_share + joint, lane]
-                * work[Work.joint_rate + joint, lane]
-            )
-        most = const[Const.exo_power + leg, lane]
+            rate += const.exo_share[joint, lane] * work.joint_rate[joint, lane]
+        most = const.exo_power[leg, lane]
         torque = ti.select(
             torque * rate > most, most / larger(rate, LEAST_RATE_RADPS), torque
         )
         for joint in ti.static(range(3 * leg, 3 * leg + 3)):
-            state[State.device_torque + joint, lane] = (
-                const[Const.exo_share + joint, lane] * torque
-            )
-        state[State.device_stride + leg, lane] = stride
-        state[State.device_clock + leg, lane] = clock
-        air = state[State.device_air + leg, lane] + 1.0
-        state[State.device_air + leg, lane] = ti.select(down, 0.0, air)
+            state.device_torque[joint, lane] = const.exo_share[joint, lane] * torque
+        state.device_stride[leg, lane] = stride
+        state.device_clock[leg, lane] = clock
+        air = state.device_air[leg, lane] + 1.0
+        state.device_air[leg, lane] = ti.select(down, 0.0, air)
 
 
 @ti.func
 def prosthesis_torque(lane, ankle, leg, const: Rows, work: Rows):
     """Of the ankle's spring and damper, N m, plantarflexion positive: k (rest - angle) - c rate."""
-    bent = const[Const.ankle_rest + leg, lane] - work[Work.joint + ankle, lane]
-    rate = work[Work.joint_rate + ankle, lane]
-    return const[Const.ankle_stiffness + leg, lane] * bent - (
-        const[Const.ankle_damping + leg, lane] * rate
+    bent = const.ankle_rest[leg, lane] - work.joint[ankle, lane]
+    rate = work.joint_rate[ankle, lane]
+    return const.ankle_stiffness[leg, lane] * bent - (
+        const.ankle_damping[leg, lane] * rate
     )

@@ -27,18 +27,15 @@ from taichi_nmm.kernel.layout import (
     COORDINATES,
     LEGS,
     STOPS,
-    Const,
+    Layout,
     Signal,
-    State,
-    Work,
-    blocks,
 )
 from taichi_nmm.settings import CONTROL_TICK_S
 
 # A leg's equations: m11, m22, m33, m12, m13, m23, coupling to the base in x, in z,
 # right-hand side. They and the base's are local vectors, which the compiler keeps in
-# registers: `Work` is memory.
-Leg = blocks(inertia=6, coupling=6, rhs=3)
+# registers: `layout.Work` is memory.
+Leg = Layout(inertia=6, coupling=6, rhs=3)
 
 CATCH_S = 0.02  # ours: short beside a swing of 0.4 s
 CATCH_EVERY_S = 1.0  # of a leg; ours, about a stride (published gains: 1.14 s)
@@ -49,19 +46,26 @@ FIRST_CATCH_WORD = Signal.count + 1  # of the hash: after those of the noise
 
 
 @ti.func
-def leg_inertia(lane, leg: Rows, const: Rows, work: Rows):
-    """B_ij e_i.e_j of a leg: m11, m22, m33, m12, m13, m23."""
-    b = ti.static(Const.b_leg + 6 * leg)
+def leg_slopes(lane, leg: Rows, work: Rows):
+    """The vectors e of a leg's thigh, shank and foot: x1, z1, x2, z2, x3, z3."""
     x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
     x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
     x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
+    return x1, z1, x2, z2, x3, z3
+
+
+@ti.func
+def leg_inertia(lane, leg: Rows, const: Rows, work: Rows):
+    """B_ij e_i.e_j of a leg: m11, m22, m33, m12, m13, m23."""
+    b = ti.static(6 * leg)
+    x1, z1, x2, z2, x3, z3 = leg_slopes(lane, leg, work)
     return (
-        const[b + 0, lane],
-        const[b + 1, lane],
-        const[b + 2, lane],
-        const[b + 3, lane] * (x1 * x2 + z1 * z2),
-        const[b + 4, lane] * (x1 * x3 + z1 * z3),
-        const[b + 5, lane] * (x2 * x3 + z2 * z3),
+        const.b_leg[b + 0, lane],
+        const.b_leg[b + 1, lane],
+        const.b_leg[b + 2, lane],
+        const.b_leg[b + 3, lane] * (x1 * x2 + z1 * z2),
+        const.b_leg[b + 4, lane] * (x1 * x3 + z1 * z3),
+        const.b_leg[b + 5, lane] * (x2 * x3 + z2 * z3),
     )
 
 
@@ -73,10 +77,9 @@ def momentum_after_free_step(
 
     (1, h) gives the right-hand side of a step; (0, 1) the generalised forces alone.
     """
-    qdot = ti.static(State.qdot)
-    vx, vz, w0 = state[qdot + 0, lane], state[qdot + 1, lane], state[qdot + 2, lane]
-    mass = const[Const.total_mass, lane]
-    a0, b0 = const[Const.a_hat, lane], const[Const.b_hat, lane]
+    vx, vz, w0 = state.qdot[0, lane], state.qdot[1, lane], state.qdot[2, lane]
+    mass = const.total_mass[lane]
+    a0, b0 = const.a_hat[lane], const.b_hat[lane]
     e0x, e0z = slope_vector(lane, 0, work)
     # d is e turned back a quarter: d = (-e_z, e_x).
     force_x = 0.0 - a0 * e0z * w0 * w0
@@ -85,58 +88,60 @@ def momentum_after_free_step(
     base_z = mass * vz + a0 * e0z * w0
     torque_0 = 0.0 - GRAVITY_MPS2 * a0 * e0z
     for leg in ti.static(range(LEGS)):
-        a, w = ti.static(Const.a_leg + 3 * leg, qdot + 3 + 3 * leg)
-        w1, w2, w3 = state[w, lane], state[w + 1, lane], state[w + 2, lane]
-        x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
-        x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
-        x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
-        a1, a2, a3 = const[a, lane], const[a + 1, lane], const[a + 2, lane]
+        hip, knee, ankle = ti.static(3 * leg, 3 * leg + 1, 3 * leg + 2)
+        w1 = state.qdot[3 + hip, lane]
+        w2 = state.qdot[3 + knee, lane]
+        w3 = state.qdot[3 + ankle, lane]
+        x1, z1, x2, z2, x3, z3 = leg_slopes(lane, leg, work)
+        a1 = const.a_leg[hip, lane]
+        a2 = const.a_leg[knee, lane]
+        a3 = const.a_leg[ankle, lane]
         base_x += a1 * x1 * w1 + a2 * x2 * w2 + a3 * x3 * w3
         base_z += a1 * z1 * w1 + a2 * z2 * w2 + a3 * z3 * w3
         force_x -= a1 * z1 * w1 * w1 + a2 * z2 * w2 * w2 + a3 * z3 * w3 * w3
         force_z += a1 * x1 * w1 * w1 + a2 * x2 * w2 * w2 + a3 * x3 * w3 * w3
-        b = ti.static(Const.b_leg + 6 * leg)
-        cross_12 = const[b + 3, lane] * (z1 * x2 - x1 * z2)  # B12 e1.d2
-        cross_13 = const[b + 4, lane] * (z1 * x3 - x1 * z3)
-        cross_23 = const[b + 5, lane] * (z2 * x3 - x2 * z3)
-        t = ti.static(Work.joint_torque + 3 * leg)
-        hip, knee, ankle = work[t, lane], work[t + 1, lane], work[t + 2, lane]
-        torque_0 -= hip
+        b = ti.static(6 * leg)
+        cross_12 = const.b_leg[b + 3, lane] * (z1 * x2 - x1 * z2)  # B12 e1.d2
+        cross_13 = const.b_leg[b + 4, lane] * (z1 * x3 - x1 * z3)
+        cross_23 = const.b_leg[b + 5, lane] * (z2 * x3 - x2 * z3)
+        hip_torque = work.joint_torque[hip, lane]
+        knee_torque = work.joint_torque[knee, lane]
+        ankle_torque = work.joint_torque[ankle, lane]
+        torque_0 -= hip_torque
         torque_1 = (
             cross_12 * w2 * w2
             + cross_13 * w3 * w3
             - GRAVITY_MPS2 * a1 * z1
-            + hip
-            - knee
+            + hip_torque
+            - knee_torque
         )
         torque_2 = (
             cross_23 * w3 * w3
             - cross_12 * w1 * w1
             - GRAVITY_MPS2 * a2 * z2
-            + knee
-            - ankle
+            + knee_torque
+            - ankle_torque
         )
         torque_3 = (
             0.0
             - cross_13 * w1 * w1
             - cross_23 * w2 * w2
             - GRAVITY_MPS2 * a3 * z3
-            + ankle
+            + ankle_torque
         )
         m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
-        m = ti.static(Work.momentum + 3 + 3 * leg)
-        work[m, lane] = step_s * torque_1 + mass_scale * (
+        work.momentum[3 + hip, lane] = step_s * torque_1 + mass_scale * (
             a1 * (x1 * vx + z1 * vz) + m11 * w1 + m12 * w2 + m13 * w3
         )
-        work[m + 1, lane] = step_s * torque_2 + mass_scale * (
+        work.momentum[3 + knee, lane] = step_s * torque_2 + mass_scale * (
             a2 * (x2 * vx + z2 * vz) + m12 * w1 + m22 * w2 + m23 * w3
         )
-        work[m + 2, lane] = step_s * torque_3 + mass_scale * (
+        work.momentum[3 + ankle, lane] = step_s * torque_3 + mass_scale * (
             a3 * (x3 * vx + z3 * vz) + m13 * w1 + m23 * w2 + m33 * w3
         )
-    work[Work.momentum + 0, lane] = mass_scale * base_x + step_s * force_x
-    work[Work.momentum + 1, lane] = mass_scale * base_z + step_s * force_z
-    work[Work.momentum + 2, lane] = step_s * torque_0 + mass_scale * (
+    work.momentum[0, lane] = mass_scale * base_x + step_s * force_x
+    work.momentum[1, lane] = mass_scale * base_z + step_s * force_z
+    work.momentum[2, lane] = step_s * torque_0 + mass_scale * (
         a0 * (e0x * vx + e0z * vz) + b0 * w0
     )
 
@@ -151,8 +156,8 @@ def catch_feet(lane, tick, step_s, const: Rows, work: Rows):
     """
     slot = tick // CATCH_EVERY_TICKS
     within = ti.cast(tick - CATCH_EVERY_TICKS * slot, float)
-    largest = const[Const.catch_ns, lane] / CATCH_S  # N
-    walker = ti.cast(const[Const.noise_seed, lane], ti.u32)
+    largest = const.catch_ns[lane] / CATCH_S  # N
+    walker = ti.cast(const.noise_seed[lane], ti.u32)
     start = ti.cast(slot, ti.u32) * ti.u32(TICK_FACTOR) + walker * ti.u32(FIRST_FACTOR)
     for leg in ti.static(range(LEGS)):
         word = ti.static(FIRST_CATCH_WORD + 2 * leg)
@@ -161,11 +166,11 @@ def catch_feet(lane, tick, step_s, const: Rows, work: Rows):
         since = within - ti.floor(when * (CATCH_EVERY_TICKS - CATCH_TICKS + 1.0))
         caught = (since >= 0.0) & (since < CATCH_TICKS)
         impulse = step_s * ti.select(caught, 0.0 - share * largest, 0.0)
-        work[Work.momentum, lane] += impulse
+        work.momentum[0, lane] += impulse
         for i in ti.static(range(3)):
             lever = ti.static((THIGH_LENGTH_M, SHANK_LENGTH_M, BALL_OFFSET_M)[i])
             x, _ = slope_vector(lane, 1 + 3 * leg + i, work)
-            work[Work.momentum + 3 + 3 * leg + i, lane] += impulse * lever * x
+            work.momentum[3 + 3 * leg + i, lane] += impulse * lever * x
 
 
 @ti.func
@@ -183,35 +188,29 @@ def solve(lane, step_s, const: Rows, work: Rows):
     vx = (px * hzz - pz * hxz) * determinant
     vz = (pz * hxx - px * hxz) * determinant
     e0x, e0z = slope_vector(lane, 0, work)
-    coupling = const[Const.a_hat, lane] * (e0x * vx + e0z * vz)
-    work[Work.new_qdot + 0, lane] = vx
-    work[Work.new_qdot + 1, lane] = vz
-    work[Work.new_qdot + 2, lane] = (work[Work.momentum + 2, lane] - coupling) / const[
-        Const.b_hat, lane
-    ]
+    coupling = const.a_hat[lane] * (e0x * vx + e0z * vz)
+    work.new_qdot[0, lane] = vx
+    work.new_qdot[1, lane] = vz
+    work.new_qdot[2, lane] = (work.momentum[2, lane] - coupling) / const.b_hat[lane]
     for i in ti.static(range(3)):
-        work[Work.new_qdot + 3 + i, lane] = (
-            left[6 + i] - left[i] * vx - left[3 + i] * vz
-        )
-        work[Work.new_qdot + 6 + i, lane] = (
-            right[6 + i] - right[i] * vx - right[3 + i] * vz
-        )
+        work.new_qdot[3 + i, lane] = left[6 + i] - left[i] * vx - left[3 + i] * vz
+        work.new_qdot[6 + i, lane] = right[6 + i] - right[i] * vx - right[3 + i] * vz
 
 
 @ti.func
 def without_hat(lane, const: Rows, work: Rows):
     """The base's equations hxx, hxz, hzz, px, pz once the HAT is eliminated."""
-    a0, mass = const[Const.a_hat, lane], const[Const.total_mass, lane]
+    a0, mass = const.a_hat[lane], const.total_mass[lane]
     e0x, e0z = slope_vector(lane, 0, work)
-    k = a0 / const[Const.b_hat, lane]
-    p0 = work[Work.momentum + 2, lane]
+    k = a0 / const.b_hat[lane]
+    p0 = work.momentum[2, lane]
     return ti.Vector(
         [
             mass - k * a0 * e0x * e0x,
             0.0 - k * a0 * e0x * e0z,
             mass - k * a0 * e0z * e0z,
-            work[Work.momentum + 0, lane] - k * e0x * p0,
-            work[Work.momentum + 1, lane] - k * e0z * p0,
+            work.momentum[0, lane] - k * e0x * p0,
+            work.momentum[1, lane] - k * e0z * p0,
         ]
     )
 
@@ -220,11 +219,11 @@ def without_hat(lane, const: Rows, work: Rows):
 def in_the_air(lane, leg: Rows, const: Rows, work: Rows):
     """A leg's equations without contacts and stops."""
     m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
-    x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
-    x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
-    x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
-    a, p = ti.static(Const.a_leg + 3 * leg, Work.momentum + 3 + 3 * leg)
-    a1, a2, a3 = const[a, lane], const[a + 1, lane], const[a + 2, lane]
+    x1, z1, x2, z2, x3, z3 = leg_slopes(lane, leg, work)
+    hip, knee, ankle = ti.static(3 * leg, 3 * leg + 1, 3 * leg + 2)
+    a1 = const.a_leg[hip, lane]
+    a2 = const.a_leg[knee, lane]
+    a3 = const.a_leg[ankle, lane]
     return ti.Vector(
         [
             m11,
@@ -239,9 +238,9 @@ def in_the_air(lane, leg: Rows, const: Rows, work: Rows):
             a1 * z1,
             a2 * z2,
             a3 * z3,
-            work[p, lane],
-            work[p + 1, lane],
-            work[p + 2, lane],
+            work.momentum[3 + hip, lane],
+            work.momentum[3 + knee, lane],
+            work.momentum[3 + ankle, lane],
         ]
     )
 
@@ -253,17 +252,15 @@ def point_spring(lane, c: Rows, step_s, work: Rows):
     Along normal n and tangent t = (n_z, -n_x); a slipping point's friction is a given
     force.
     """
-    nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+    nx, nz = work.normal_x[c, lane], work.normal_z[c, lane]
     on, sticks = (
-        step_s * work[Work.normal_on + c, lane],
-        work[Work.slip + c, lane] == 0.0,
+        step_s * work.normal_on[c, lane],
+        work.slip[c, lane] == 0.0,
     )
-    damping_n = on * work[Work.normal_damping + c, lane]
-    damping_t = ti.select(sticks, on * work[Work.friction_damping, lane], 0.0)
-    force_n = on * work[Work.normal_force_0 + c, lane]
-    force_t = on * ti.select(
-        sticks, work[Work.friction_0 + c, lane], work[Work.friction + c, lane]
-    )
+    damping_n = on * work.normal_damping[c, lane]
+    damping_t = ti.select(sticks, on * work.friction_damping[lane], 0.0)
+    force_n = on * work.normal_force_0[c, lane]
+    force_t = on * ti.select(sticks, work.friction_0[c, lane], work.friction[c, lane])
     return (
         damping_n * nx * nx + damping_t * nz * nz,
         (damping_n - damping_t) * nx * nz,
@@ -285,9 +282,7 @@ def add_foot(lane, leg: Rows, step_s, equations: Rows, base: Rows, work: Rows):
     xx, xz, zz = hxx + bxx, hxz + bxz, hzz + bzz
     rxx, rxz, rzz = rh * hxx + rb * bxx, rh * hxz + rb * bxz, rh * hzz + rb * bzz
     fx, fz = hx + bx, hz + bz
-    x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
-    x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
-    x3, z3 = slope_vector(lane, 3 + 3 * leg, work)
+    x1, z1, x2, z2, x3, z3 = leg_slopes(lane, leg, work)
     lx1, lz1 = THIGH_LENGTH_M * x1, THIGH_LENGTH_M * z1
     lx2, lz2 = SHANK_LENGTH_M * x2, SHANK_LENGTH_M * z2
     # Columns C L1 e1, C L2 e2 and r C e3 couple the links to the base.
@@ -328,10 +323,10 @@ def point_velocity(lane, c: Rows, work: Rows):
     lever = ti.static(
         (THIGH_LENGTH_M, SHANK_LENGTH_M, (HEEL_OFFSET_M, BALL_OFFSET_M)[c % 2])
     )
-    vx, vz = work[Work.new_qdot + 0, lane], work[Work.new_qdot + 1, lane]
+    vx, vz = work.new_qdot[0, lane], work.new_qdot[1, lane]
     for i in ti.static(range(3)):
         x, z = slope_vector(lane, 1 + 3 * leg + i, work)
-        speed = lever[i] * work[Work.new_qdot + 3 + 3 * leg + i, lane]
+        speed = lever[i] * work.new_qdot[3 + 3 * leg + i, lane]
         vx += speed * x
         vz += speed * z
     return vx, vz
@@ -342,12 +337,12 @@ def add_stops(lane, leg: Rows, step_s, equations: Rows, work: Rows):
     """Active stops of knee and ankle: J = +1 on the child, -1 on the parent."""
     m, r = ti.static(Leg.inertia, Leg.rhs)
     knee, ankle = ti.static(2 * leg, 2 * leg + 1)
-    knee_on = step_s * work[Work.stop_on + knee, lane]
-    ankle_on = step_s * work[Work.stop_on + ankle, lane]
-    knee_weight = knee_on * work[Work.stop_damping + knee, lane]
-    ankle_weight = ankle_on * work[Work.stop_damping + ankle, lane]
-    knee_torque = knee_on * work[Work.stop_torque_0 + knee, lane]
-    ankle_torque = ankle_on * work[Work.stop_torque_0 + ankle, lane]
+    knee_on = step_s * work.stop_on[knee, lane]
+    ankle_on = step_s * work.stop_on[ankle, lane]
+    knee_weight = knee_on * work.stop_damping[knee, lane]
+    ankle_weight = ankle_on * work.stop_damping[ankle, lane]
+    knee_torque = knee_on * work.stop_torque_0[knee, lane]
+    ankle_torque = ankle_on * work.stop_torque_0[ankle, lane]
     equations[m + 0] += knee_weight
     equations[m + 1] += knee_weight + ankle_weight
     equations[m + 2] += ankle_weight
@@ -414,45 +409,42 @@ def revise_contacts(lane, const: Rows, work: Rows):
     changed = 0.0
     for c in ti.static(range(CONTACTS)):
         vx, vz = point_velocity(lane, c, work)
-        nx, nz = work[Work.normal_x + c, lane], work[Work.normal_z + c, lane]
+        nx, nz = work.normal_x[c, lane], work.normal_z[c, lane]
         u_n = vx * nx + vz * nz
         u_t = vx * nz - vz * nx
-        on = work[Work.normal_on + c, lane]
-        slip = work[Work.slip + c, lane]
+        on = work.normal_on[c, lane]
+        slip = work.slip[c, lane]
         normal = on * (
-            work[Work.normal_force_0 + c, lane]
-            - work[Work.normal_damping + c, lane] * u_n
+            work.normal_force_0[c, lane] - work.normal_damping[c, lane] * u_n
         )
-        stuck = on * (
-            work[Work.friction_0 + c, lane] - work[Work.friction_damping, lane] * u_t
-        )
+        stuck = on * (work.friction_0[c, lane] - work.friction_damping[lane] * u_t)
         pulls = normal < 0.0
         normal = larger(normal, 0.0)
-        cone = const[Const.friction, lane] * normal
+        cone = const.friction[lane] * normal
         breaks = (slip == 0.0) & (pulls == False) & (larger(stuck, 0.0 - stuck) > cone)  # noqa: E712
         slip = ti.select(breaks, ti.select(stuck > 0.0, 1.0, 0.0 - 1.0), slip)
-        moves = (slip != 0.0) & (normal != work[Work.normal_force + c, lane])
+        moves = (slip != 0.0) & (normal != work.normal_force[c, lane])
         changed = ti.select(pulls | breaks | moves, 1.0, changed)
-        work[Work.normal_on + c, lane] = ti.select(pulls, 0.0, on)
-        work[Work.slip + c, lane] = slip
-        work[Work.normal_force + c, lane] = normal
+        work.normal_on[c, lane] = ti.select(pulls, 0.0, on)
+        work.slip[c, lane] = slip
+        work.normal_force[c, lane] = normal
         friction = ti.select(slip == 0.0, stuck, slip * cone)
-        work[Work.friction + c, lane] = ti.select(pulls, 0.0, friction)
+        work.friction[c, lane] = ti.select(pulls, 0.0, friction)
     for stop in ti.static(range(STOPS)):
-        child = ti.static(Work.new_qdot + 4 + 3 * (stop // 2) + stop % 2)
-        rate = work[child, lane] - work[child - 1, lane]
-        restoring = work[Work.stop_torque_0 + stop, lane]
-        torque = restoring - work[Work.stop_damping + stop, lane] * rate
-        on = work[Work.stop_on + stop, lane]
+        child = ti.static(4 + 3 * (stop // 2) + stop % 2)
+        rate = work.new_qdot[child, lane] - work.new_qdot[child - 1, lane]
+        restoring = work.stop_torque_0[stop, lane]
+        torque = restoring - work.stop_damping[stop, lane] * rate
+        on = work.stop_on[stop, lane]
         wrong = (on > 0.5) & (torque * restoring < 0.0)
-        work[Work.stop_on + stop, lane] = ti.select(wrong, 0.0, on)
+        work.stop_on[stop, lane] = ti.select(wrong, 0.0, on)
         changed = ti.select(wrong, 1.0, changed)
-    work[Work.changed, lane] = changed
+    work.changed[lane] = changed
 
 
 @ti.func
 def step_coordinates(lane, step_s, state: Rows, work: Rows):
     """Semi-implicit Euler: q' = q + h v'."""
     for i in ti.static(range(COORDINATES)):
-        state[State.qdot + i, lane] = work[Work.new_qdot + i, lane]
-        state[State.q + i, lane] += step_s * work[Work.new_qdot + i, lane]
+        state.qdot[i, lane] = work.new_qdot[i, lane]
+        state.q[i, lane] += step_s * work.new_qdot[i, lane]

@@ -7,21 +7,19 @@ neighbouring numbers.
 """
 
 from taichi_nmm.kernel import dynamics, kinematics, walker
-from taichi_nmm.kernel.backend import Array, Rows, local_rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, local_rows, named_rows, ti
 from taichi_nmm.kernel.layout import (
     COORDINATES,
-    FIRST_DELAY,
-    FIRST_EVENT,
-    FIRST_FIBRE,
-    FIRST_SUM,
     MUSCLES_PER_LEG,
     RINGS,
     Const,
     Delay,
     Gait,
     Muscle,
+    Pose,
     State,
     Sums,
+    WalkerRows,
     Work,
 )
 from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
@@ -38,11 +36,11 @@ def seat(turn, lanes_of_pack, lanes: Rows):
 
 
 @ti.func
-def load(packs: Rows, turn, first: Rows, count: Rows, lanes: Rows):
+def load(packs: Rows, turn, first: Rows, layout: Rows, lanes: Rows):
     """A block of a turn's rows in a local array."""
-    rows = local_rows(count, lanes)
+    rows = named_rows(layout, lanes)
     p, place = seat(turn, packs.shape[2], lanes)
-    for row in range(count):
+    for row in range(layout.count):
         for lane in range(lanes):
             rows[row, lane] = packs[p, first + row, place + lane]
     return rows
@@ -69,10 +67,10 @@ def load_terrains(terrains: Rows, turn, lanes: Rows):
 
 
 @ti.func
-def save(packs: Rows, turn, first: Rows, count: Rows, lanes: Rows, source: Rows):
+def save(packs: Rows, turn, first: Rows, layout: Rows, lanes: Rows, source: Rows):
     """Copy a local array back into a block of a turn's rows."""
     p, place = seat(turn, packs.shape[2], lanes)
-    for row in range(count):
+    for row in range(layout.count):
         for lane in range(lanes):
             packs[p, first + row, place + lane] = source[row, lane]
 
@@ -80,13 +78,13 @@ def save(packs: Rows, turn, first: Rows, count: Rows, lanes: Rows, source: Rows)
 @ti.func
 def load_slots(packs: Rows, turn, tick, lanes: Rows):
     """A local array of a turn's delay rings, with the slots that a tick exchanges."""
-    delay = local_rows(Delay.count, lanes)
+    delay = named_rows(Delay, lanes)
     p, place = seat(turn, packs.shape[2], lanes)
     for lane in range(lanes):
         for _signal, count, ticks, first in ti.static(RINGS):
             for i in ti.static(range(count)):
                 row = first + i * ticks + ti.raw_mod(tick, ticks)
-                delay[row, lane] = packs[p, FIRST_DELAY + row, place + lane]
+                delay[row, lane] = packs[p, WalkerRows.delay + row, place + lane]
     return delay
 
 
@@ -98,7 +96,7 @@ def save_slots(packs: Rows, turn, tick, lanes: Rows, delay: Rows):
         for _signal, count, ticks, first in ti.static(RINGS):
             for i in ti.static(range(count)):
                 row = first + i * ticks + ti.raw_mod(tick, ticks)
-                packs[p, FIRST_DELAY + row, place + lane] = delay[row, lane]
+                packs[p, WalkerRows.delay + row, place + lane] = delay[row, lane]
 
 
 @ti.kernel
@@ -119,7 +117,7 @@ def advance(
 ):
     """Advance all packs by `ticks` control ticks; `rough` is 0 where all terrains have height 0.
 
-    packs [p, WALKER_ROWS, lane], constants [p, Const.count, lane], terrains [p, lane]
+    packs [p, WalkerRows.count, lane], constants [p, Const.count, lane], terrains [p, lane]
     (rows of `heights` [terrain, node]), muscles [7, TABLE_COLUMNS]. A turn takes
     `lanes` lanes of a pack.
     """
@@ -127,14 +125,14 @@ def advance(
         block_dim=ti.static(TURNS_PER_BLOCK if lanes == 1 else TURNS_PER_TASK)
     )
     for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
-        work = local_rows(Work.count, lanes)
+        work = named_rows(Work, lanes)
         table = load_table(muscles)
-        state = load(packs, turn, 0, State.count, lanes)
-        fibres = load(packs, turn, FIRST_FIBRE, Muscle.count, lanes)
-        delay = load(packs, turn, FIRST_DELAY, Delay.count, lanes)
-        events = load(packs, turn, FIRST_EVENT, Gait.count, lanes)
-        sums = load(packs, turn, FIRST_SUM, Sums.count, lanes)
-        const = load(constants, turn, 0, Const.count, lanes)
+        state = load(packs, turn, 0, State, lanes)
+        fibres = load(packs, turn, WalkerRows.fibres, Muscle, lanes)
+        delay = load(packs, turn, WalkerRows.delay, Delay, lanes)
+        events = load(packs, turn, WalkerRows.events, Gait, lanes)
+        sums = load(packs, turn, WalkerRows.sums, Sums, lanes)
+        const = load(constants, turn, 0, Const, lanes)
         terrain = load_terrains(terrains, turn, lanes)
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
@@ -156,11 +154,11 @@ def advance(
                 const,
                 work,
             )
-        save(packs, turn, 0, State.count, lanes, state)
-        save(packs, turn, FIRST_FIBRE, Muscle.count, lanes, fibres)
-        save(packs, turn, FIRST_DELAY, Delay.count, lanes, delay)
-        save(packs, turn, FIRST_EVENT, Gait.count, lanes, events)
-        save(packs, turn, FIRST_SUM, Sums.count, lanes, sums)
+        save(packs, turn, 0, State, lanes, state)
+        save(packs, turn, WalkerRows.fibres, Muscle, lanes, fibres)
+        save(packs, turn, WalkerRows.delay, Delay, lanes, delay)
+        save(packs, turn, WalkerRows.events, Gait, lanes, events)
+        save(packs, turn, WalkerRows.sums, Sums, lanes, sums)
 
 
 @ti.kernel
@@ -178,16 +176,16 @@ def accelerate(
     """
     ti.loop_config(block_dim=TURNS_PER_TASK)
     for p in range(states.shape[0]):
-        work = local_rows(Work.count, lanes)
-        state = load(states, p, 0, 2 * COORDINATES, lanes)
-        const = load(constants, p, 0, Const.count, lanes)
+        work = named_rows(Work, lanes)
+        state = load(states, p, 0, Pose, lanes)
+        const = load(constants, p, 0, Const, lanes)
         for lane in range(lanes):
             for i in ti.static(range(6)):
-                work[Work.joint_torque + i, lane] = torques[p, i, lane]
+                work.joint_torque[i, lane] = torques[p, i, lane]
         for lane in range(lanes):
             kinematics.directions(lane, state, work)
             dynamics.momentum_after_free_step(lane, 1.0, 0.0, state, const, work)
             dynamics.solve(lane, 1.0, const, work)
         for lane in range(lanes):
             for i in ti.static(range(COORDINATES)):
-                accelerations[p, i, lane] = work[Work.new_qdot + i, lane]
+                accelerations[p, i, lane] = work.new_qdot[i, lane]

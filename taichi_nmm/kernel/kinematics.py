@@ -8,22 +8,22 @@ th).
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import HALF_PI, arctangent2, sine_cosine
-from taichi_nmm.kernel.layout import LEGS, SEGMENT_COUNT, Const, State, Work
+from taichi_nmm.kernel.layout import LEGS, SEGMENT_COUNT
 
 
 @ti.func
 def directions(lane, state: Rows, work: Rows):
     """Sine and cosine of the seven segment angles."""
     for i in ti.static(range(SEGMENT_COUNT)):
-        s, c = sine_cosine(state[State.q + 2 + i, lane])
-        work[Work.sine + i, lane] = s
-        work[Work.cosine + i, lane] = c
+        s, c = sine_cosine(state.q[2 + i, lane])
+        work.sine[i, lane] = s
+        work.cosine[i, lane] = c
 
 
 @ti.func
 def slope_vector(lane, i: Rows, work: Rows):
     """e_i, the derivative of link i's direction; feet (3, 6) lie a quarter turn ahead."""
-    s, c = work[Work.sine + i, lane], work[Work.cosine + i, lane]
+    s, c = work.sine[i, lane], work.cosine[i, lane]
     x = 0.0 - c
     z = s
     if ti.static(i in (3, 6)):
@@ -42,27 +42,25 @@ def contact_points(lane, state: Rows, work: Rows):
     for leg in ti.static(range(LEGS)):
         thigh, shank, foot = ti.static(1 + 3 * leg, 2 + 3 * leg, 3 + 3 * leg)
         ankle_x = (
-            state[State.q + 0, lane]
-            - THIGH_LENGTH_M * work[Work.sine + thigh, lane]
-            - SHANK_LENGTH_M * work[Work.sine + shank, lane]
+            state.q[0, lane]
+            - THIGH_LENGTH_M * work.sine[thigh, lane]
+            - SHANK_LENGTH_M * work.sine[shank, lane]
         )
         ankle_z = (
-            state[State.q + 1, lane]
-            - THIGH_LENGTH_M * work[Work.cosine + thigh, lane]
-            - SHANK_LENGTH_M * work[Work.cosine + shank, lane]
+            state.q[1, lane]
+            - THIGH_LENGTH_M * work.cosine[thigh, lane]
+            - SHANK_LENGTH_M * work.cosine[shank, lane]
         )
-        work[Work.ankle_x + leg, lane] = ankle_x
-        dx, dz = state[State.q + 0, lane] - ankle_x, state[State.q + 1, lane] - ankle_z
-        work[Work.leg_length + leg, lane] = ti.sqrt(dx * dx + dz * dz)
-        work[Work.leg_angle + leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
+        work.ankle_x[leg, lane] = ankle_x
+        dx, dz = state.q[0, lane] - ankle_x, state.q[1, lane] - ankle_z
+        work.leg_length[leg, lane] = ti.sqrt(dx * dx + dz * dz)
+        work.leg_angle[leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
         for end in ti.static(range(2)):
             offset = ti.static((HEEL_OFFSET_M, BALL_OFFSET_M)[end])
-            work[Work.point_x + 2 * leg + end, lane] = (
-                ankle_x + offset * work[Work.cosine + foot, lane]
+            work.point_x[2 * leg + end, lane] = (
+                ankle_x + offset * work.cosine[foot, lane]
             )
-            work[Work.point_z + 2 * leg + end, lane] = (
-                ankle_z - offset * work[Work.sine + foot, lane]
-            )
+            work.point_z[2 * leg + end, lane] = ankle_z - offset * work.sine[foot, lane]
 
 
 @ti.func
@@ -72,22 +70,21 @@ def joints(lane, state: Rows, work: Rows):
         for joint in ti.static(range(3)):
             child = ti.static(1 + 3 * leg + joint)
             parent = ti.static(0 if joint == 0 else child - 1)
-            work[Work.joint + 3 * leg + joint, lane] = (
-                state[State.q + 2 + child, lane] - state[State.q + 2 + parent, lane]
+            work.joint[3 * leg + joint, lane] = (
+                state.q[2 + child, lane] - state.q[2 + parent, lane]
             )
-            work[Work.joint_rate + 3 * leg + joint, lane] = (
-                state[State.qdot + 2 + child, lane]
-                - state[State.qdot + 2 + parent, lane]
+            work.joint_rate[3 * leg + joint, lane] = (
+                state.qdot[2 + child, lane] - state.qdot[2 + parent, lane]
             )
             if ti.static(joint > 0):
-                sc, cc = work[Work.sine + child, lane], work[Work.cosine + child, lane]
+                sc, cc = work.sine[child, lane], work.cosine[child, lane]
                 sp, cp = (
-                    work[Work.sine + parent, lane],
-                    work[Work.cosine + parent, lane],
+                    work.sine[parent, lane],
+                    work.cosine[parent, lane],
                 )
                 row = ti.static(2 * leg + joint - 1)
-                work[Work.sine_joint + row, lane] = sc * cp - cc * sp
-                work[Work.cosine_joint + row, lane] = cc * cp + sc * sp
+                work.sine_joint[row, lane] = sc * cp - cc * sp
+                work.cosine_joint[row, lane] = cc * cp + sc * sp
 
 
 @ti.func
@@ -95,18 +92,18 @@ def centre_of_mass(lane, state: Rows, const: Rows, work: Rows):
     """Position of the whole body's centre of mass, and its forward velocity."""
     # Of the direction d of a link, of which e is the slope: d = (-e_z, e_x).
     e0x, e0z = slope_vector(lane, 0, work)
-    x = const[Const.a_hat, lane] * (0.0 - e0z)
-    z = const[Const.a_hat, lane] * e0x
-    v = const[Const.a_hat, lane] * (e0x * state[State.qdot + 2, lane])
+    x = const.a_hat[lane] * (0.0 - e0z)
+    z = const.a_hat[lane] * e0x
+    v = const.a_hat[lane] * (e0x * state.qdot[2, lane])
     for leg in ti.static(range(LEGS)):
         for link in ti.static(range(3)):
             i = ti.static(1 + 3 * leg + link)
-            a = const[Const.a_leg + 3 * leg + link, lane]
+            a = const.a_leg[3 * leg + link, lane]
             ex, ez = slope_vector(lane, i, work)
             x -= a * ez
             z += a * ex
-            v += a * ex * state[State.qdot + 2 + i, lane]
-    mass = const[Const.total_mass, lane]
-    work[Work.com_x, lane] = state[State.q + 0, lane] + x / mass
-    work[Work.com_z, lane] = state[State.q + 1, lane] + z / mass
-    work[Work.com_speed, lane] = state[State.qdot + 0, lane] + v / mass
+            v += a * ex * state.qdot[2 + i, lane]
+    mass = const.total_mass[lane]
+    work.com_x[lane] = state.q[0, lane] + x / mass
+    work.com_z[lane] = state.q[1, lane] + z / mass
+    work.com_speed[lane] = state.qdot[0, lane] + v / mass

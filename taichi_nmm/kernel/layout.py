@@ -6,7 +6,7 @@ left, then right; segments as in `body.SEGMENT_NAMES`. A block's row is the name
 the index within the block.
 """
 
-from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 from taichi_nmm.parameters import DEVICE, FIXED, GAIN_NAMES
 
@@ -21,18 +21,68 @@ COORDINATES = 9
 SOL, TA, GAS, VAS, HAM, GLU, HFL = range(MUSCLES_PER_LEG)
 
 
-def blocks(first: int = 0, /, **sizes: int) -> SimpleNamespace:
-    """First rows of consecutive named blocks, and the row after them as `count`."""
-    rows = SimpleNamespace()
-    for name, size in sizes.items():
-        setattr(rows, name, first)
-        first += size
-    rows.count = first
-    return rows
+class Layout:
+    """Named blocks of rows of an array, one after another.
+
+    `State.q` is the first row of a block, and `State.count` how many rows there are.
+    `State.of(array).q` are the rows themselves: [row, lane], or [lane] of a single one.
+    """
+
+    def __init__(self, first: int = 0, /, **sizes: "int | Layout") -> None:
+        """Blocks of these sizes from row `first` on; a block may have a layout of its own."""
+        self.blocks = dict[str, tuple[int, int | Layout]]()
+        for name, size in sizes.items():
+            self.blocks[name] = first, size
+            first += size if isinstance(size, int) else size.count
+        self._settle(first)
+
+    def _settle(self, count: int) -> None:
+        self.count = count
+        vars(self).update({name: first for name, (first, _) in self.blocks.items()})
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> int: ...
+
+    def __or__(self, other: "Layout") -> "Layout":
+        """Both, where rows may be the same."""
+        both = Layout()
+        both.blocks = self.blocks | other.blocks
+        both._settle(max(self.count, other.count))
+        return both
+
+    def of(self, rows: Any) -> Any:
+        """The rows of an array by name.
+
+        Args:
+            rows: [row, ...], of NumPy or local to a kernel.
+        """
+        return NamedRows(self, rows)
+
+
+class NamedRows:
+    """An array whose blocks of rows have names, of a `Layout`; also by number."""
+
+    _data_oriented = True  # the compiler leaves an object of such a class as it is
+
+    def __init__(self, layout: Layout, rows: Any) -> None:
+        self._rows = rows
+        for name, (first, size) in layout.blocks.items():
+            if isinstance(size, Layout):
+                block = size.of(rows[first : first + size.count])
+            else:
+                block = rows[first] if size == 1 else rows[first : first + size]
+            setattr(self, name, block)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._rows[index]
+
+    def __setitem__(self, index: Any, values: Any) -> None:
+        self._rows[index] = values
 
 
 # Signals that reach the controller late; a leg's two values lie side by side.
-Signal = blocks(
+Signal = Layout(
     force_sol=LEGS,
     force_gas=LEGS,
     length_ta=LEGS,  # 20 ms
@@ -48,7 +98,7 @@ Signal = blocks(
 )
 
 # The state of a walker, from step to step.
-State = blocks(
+State = Layout(
     q=COORDINATES,  # hip x, z; segment angles, clockwise positive
     qdot=COORDINATES,
     touching=CONTACTS,  # 1 while the point is in the ground
@@ -69,14 +119,14 @@ State = blocks(
     end_tick=1,
     end_x=1,
     end_z=1,
-    felt=Signal.count,  # behind the nerves' lag, at the last tick
+    felt=Signal,  # behind the nerves' lag, at the last tick
     device_air=LEGS,  # ticks since the leg touched the ground
     device_clock=LEGS,  # ticks since the leg's last strike; 0 before the first
     device_stride=LEGS,  # ticks of its last stride; 0 before there was one
     device_torque=3 * LEGS,  # of an exoskeleton on hip, knee, ankle, held over the tick
 )
 
-Muscle = blocks(
+Muscle = Layout(
     activation=MUSCLE_COUNT,
     stimulation=MUSCLE_COUNT,
     length=MUSCLE_COUNT,  # contractile element over its optimal length
@@ -87,7 +137,7 @@ Muscle = blocks(
 # Never written by a step: each gain by its name (`Const.K_SOL`, of the left leg, then
 # the right), coefficients of the body, and the world. A_i and B_ij multiply the
 # directions of the links in the mass matrix: see `dynamics`.
-Const = blocks(
+Const = Layout(
     **dict.fromkeys(GAIN_NAMES, LEGS),
     **dict.fromkeys((each.name for each in (*FIXED, *DEVICE)), 1),
     total_mass=1,  # kg
@@ -120,7 +170,7 @@ Const = blocks(
 # Scratch of one step. First comes what several of its parts use. After it lies what one
 # part alone uses, in rows that the next part overwrites: the more rows, the longer a
 # kernel compiles.
-_shared = blocks(
+_shared = Layout(
     sine=SEGMENT_COUNT,
     cosine=SEGMENT_COUNT,
     point_x=CONTACTS,
@@ -144,25 +194,25 @@ _shared = blocks(
     strain=MUSCLE_COUNT,  # of the tendon over its reference, before the fibre moves
     metabolic_power=MUSCLE_COUNT,  # W
 )
-_look_up = blocks(
+_look_up = Layout(
     _shared.count,
     cell=CONTACTS
     + 1,  # of the terrain's grid under each contact point, and under the hip
     along_cell=CONTACTS + 1,  # how far along it, 0 to 1
     slope_per_rise=CONTACTS + 1,  # 1/m; 0 outside of the grid
 )
-_control = blocks(
+_control = Layout(
     _shared.count,
     com_x=1,
     com_z=1,
     com_speed=1,
     leg_angle_rate=LEGS,
-    sensed=Signal.count,  # delayed signals
+    sensed=Signal,  # delayed signals
     strike=LEGS,  # 1 where the leg strikes the ground at this tick
     takeoff=LEGS,  # 1 where it has been in the air for long enough
     event=1,  # 1 where one of these is 1
 )
-_contraction = blocks(
+_contraction = Layout(
     _shared.count,
     squeeze=MUSCLE_COUNT,  # root of the buffer's force, before the fibre moves
     slowest=MUSCLE_COUNT,  # range of the fibre's speed
@@ -171,7 +221,7 @@ _contraction = blocks(
     pull_slope=MUSCLE_COUNT,
     hyperbola=MUSCLE_COUNT,
 )
-_dynamics = blocks(
+_dynamics = Layout(
     _shared.count,
     momentum=COORDINATES,  # M qdot + h Q, without contacts
     normal_on=CONTACTS,  # 1 while the complementarity passes keep the contact
@@ -188,15 +238,11 @@ _dynamics = blocks(
     new_qdot=COORDINATES,
     changed=1,
 )
-_parts = (_shared, _look_up, _control, _contraction, _dynamics)
-Work = SimpleNamespace(
-    **{name: row for part in _parts for name, row in vars(part).items()}
-)
-Work.count = max(part.count for part in _parts)
+Work = _shared | _look_up | _control | _contraction | _dynamics
 
 LONG, MID = Signal.force_vas, Signal.force_ham - Signal.force_vas  # how many signals
 SHORT = Signal.count - LONG - MID
-Delay = blocks(
+Delay = Layout(
     long=20 * LONG, mid=10 * MID, short=5 * SHORT
 )  # a slot a tick of each signal
 # Each kind of ring: its first signal, number of signals, ticks of delay, first row.
@@ -207,7 +253,7 @@ RINGS = (
 )
 
 # Observation of a body that another simulator moves (`kernel.actuation`).
-Sense = blocks(
+Sense = Layout(
     angle=SEGMENT_COUNT,
     rate=SEGMENT_COUNT,
     contact=LEGS,
@@ -218,14 +264,16 @@ Sense = blocks(
     com_speed=1,
 )
 
+Pose = Layout(q=COORDINATES, qdot=COORDINATES)
+
 # Input of another engine for a physics step, and its output (`carried`).
-Drive = blocks(
+Drive = Layout(
     joint_torque=3 * LEGS,
     metabolic_power=1,  # W
     ground_hip=1,
     catch=COORDINATES,  # generalised force of catches, N and N m
 )
-Motion = blocks(
+Motion = Layout(
     q=COORDINATES,
     qdot=COORDINATES,
     touching=LEGS,
@@ -233,7 +281,7 @@ Motion = blocks(
 )
 
 # Gait: the memory of a leg's step (`Gait`), and sums that the host drains (`Sums`).
-Gait = blocks(
+Gait = Layout(
     in_stance=LEGS,
     struck=LEGS,  # this stance ended a swing seen from its take-off on, so its step is scored
     air_ticks=LEGS,
@@ -260,7 +308,7 @@ Gait = blocks(
     last_strike_tick=1,  # of either leg
 )
 
-Sums = blocks(
+Sums = Layout(
     ticks=1,
     steps=1,
     m1=1,
@@ -280,21 +328,16 @@ Sums = blocks(
     knee_torque_peak=1,
     ankle_torque_peak=1,
     strikes=1,
-    step_length=1,
-    step_length_squared=1,
+    step_length=2,  # and of the square
     step_durations=1,
-    step_duration=1,
-    step_duration_squared=1,
+    step_duration=2,  # and of the square
     left_strikes=1,
     left_step_length=1,
     left_step_durations=1,
     left_step_duration=1,
-    trunk=1,
-    trunk_squared=1,
-    hip_height=1,
-    hip_height_squared=1,
-    hip_speed=1,
-    hip_speed_squared=1,
+    trunk=2,  # and of the square
+    hip_height=2,  # and of the square
+    hip_speed=2,  # and of the square
     double_support=1,
     flight=1,
     activation=MUSCLES_PER_LEG,
@@ -305,9 +348,5 @@ Sums = blocks(
     impulse=2 * LEGS,  # ground force times time, N s: left x, left z, right x, right z
 )
 
-# Rows of a walker between launches, block after block.
-FIRST_FIBRE = State.count
-FIRST_DELAY = FIRST_FIBRE + Muscle.count
-FIRST_EVENT = FIRST_DELAY + Delay.count
-FIRST_SUM = FIRST_EVENT + Gait.count
-WALKER_ROWS = FIRST_SUM + Sums.count
+# Rows of a walker between launches.
+WalkerRows = Layout(state=State, fibres=Muscle, delay=Delay, events=Gait, sums=Sums)

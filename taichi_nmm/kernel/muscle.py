@@ -12,7 +12,7 @@ import numpy as np
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import LOG2_E, larger, smaller, two_to
-from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG, Const, Muscle, Work
+from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG
 from taichi_nmm.kernel.muscle_table import (
     REFERENCE_STRAIN,
     T_POWER,
@@ -151,7 +151,7 @@ def tendon_stretch(lane, row, nominal, own: Rows, const: Rows):
     """Strain of a tendon over its reference, for each optimal length of its fibre."""
     stretch = nominal
     if ti.static(own):
-        stretch = const[Const.stretch + row, lane]
+        stretch = const.stretch[row, lane]
     return stretch
 
 
@@ -168,40 +168,38 @@ def activate(
     """
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
-        activation = muscle[Muscle.activation + row, lane]
-        order = muscle[Muscle.stimulation + row, lane]
-        strain = work[Work.strain + row, lane]
+        activation = muscle.activation[row, lane]
+        order = muscle.stimulation[row, lane]
+        strain = work.strain[row, lane]
         if ti.static(own):
-            activation += const[Const.activation_blend + row, lane] * (
-                order - activation
-            )
-            tightness = const[Const.tightness + row, lane]
+            activation += const.activation_blend[row, lane] * (order - activation)
+            tightness = const.tightness[row, lane]
             strain = tightness * strain + (tightness - 1.0) * (1.0 / REFERENCE_STRAIN)
         else:
             activation += blend * (order - activation)
-        length = muscle[Muscle.length + row, lane]
+        length = muscle.length[row, lane]
         passive = larger((length - 1.0) * (1.0 / WIDTH), 0.0)
         capacity = activation * force_length(length) + passive * passive
         stretch = tendon_stretch(lane, row, data[T_STRAIN], own, const)
         strain -= stretch * length
         squeeze = ((1.0 - WIDTH) - length) * BUFFER
         v, low, high, pull, pull_slope, hyperbola = speed_range(
-            muscle[Muscle.velocity + row, lane],
+            muscle.velocity[row, lane],
             strain,
             data[T_STRETCH] * stretch,
             squeeze,
             data[T_STRETCH] * BUFFER,
             capacity,
         )
-        muscle[Muscle.activation + row, lane] = activation
-        muscle[Muscle.velocity + row, lane] = v
-        work[Work.strain + row, lane] = strain
-        work[Work.squeeze + row, lane] = squeeze
-        work[Work.slowest + row, lane] = low
-        work[Work.fastest + row, lane] = high
-        work[Work.pull + row, lane] = pull
-        work[Work.pull_slope + row, lane] = pull_slope
-        work[Work.hyperbola + row, lane] = hyperbola
+        muscle.activation[row, lane] = activation
+        muscle.velocity[row, lane] = v
+        work.strain[row, lane] = strain
+        work.squeeze[row, lane] = squeeze
+        work.slowest[row, lane] = low
+        work.fastest[row, lane] = high
+        work.pull[row, lane] = pull
+        work.pull_slope[row, lane] = pull_slope
+        work.hyperbola[row, lane] = hyperbola
 
 
 @ti.func
@@ -209,16 +207,16 @@ def balance(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Row
     """One iteration of the fibre's speed of muscle m of both legs."""
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
-        muscle[Muscle.velocity + row, lane] = nearer(
-            muscle[Muscle.velocity + row, lane],
-            work[Work.slowest + row, lane],
-            work[Work.fastest + row, lane],
-            work[Work.pull + row, lane],
-            work[Work.pull_slope + row, lane],
-            work[Work.hyperbola + row, lane],
-            work[Work.strain + row, lane],
+        muscle.velocity[row, lane] = nearer(
+            muscle.velocity[row, lane],
+            work.slowest[row, lane],
+            work.fastest[row, lane],
+            work.pull[row, lane],
+            work.pull_slope[row, lane],
+            work.hyperbola[row, lane],
+            work.strain[row, lane],
             data[T_STRETCH] * tendon_stretch(lane, row, data[T_STRAIN], own, const),
-            work[Work.squeeze + row, lane],
+            work.squeeze[row, lane],
             data[T_STRETCH] * BUFFER,
         )
 
@@ -233,20 +231,20 @@ def contract(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Ro
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
         v, strength = (
-            muscle[Muscle.velocity + row, lane],
-            const[Const.strength + row, lane],
+            muscle.velocity[row, lane],
+            const.strength[row, lane],
         )
         stretch = tendon_stretch(lane, row, data[T_STRAIN], own, const)
-        strain = work[Work.strain + row, lane] - data[T_STRETCH] * stretch * v
+        strain = work.strain[row, lane] - data[T_STRETCH] * stretch * v
         tendon = larger(strain, 0.0)
-        muscle[Muscle.force + row, lane] = strength * (tendon * tendon)
-        length = muscle[Muscle.length + row, lane] + data[T_STRETCH] * v
-        muscle[Muscle.length + row, lane] = larger(length, SHORTEST_FIBRE)
+        muscle.force[row, lane] = strength * (tendon * tendon)
+        length = muscle.length[row, lane] + data[T_STRETCH] * v
+        muscle.length[row, lane] = larger(length, SHORTEST_FIBRE)
         power = strength
         if ti.static(own):
             power *= stretch / (
-                data[T_STRAIN] * const[Const.tightness + row, lane]
+                data[T_STRAIN] * const.tightness[row, lane]
             )  # its fibre's
-        work[Work.metabolic_power + row, lane] = power * (
-            muscle[Muscle.activation + row, lane] * data[T_POWER] * metabolic_rate(v)
+        work.metabolic_power[row, lane] = power * (
+            muscle.activation[row, lane] * data[T_POWER] * metabolic_rate(v)
         )

@@ -24,11 +24,7 @@ from taichi_nmm.kernel.layout import (
     SOL,
     TA,
     VAS,
-    Const,
-    Muscle,
     Signal,
-    State,
-    Work,
 )
 from taichi_nmm.kernel.muscle import WIDTH
 
@@ -37,25 +33,23 @@ TA_LENGTH_OFFSET = 1.0 - 0.5 * WIDTH
 
 @ti.func
 def sense(lane, state: Rows, muscle: Rows, work: Rows):
-    """Present values of the signals that will be felt late, at `Work.sensed`."""
-    s = ti.static(Work.sensed)
+    """Present values of the signals that will be felt late, at `work.sensed`."""
+    sensed = work.sensed
     for leg in ti.static(range(LEGS)):
         m = ti.static(MUSCLES_PER_LEG * leg)
-        length_ta = muscle[Muscle.length + m + TA, lane] - TA_LENGTH_OFFSET
-        work[s + Signal.force_sol + leg, lane] = muscle[Muscle.force + m + SOL, lane]
-        work[s + Signal.force_gas + leg, lane] = muscle[Muscle.force + m + GAS, lane]
-        work[s + Signal.length_ta + leg, lane] = larger(length_ta, 0.0)
-        work[s + Signal.force_vas + leg, lane] = muscle[Muscle.force + m + VAS, lane]
-        work[s + Signal.knee + leg, lane] = work[Work.joint + 3 * leg + 1, lane]
-        work[s + Signal.knee_rate + leg, lane] = work[
-            Work.joint_rate + 3 * leg + 1, lane
-        ]
-        work[s + Signal.stance + leg, lane] = on_ground(lane, leg, state)
-        work[s + Signal.force_ham + leg, lane] = muscle[Muscle.force + m + HAM, lane]
-        work[s + Signal.force_glu + leg, lane] = muscle[Muscle.force + m + GLU, lane]
-        work[s + Signal.load + leg, lane] = state[State.load_filter + leg, lane]
-    work[s + Signal.trunk, lane] = state[State.q + 2, lane]
-    work[s + Signal.trunk_rate, lane] = state[State.qdot + 2, lane]
+        length_ta = muscle.length[m + TA, lane] - TA_LENGTH_OFFSET
+        sensed.force_sol[leg, lane] = muscle.force[m + SOL, lane]
+        sensed.force_gas[leg, lane] = muscle.force[m + GAS, lane]
+        sensed.length_ta[leg, lane] = larger(length_ta, 0.0)
+        sensed.force_vas[leg, lane] = muscle.force[m + VAS, lane]
+        sensed.knee[leg, lane] = work.joint[3 * leg + 1, lane]
+        sensed.knee_rate[leg, lane] = work.joint_rate[3 * leg + 1, lane]
+        sensed.stance[leg, lane] = on_ground(lane, leg, state)
+        sensed.force_ham[leg, lane] = muscle.force[m + HAM, lane]
+        sensed.force_glu[leg, lane] = muscle.force[m + GLU, lane]
+        sensed.load[leg, lane] = state.load_filter[leg, lane]
+    sensed.trunk[lane] = state.q[2, lane]
+    sensed.trunk_rate[lane] = state.qdot[2, lane]
 
 
 @ti.func
@@ -65,8 +59,8 @@ def exchange(lane, ring: Rows, slot, delay: Rows, work: Rows):
     for i in ti.static(range(count)):
         row = first_row + i * ticks + slot
         old = delay[row, lane]
-        delay[row, lane] = work[Work.sensed + first_signal + i, lane]
-        work[Work.sensed + first_signal + i, lane] = old
+        delay[row, lane] = work.sensed[first_signal + i, lane]
+        work.sensed[first_signal + i, lane] = old
 
 
 RATE_SCALE_RADPS = 10.0  # noise of angular rates over that of angles
@@ -82,16 +76,16 @@ FELT = tuple(
 
 @ti.func
 def feel(lane, tick, state: Rows, const: Rows, work: Rows):
-    """Lag and noise on the delayed signals, at `Work.sensed`; the others pass unchanged."""
-    blend = const[Const.nerve_blend, lane]
-    amplitude = const[Const.sensing_noise, lane]
-    walker = ti.cast(const[Const.noise_seed, lane], ti.u32)
+    """Lag and noise on the delayed signals, at `work.sensed`; the others pass unchanged."""
+    blend = const.nerve_blend[lane]
+    amplitude = const.sensing_noise[lane]
+    walker = ti.cast(const.noise_seed[lane], ti.u32)
     start = ti.cast(tick, ti.u32) * ti.u32(TICK_FACTOR) + walker * ti.u32(FIRST_FACTOR)
     for signal, scale in ti.static(FELT):
-        now = work[Work.sensed + signal, lane]
-        before = state[State.felt + signal, lane]
+        now = work.sensed[signal, lane]
+        before = state.felt[signal, lane]
         # Not by the blend alone: before + (now - before) is not always now.
         felt = ti.select(blend == 1.0, now, before + blend * (now - before))
-        state[State.felt + signal, lane] = felt
+        state.felt[signal, lane] = felt
         noise = uniform(start + ti.u32(INCREMENT * (signal + 1) % 2**32))
-        work[Work.sensed + signal, lane] = felt + amplitude * scale * noise
+        work.sensed[signal, lane] = felt + amplitude * scale * noise

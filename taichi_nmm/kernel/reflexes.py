@@ -18,11 +18,6 @@ from taichi_nmm.kernel.layout import (
     SOL,
     TA,
     VAS,
-    Const,
-    Muscle,
-    Signal,
-    State,
-    Work,
 )
 
 PRESTIMULATION = 0.01
@@ -44,81 +39,71 @@ def stance_weights(lane, state: Rows, work: Rows):
 
     0 off the ground; the load while the other leg leads in double support; else 1.
     """
-    s = ti.static(Work.sensed)
-    left, right = work[s + Signal.stance, lane], work[s + Signal.stance + 1, lane]
-    both = left * right
+    sensed = work.sensed
+    both = sensed.stance[0, lane] * sensed.stance[1, lane]
     for leg in ti.static(range(LEGS)):
-        flag = work[s + Signal.stance + leg, lane]
-        rises = both * ti.select(
-            flag > state[State.stance_before + leg, lane], 1.0, 0.0
-        )
-        state[State.leads + leg, lane] = both * larger(
-            state[State.leads + leg, lane], rises
-        )
-        state[State.stance_before + leg, lane] = flag
+        flag = sensed.stance[leg, lane]
+        rises = both * ti.select(flag > state.stance_before[leg, lane], 1.0, 0.0)
+        state.leads[leg, lane] = both * larger(state.leads[leg, lane], rises)
+        state.stance_before[leg, lane] = flag
     for leg in ti.static(range(LEGS)):
-        flag = work[s + Signal.stance + leg, lane]
-        load = clip01(work[s + Signal.load + leg, lane])
-        other_leads = state[State.leads + 1 - leg, lane]
-        state[State.stance_weight + leg, lane] = flag * ti.select(
-            other_leads > 0.5, load, 1.0
-        )
+        flag = sensed.stance[leg, lane]
+        load = clip01(sensed.load[leg, lane])
+        other_leads = state.leads[1 - leg, lane]
+        state.stance_weight[leg, lane] = flag * ti.select(other_leads > 0.5, load, 1.0)
 
 
 @ti.func
 def stimulate(lane, state: Rows, const: Rows, muscle: Rows, work: Rows):
     """Stimulations of all muscles: stance reflexes and swing, mixed by the stance weights."""
-    s = ti.static(Work.sensed)
-    lean = work[s + Signal.trunk, lane] - const[Const.theta_ref, lane]
-    lean_rate = work[s + Signal.trunk_rate, lane]
+    sensed = work.sensed
+    lean = sensed.trunk[lane] - const.theta_ref[lane]
+    lean_rate = sensed.trunk_rate[lane]
     for leg in ti.static(range(LEGS)):
-        weight = state[State.stance_weight + leg, lane]
-        load = work[s + Signal.load + leg, lane]
-        force_sol = work[s + Signal.force_sol + leg, lane]
-        force_gas = work[s + Signal.force_gas + leg, lane]
-        length_ta = work[s + Signal.length_ta + leg, lane]
-        knee = work[s + Signal.knee + leg, lane]
-        extends = (knee < OVEREXTENSION_RAD) & (
-            work[s + Signal.knee_rate + leg, lane] < 0.0
-        )
-        inhibition = const[Const.k_oe, lane] * ti.select(
+        weight = state.stance_weight[leg, lane]
+        load = sensed.load[leg, lane]
+        force_sol = sensed.force_sol[leg, lane]
+        force_gas = sensed.force_gas[leg, lane]
+        length_ta = sensed.length_ta[leg, lane]
+        knee = sensed.knee[leg, lane]
+        extends = (knee < OVEREXTENSION_RAD) & (sensed.knee_rate[leg, lane] < 0.0)
+        inhibition = const.k_oe[lane] * ti.select(
             extends, OVEREXTENSION_RAD - knee, 0.0
         )
         balance = (
-            const[Const.Kp_stance + leg, lane] * lean
-            + const[Const.Kd_stance + leg, lane] * lean_rate
+            const.Kp_stance[leg, lane] * lean + const.Kd_stance[leg, lane] * lean_rate
         )
         # Forward lean excites the extensors, backward lean the flexor, as the leg
         # carries load.
         extensor = clip01(load * (PRESTIMULATION_TRUNK + larger(balance, 0.0)))
         flexor = clip01(load * (PRESTIMULATION_TRUNK - smaller(balance, 0.0)))
-        swing_ta = PRESTIMULATION + const[Const.K_TA + leg, lane] * length_ta
-        sol = PRESTIMULATION + const[Const.K_SOL + leg, lane] * force_sol
-        ta = swing_ta - const[Const.K_TA_SOL + leg, lane] * force_sol
-        gas = PRESTIMULATION + const[Const.K_GAS + leg, lane] * force_gas
+        swing_ta = PRESTIMULATION + const.K_TA[leg, lane] * length_ta
+        sol = PRESTIMULATION + const.K_SOL[leg, lane] * force_sol
+        ta = swing_ta - const.K_TA_SOL[leg, lane] * force_sol
+        gas = PRESTIMULATION + const.K_GAS[leg, lane] * force_gas
         vas = (
             PRESTIMULATION_VAS
-            + const[Const.K_VAS + leg, lane] * work[s + Signal.force_vas + leg, lane]
+            + const.K_VAS[leg, lane] * sensed.force_vas[leg, lane]
             - inhibition
         )
         ham = (
             PRESTIMULATION
-            + const[Const.K_HAM + leg, lane] * work[s + Signal.force_ham + leg, lane]
+            + const.K_HAM[leg, lane] * sensed.force_ham[leg, lane]
             + extensor
         )
         glu = (
             PRESTIMULATION
-            + const[Const.K_GLU + leg, lane] * work[s + Signal.force_glu + leg, lane]
-            + const[Const.K_mix_GLU + leg, lane] * extensor
+            + const.K_GLU[leg, lane] * sensed.force_glu[leg, lane]
+            + const.K_mix_GLU[leg, lane] * extensor
         )
-        m = ti.static(Muscle.stimulation + MUSCLES_PER_LEG * leg)
-        muscle[m + SOL, lane] = mix(weight, sol, 0.0)
-        muscle[m + TA, lane] = mix(weight, ta, swing_ta)
-        muscle[m + GAS, lane] = mix(weight, gas, 0.0)
-        muscle[m + VAS, lane] = mix(weight, vas, 0.0)
-        muscle[m + HAM, lane] = mix(weight, ham, 0.0)
-        muscle[m + GLU, lane] = mix(weight, glu, 0.0)
-        muscle[m + HFL, lane] = mix(weight, flexor, 0.0)
+        first = ti.static(MUSCLES_PER_LEG * leg)
+        muscle.stimulation[first + SOL, lane] = mix(weight, sol, 0.0)
+        muscle.stimulation[first + TA, lane] = mix(weight, ta, swing_ta)
+        muscle.stimulation[first + GAS, lane] = mix(weight, gas, 0.0)
+        muscle.stimulation[first + VAS, lane] = mix(weight, vas, 0.0)
+        muscle.stimulation[first + HAM, lane] = mix(weight, ham, 0.0)
+        muscle.stimulation[first + GLU, lane] = mix(weight, glu, 0.0)
+        muscle.stimulation[first + HFL, lane] = mix(weight, flexor, 0.0)
 
 
 @ti.func

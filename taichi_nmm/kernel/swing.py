@@ -8,7 +8,7 @@ import math
 
 from taichi_nmm.kernel.backend import Rows, ti
 from taichi_nmm.kernel.elementary import larger, smaller
-from taichi_nmm.kernel.layout import LEGS, Const, Signal, State, Work
+from taichi_nmm.kernel.layout import LEGS
 
 FLEX, HOLD, STOP, EXTEND = 0.0, 1.0, 2.0, 3.0
 
@@ -23,15 +23,9 @@ def leg_rates(lane, tick, state: Rows, const: Rows, work: Rows):
     """Rate of the leg angle through a first-order filter, w (alpha - y) with y' = w (alpha - y)."""
     settled = ti.select(tick > RATE_FREE_TICKS, 1.0, 0.0)
     for leg in ti.static(range(LEGS)):
-        lag = (
-            work[Work.leg_angle + leg, lane] - state[State.leg_angle_filter + leg, lane]
-        )
-        work[Work.leg_angle_rate + leg, lane] = (
-            settled * const[Const.w_filter, lane] * lag
-        )
-        state[State.leg_angle_filter + leg, lane] += (
-            const[Const.leg_angle_blend, lane] * lag
-        )
+        lag = work.leg_angle[leg, lane] - state.leg_angle_filter[leg, lane]
+        work.leg_angle_rate[leg, lane] = settled * const.w_filter[lane] * lag
+        state.leg_angle_filter[leg, lane] += const.leg_angle_blend[lane] * lag
 
 
 @ti.func
@@ -59,73 +53,71 @@ def place_legs(lane, state: Rows, const: Rows, work: Rows):
     """Ideal hip and knee torques of both legs, weighted by their share of swing control."""
     left_hip, left_knee = swing_torques(lane, 0, state, const, work)
     right_hip, right_knee = swing_torques(lane, 1, state, const, work)
-    left_weight = state[State.stance_weight + 0, lane]
-    right_weight = state[State.stance_weight + 1, lane]
+    left_weight = state.stance_weight[0, lane]
+    right_weight = state.stance_weight[1, lane]
     # The stance hip carries the reaction of a leg in the air, so that the trunk does
     # not.
-    s = ti.static(Work.sensed + Signal.stance)
-    left_carries = ti.select(work[s + 1, lane] > 0.5, 0.0, 0.0 - right_hip)
-    right_carries = ti.select(work[s + 0, lane] > 0.5, 0.0, 0.0 - left_hip)
-    state[State.hip_torque + 0, lane] = (
+    stance = work.sensed.stance
+    left_carries = ti.select(stance[1, lane] > 0.5, 0.0, 0.0 - right_hip)
+    right_carries = ti.select(stance[0, lane] > 0.5, 0.0, 0.0 - left_hip)
+    state.hip_torque[0, lane] = (
         left_weight * left_carries + (1.0 - left_weight) * left_hip
     )
-    state[State.hip_torque + 1, lane] = (
+    state.hip_torque[1, lane] = (
         right_weight * right_carries + (1.0 - right_weight) * right_hip
     )
-    state[State.knee_torque + 0, lane] = (1.0 - left_weight) * left_knee
-    state[State.knee_torque + 1, lane] = (1.0 - right_weight) * right_knee
+    state.knee_torque[0, lane] = (1.0 - left_weight) * left_knee
+    state.knee_torque[1, lane] = (1.0 - right_weight) * right_knee
 
 
 @ti.func
 def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
     """Ideal hip and knee torque of one leg in swing; moves its phase on."""
-    s = ti.static(Work.sensed + Signal.stance)
+    stance = work.sensed.stance
     angle, rate = (
-        work[Work.leg_angle + leg, lane],
-        work[Work.leg_angle_rate + leg, lane],
+        work.leg_angle[leg, lane],
+        work.leg_angle_rate[leg, lane],
     )
-    length = work[Work.leg_length + leg, lane]
-    ahead = work[Work.com_x, lane] - work[Work.ankle_x + 1 - leg, lane]
+    length = work.leg_length[leg, lane]
+    ahead = work.com_x[lane] - work.ankle_x[1 - leg, lane]
     target = (
-        const[Const.alpha_0 + leg, lane]
-        - const[Const.C_d + leg, lane] * ahead
-        - const[Const.C_v + leg, lane] * work[Work.com_speed, lane]
+        const.alpha_0[leg, lane]
+        - const.C_d[leg, lane] * ahead
+        - const.C_v[leg, lane] * work.com_speed[lane]
     )
     threshold = target + THRESHOLD_RAD
     phase = next_phase(
-        state[State.swing_phase + leg, lane],
-        work[s + leg, lane],
-        work[s + 1 - leg, lane],
+        state.swing_phase[leg, lane],
+        stance[leg, lane],
+        stance[1 - leg, lane],
         length,
-        const[Const.l_clr + leg, lane],
+        const.l_clr[leg, lane],
         angle,
         threshold,
         rate,
     )
-    state[State.swing_phase + leg, lane] = phase
+    state.swing_phase[leg, lane] = phase
     near = (angle < threshold) & (rate < LARGEST_LEG_RATE_RADPS)
     braking = (
-        const[Const.k_stop, lane]
-        * (threshold - angle)
-        * (1.0 - rate / LARGEST_LEG_RATE_RADPS)
+        const.k_stop[lane] * (threshold - angle) * (1.0 - rate / LARGEST_LEG_RATE_RADPS)
     )
     stop = ti.select(near, braking, 0.0)
     stop -= ti.select(
-        phase == EXTEND, const[Const.k_ext, lane] * (LANDING_LENGTH_M - length), 0.0
+        phase == EXTEND, const.k_ext[lane] * (LANDING_LENGTH_M - length), 0.0
     )
     stop = ti.select(phase >= STOP, stop, 0.0)
-    knee_rate = work[Work.joint_rate + 3 * leg + 1, lane]
+    knee_rate = work.joint_rate[3 * leg + 1, lane]
     hold = hold_torque(
         knee_rate,
         rate,
         angle - target,
-        const[Const.k_hold_1, lane],
-        const[Const.k_hold_2, lane],
+        const.k_hold_1[lane],
+        const.k_hold_2[lane],
     )
-    flex = 0.0 - const[Const.k_flex, lane] * smaller(rate, 0.0)
+    flex = 0.0 - const.k_flex[lane] * smaller(rate, 0.0)
     hip = (
-        const[Const.Kp_swing + leg, lane] * (target - angle)
-        - const[Const.Kd_swing + leg, lane] * rate
+        const.Kp_swing[leg, lane] * (target - angle)
+        - const.Kd_swing[leg, lane] * rate
         + 2.0 * stop
     )
     knee = ti.select(phase == FLEX, flex, hold + stop)

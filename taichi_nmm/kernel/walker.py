@@ -25,9 +25,6 @@ from taichi_nmm.kernel.layout import (
     LEGS,
     MUSCLES_PER_LEG,
     RINGS,
-    Const,
-    State,
-    Work,
 )
 from taichi_nmm.result import FALL_HEIGHT_M, FALL_LEAN_RAD
 
@@ -62,8 +59,8 @@ def step(
 ):
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
     # Of any lane: each of these phases changes nothing of the lanes that do without it.
-    catch = highest(Const.catch_ns, lanes, const) > 0.0
-    own = highest(Const.own_muscles, lanes, const) > 0.0
+    catch = highest(const.catch_ns, lanes) > 0.0
+    own = highest(const.own_muscles, lanes) > 0.0
     for substep in range(substeps):
         locate(rough, lanes, terrain, heights, state, work)
         for lane in range(lanes):
@@ -95,7 +92,7 @@ def step(
                 dynamics.solve(lane, step_s, const, work)
                 dynamics.revise_contacts(lane, const, work)
             if (
-                highest(Work.changed, lanes, work) == 0.0
+                highest(work.changed, lanes) == 0.0
             ):  # a further pass would change nothing
                 break
         for lane in range(lanes):
@@ -140,9 +137,7 @@ def control(
         kinematics.centre_of_mass(lane, state, const, work)
         for leg in ti.static(range(LEGS)):
             gait.notice(lane, leg, state, events, work)
-    if (
-        highest(Work.event, lanes, work) > 0.0
-    ):  # at most ticks, nobody's foot comes or goes
+    if highest(work.event, lanes) > 0.0:  # at most ticks, nobody's foot comes or goes
         for lane in range(lanes):
             for leg in ti.static(range(LEGS)):
                 gait.note_events(lane, leg, time, state, events, sums, work)
@@ -177,19 +172,17 @@ def command(
         reflexes.stimulate(lane, state, const, fibres, work)
         swing.leg_rates(lane, time, state, const, work)
         swing.place_legs(lane, state, const, work)
-    if (
-        highest(Const.exo_torque, lanes, const) > 0.0
-    ):  # `assist` gives the others no torque
+    if highest(const.exo_torque, lanes) > 0.0:  # `assist` gives the others no torque
         for lane in range(lanes):
             device.assist(lane, state, const, work)
 
 
 @ti.func
-def highest(row: Rows, lanes: Rows, rows: Rows):
+def highest(row: Rows, lanes: Rows):
     """The largest number of a row over the lanes, 0 at least."""
     most = 0.0
     for lane in range(lanes):
-        most = larger(most, rows[row, lane])
+        most = larger(most, row[lane])
     return most
 
 
@@ -198,8 +191,8 @@ def nerves_vary(lanes: Rows, const: Rows):
     """Whether any lane has lag or noise; `nerves.feel` would change nothing of the others'."""
     vary = 0.0
     for lane in range(lanes):
-        vary = larger(vary, 1.0 - const[Const.nerve_blend, lane])
-        vary = larger(vary, const[Const.sensing_noise, lane])
+        vary = larger(vary, 1.0 - const.nerve_blend[lane])
+        vary = larger(vary, const.sensing_noise[lane])
     return vary > 0.0
 
 
@@ -234,21 +227,20 @@ def add_ideal_torques(lane, state: Rows, const: Rows, work: Rows):
     All joints get the torques of the devices.
     """
     for leg in ti.static(range(LEGS)):
-        weight = state[State.stance_weight + leg, lane]
+        weight = state.stance_weight[leg, lane]
         hip, knee, ankle = ti.static(3 * leg, 3 * leg + 1, 3 * leg + 2)
-        worn = ti.static(State.device_torque)
-        work[Work.joint_torque + ankle, lane] += state[
-            worn + ankle, lane
+        work.joint_torque[ankle, lane] += state.device_torque[
+            ankle, lane
         ] + device.prosthesis_torque(lane, ankle, leg, const, work)
-        work[Work.joint_torque + hip, lane] = (
-            weight * work[Work.joint_torque + hip, lane]
-            + state[State.hip_torque + leg, lane]
-            + state[worn + hip, lane]
+        work.joint_torque[hip, lane] = (
+            weight * work.joint_torque[hip, lane]
+            + state.hip_torque[leg, lane]
+            + state.device_torque[hip, lane]
         )
-        work[Work.joint_torque + knee, lane] = (
-            weight * work[Work.joint_torque + knee, lane]
-            + state[State.knee_torque + leg, lane]
-            + state[worn + knee, lane]
+        work.joint_torque[knee, lane] = (
+            weight * work.joint_torque[knee, lane]
+            + state.knee_torque[leg, lane]
+            + state.device_torque[knee, lane]
         )
 
 
@@ -257,16 +249,14 @@ def filter_loads(lane, blend, state: Rows, const: Rows):
     """Low pass of the legs' ground forces. At the physics rate: a heel strike's spike
     is shorter than a tick, and aliasing it ruins the convergence with the step.
     """
-    hat_weight = const[Const.hat_weight, lane]
+    hat_weight = const.hat_weight[lane]
     for leg in ti.static(range(LEGS)):
-        force_x = state[State.ground_force + 2 * leg, lane]
-        force_z = state[State.ground_force + 2 * leg + 1, lane]
-        load = larger((force_z - const[Const.leg_weight + leg, lane]) / hat_weight, 0.0)
-        state[State.load_filter + leg, lane] += blend * (
-            load - state[State.load_filter + leg, lane]
-        )
-        state[State.push_filter + leg, lane] += blend * (
-            force_x / hat_weight - state[State.push_filter + leg, lane]
+        force_x = state.ground_force[2 * leg, lane]
+        force_z = state.ground_force[2 * leg + 1, lane]
+        load = larger((force_z - const.leg_weight[leg, lane]) / hat_weight, 0.0)
+        state.load_filter[leg, lane] += blend * (load - state.load_filter[leg, lane])
+        state.push_filter[leg, lane] += blend * (
+            force_x / hat_weight - state.push_filter[leg, lane]
         )
 
 
@@ -274,30 +264,24 @@ def filter_loads(lane, blend, state: Rows, const: Rows):
 def end_walk(lane, tick, state: Rows, work: Rows):
     """Fall and divergence; the place where an active walker is, so that a fallen one keeps its."""
     size = 0.0
-    for i in ti.static(range(2 * COORDINATES)):
-        value = state[State.q + i, lane]  # q, then qdot
-        size += larger(value, 0.0 - value)
+    for rows in ti.static((state.q, state.qdot)):
+        for i in ti.static(range(COORDINATES)):
+            size += larger(rows[i, lane], 0.0 - rows[i, lane])
     diverged = (size < LARGEST_SANE) == False  # noqa: E712  (true for NaN too)
-    lean = state[State.q + 2, lane]
+    lean = state.q[2, lane]
     upright = (
-        (state[State.q + 1, lane] - work[Work.ground_hip, lane] >= FALL_HEIGHT_M)
+        (state.q[1, lane] - work.ground_hip[lane] >= FALL_HEIGHT_M)
         & (lean <= FALL_LEAN_RAD)
         & (lean >= 0.0 - FALL_LEAN_RAD)
     )
-    active = state[State.active, lane] > 0.5
+    active = state.active[lane] > 0.5
     ends = active & (diverged | (upright == False))  # noqa: E712
     reason = ti.select(diverged, DIVERGED, FELL)
     moves = active & (diverged == False)  # noqa: E712
-    state[State.end_reason, lane] = ti.select(
-        ends, reason, state[State.end_reason, lane]
+    state.end_reason[lane] = ti.select(ends, reason, state.end_reason[lane])
+    state.end_tick[lane] = ti.select(
+        active, ti.cast(tick + 1, float), state.end_tick[lane]
     )
-    state[State.end_tick, lane] = ti.select(
-        active, ti.cast(tick + 1, float), state[State.end_tick, lane]
-    )
-    state[State.end_x, lane] = ti.select(
-        moves, state[State.q + 0, lane], state[State.end_x, lane]
-    )
-    state[State.end_z, lane] = ti.select(
-        moves, state[State.q + 1, lane], state[State.end_z, lane]
-    )
-    state[State.active, lane] = ti.select(ends, 0.0, state[State.active, lane])
+    state.end_x[lane] = ti.select(moves, state.q[0, lane], state.end_x[lane])
+    state.end_z[lane] = ti.select(moves, state.q[1, lane], state.end_z[lane])
+    state.active[lane] = ti.select(ends, 0.0, state.active[lane])

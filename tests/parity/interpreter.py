@@ -83,13 +83,11 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
     returning.
     """
     shim: Any = ModuleType("taichi_nmm.kernel.backend")
-    shim.ti, shim.Rows, shim.Array, shim.is_double = (
-        NUMPY_TAICHI,
-        Any,
-        Any,
-        lambda: double,
-    )
-    shim.local_rows = None  # used in kernels, which are not interpreted
+    shim.ti = NUMPY_TAICHI
+    shim.Rows = shim.Array = Any
+    shim.is_double = lambda: double
+    # Used in kernels, which are not interpreted.
+    shim.local_rows = shim.named_rows = None
     replaced = ("backend", *INTERPRETED)
     real = {
         name: sys.modules.pop(f"{kernel.__name__}.{name}", None) for name in replaced
@@ -106,7 +104,7 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
             vars(modules[name])["range"] = lane_range
         # All phases for all lanes, and no early exit: a settled pass repeats itself,
         # bit for bit.
-        vars(modules["walker"])["highest"] = lambda row, lanes, rows: 1.0
+        vars(modules["walker"])["highest"] = lambda row, lanes: 1.0
         vars(modules["walker"])["nerves_vary"] = lambda lanes, const: True
         return tuple(modules[name] for name in names)
     finally:

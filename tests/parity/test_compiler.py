@@ -17,17 +17,17 @@ from taichi_nmm import (
     simulator,
     terrain,
 )
-from taichi_nmm.kernel import backend, layout
+from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.actuation import actuate
 from taichi_nmm.kernel.carried import drive, follow
 from taichi_nmm.kernel.layout import (
-    COORDINATES,
     LEGS,
+    Const,
     Drive,
     Motion,
-    Muscle,
     Sense,
     State,
+    WalkerRows,
     Work,
 )
 from taichi_nmm.kernel.muscle_table import muscle_table
@@ -55,7 +55,6 @@ WALK_TICKS, WALK_TOLERANCE = 500, 1e-6  # 0.5 s; contacts enlarge what rounding 
 TICKS = 60  # beyond the longest delay
 TOLERANCE = 1e-9  # of each row, or of 1: rounding, which muscles forget and sums keep
 LARGEST_LOAD_N = 2000.0
-SEGMENT_COUNT = layout.SEGMENT_COUNT
 
 
 def walking_batch(count: int) -> Batch:
@@ -104,16 +103,18 @@ class Both:
         self.substeps, self.blends = settings.substeps, blends(step_s)
         self.table = muscle_table(step_s)
         self.heights = np.array([ground.height_m for ground in batch.terrains])
-        firsts = [
-            layout.FIRST_FIBRE,
-            layout.FIRST_DELAY,
-            layout.FIRST_EVENT,
-            layout.FIRST_SUM,
-        ]
-        self.blocks = np.split(np.ascontiguousarray(self.rows().T), firsts)
-        self.state, self.fibres, self.delay, self.events, self.sums = self.blocks
-        self.const = constant_rows(batch, settings).T
-        self.work = np.zeros((Work.count, WALKERS))
+        self.numpys = np.ascontiguousarray(self.rows().T)
+        walkers = WalkerRows.of(self.numpys)
+        self.state, self.fibres, self.delay = (
+            walkers.state,
+            walkers.fibres,
+            walkers.delay,
+        )
+        self.events, self.sums = walkers.events, walkers.sums
+        self.blocks = self.state, self.fibres, self.delay, self.events, self.sums
+        self.const = Const.of(constant_rows(batch, settings).T)
+        self.scratch = np.zeros((Work.count, WALKERS))
+        self.work = Work.of(self.scratch)
         self.lanes = AllLanes(WALKERS)
 
     def launch(self, kernel: Any, *arguments: Any) -> None:
@@ -121,7 +122,7 @@ class Both:
         backend.launch(kernel, packs.lanes, packs.rows, packs.constants, *arguments)
 
     def rows(self) -> Array:
-        """Rows of every walker as the compiled kernel has left them, [n, WALKER_ROWS]."""
+        """Rows of every walker as the compiled kernel has left them, [n, row]."""
         return np.array(self.packs.unfold(self.packs.rows))
 
     def output(self, rows: int) -> Array:
@@ -134,7 +135,7 @@ class Both:
             yield divmod(step, self.substeps)
 
     def assert_same(self) -> None:
-        assert_close(self.rows(), np.vstack(self.blocks).T)
+        assert_close(self.rows(), self.numpys.T)
 
 
 def assert_close(ours: Array, numpys: Array) -> None:
@@ -162,7 +163,7 @@ def test_a_walk(step_s: float) -> None:
                 both.const,
                 both.work,
             )
-    ours, numpys = both.rows(), np.vstack(both.blocks).T
+    ours, numpys = both.rows(), both.numpys.T
     assert (
         np.nanmax(np.abs(ours - numpys) / np.maximum(np.abs(numpys), 1.0))
         < WALK_TOLERANCE
@@ -170,31 +171,28 @@ def test_a_walk(step_s: float) -> None:
     assert np.array_equal(np.isnan(ours), np.isnan(numpys))
     # Something happened: most walk on, the feet changed, the muscles pulled.
     assert ours[:, State.active].sum() > WALKERS / 2
-    first = layout.FIRST_EVENT + layout.Gait.tick_strike
-    ours, numpys = (rows[:, first : first + 2] for rows in (ours, numpys))
-    assert np.array_equal(ours, numpys) and ours.max() > 0
+    strikes = WalkerRows.of(ours.T).events.tick_strike
+    assert np.array_equal(strikes, both.events.tick_strike) and strikes.max() > 0
 
 
 def random_senses(rng: np.random.Generator) -> Array:
     """Rows of `layout.Sense`, [n, rows]."""
     rows = np.zeros((WALKERS, Sense.count))
-    bent = np.cumsum(rng.uniform(-0.3, 0.6, (WALKERS, LEGS, 3)), axis=2).reshape(
-        WALKERS, -1
-    )
-    lean = rng.uniform(-0.2, 0.2, (WALKERS, 1))
-    rows[:, Sense.angle : Sense.angle + SEGMENT_COUNT] = np.hstack([lean, lean + bent])
-    rows[:, Sense.rate : Sense.rate + SEGMENT_COUNT] = rng.uniform(
-        -3, 3, (WALKERS, SEGMENT_COUNT)
-    )
-    for first, low, high in (
-        (Sense.load, 0.0, LARGEST_LOAD_N),
-        (Sense.leg_length, 0.7, 1.0),
-        (Sense.leg_angle, 1.0, 2.2),
-        (Sense.com_ahead, -0.4, 0.4),
+    sense = Sense.of(rows.T)
+    lean = rng.uniform(-0.2, 0.2, WALKERS)
+    bent = np.cumsum(rng.uniform(-0.3, 0.6, (LEGS, 3, WALKERS)), axis=1)
+    sense.angle[0] = lean
+    sense.angle[1:] = lean + bent.reshape(3 * LEGS, WALKERS)
+    for values, low, high in (
+        (sense.rate, -3.0, 3.0),
+        (sense.load, 0.0, LARGEST_LOAD_N),
+        (sense.leg_length, 0.7, 1.0),
+        (sense.leg_angle, 1.0, 2.2),
+        (sense.com_ahead, -0.4, 0.4),
+        (sense.com_speed, 0.0, 2.0),
     ):
-        rows[:, first : first + LEGS] = rng.uniform(low, high, (WALKERS, LEGS))
-    rows[:, Sense.contact : Sense.contact + LEGS] = rng.integers(0, 2, (WALKERS, LEGS))
-    rows[:, Sense.com_speed] = rng.uniform(0.0, 2.0, WALKERS)
+        values[:] = rng.uniform(low, high, values.shape)
+    sense.contact[:] = rng.integers(0, 2, sense.contact.shape)
     return rows
 
 
@@ -213,36 +211,31 @@ def test_actuation(step_s: float) -> None:
             *both.blends,
             both.lanes,
             both.table,
-            np.ascontiguousarray(senses.T),
+            Sense.of(senses.T),
             both.state,
             both.fibres,
             both.delay,
             both.const,
             both.work,
         )
-        expected = both.work[Work.joint_torque : Work.joint_torque + 3 * LEGS].T
+        expected = both.work.joint_torque.T
         assert_close(both.packs.unfold(torques), expected)
         both.assert_same()
         largest = max(largest, float(np.abs(expected).max()))
     assert largest > 10.0  # something happened: N m
-    assert both.fibres[Muscle.stimulation :].max() > 0.5
+    assert both.fibres.stimulation.max() > 0.5
 
 
 def random_motion(rng: np.random.Generator, start: Array) -> Array:
     """Rows of `layout.Motion`, [n, rows]: about the start, so that most stay upright."""
     rows = np.zeros((WALKERS, Motion.count))
-    shape = (WALKERS, COORDINATES)
-    q, qdot = (
-        rows[:, first : first + COORDINATES] for first in (Motion.q, Motion.qdot)
-    )
-    q[:] = start + rng.uniform(-0.1, 0.1, shape)
-    qdot[:] = rng.uniform(-2.0, 2.0, shape)
-    q[rng.random(WALKERS) < 0.005, 1] = 0.3  # a fall
-    rows[:, Motion.touching : Motion.touching + LEGS] = rng.integers(
-        0, 2, (WALKERS, LEGS)
-    )
-    forces = rng.uniform(-0.1, 1.0, (WALKERS, 2 * LEGS)) * LARGEST_LOAD_N
-    rows[:, Motion.ground_force : Motion.ground_force + 2 * LEGS] = forces
+    motion = Motion.of(rows.T)
+    motion.q[:] = start + rng.uniform(-0.1, 0.1, start.shape)
+    motion.qdot[:] = rng.uniform(-2.0, 2.0, start.shape)
+    motion.q[1, rng.random(WALKERS) < 0.005] = 0.3  # a fall
+    motion.touching[:] = rng.integers(0, 2, motion.touching.shape)
+    shares = rng.uniform(-0.1, 1.0, motion.ground_force.shape)
+    motion.ground_force[:] = shares * LARGEST_LOAD_N
     return rows
 
 
@@ -251,10 +244,7 @@ def test_bodies_that_another_engine_moves(step_s: float) -> None:
     """Both kernels, before and after the other engine's step; some walkers fall."""
     (carried,) = interpreted("carried")
     both, rng = Both(step_s), np.random.default_rng(10)
-    start, drives = (
-        both.rows()[:, State.q : State.q + COORDINATES],
-        both.output(Drive.count),
-    )
+    start, drives = both.state.q.copy(), both.output(Drive.count)
     activation, load = both.blends
     for tick, within in both.steps():
         commands, ends = int(within == 0), int(within == both.substeps - 1)
@@ -280,15 +270,12 @@ def test_bodies_that_another_engine_moves(step_s: float) -> None:
             both.const,
             both.work,
         )
-        power = both.work[Work.metabolic_power : Work.metabolic_power + 2 * 7].sum(
-            axis=0
-        )
-        torque = both.work[Work.joint_torque : Work.joint_torque + 3 * LEGS]
-        catch = both.work[Work.momentum : Work.momentum + COORDINATES]
-        expected = np.vstack([torque, power, both.work[Work.ground_hip], catch])
+        power = both.work.metabolic_power.sum(axis=0)
+        torque, catch = both.work.joint_torque, both.work.momentum
+        expected = np.vstack([torque, power, both.work.ground_hip, catch])
         assert_close(both.packs.unfold(drives), expected.T)
         both.assert_same()
-        both.work[:] = 0.0  # a kernel begins with an empty work array
+        both.scratch[:] = 0.0  # a kernel begins with an empty work array
         motion = random_motion(rng, start)
         both.launch(follow, drives, both.packs.fold(motion), tick, ends, step_s, load)
         carried.after(
@@ -297,13 +284,13 @@ def test_bodies_that_another_engine_moves(step_s: float) -> None:
             step_s,
             load,
             both.lanes,
-            expected,
-            np.ascontiguousarray(motion.T),
+            Drive.of(expected),
+            Motion.of(motion.T),
             both.state,
             both.sums,
             both.const,
             both.work,
         )
         both.assert_same()
-        both.work[:] = 0.0
-    assert 0 < both.state[State.active].sum() < WALKERS
+        both.scratch[:] = 0.0
+    assert 0 < both.state.active.sum() < WALKERS

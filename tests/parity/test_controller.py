@@ -14,9 +14,18 @@ from numpy.typing import NDArray
 
 from taichi_nmm import Controller, Observation, Settings, simulator
 from taichi_nmm.body import SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
-from taichi_nmm.kernel import backend, layout
+from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.joints import HIP_EXTENSION_LIMIT_RAD
-from taichi_nmm.kernel.layout import COORDINATES, LEGS, Muscle, State, Work
+from taichi_nmm.kernel.layout import (
+    LEGS,
+    MUSCLES_PER_LEG,
+    Const,
+    Layout,
+    Muscle,
+    State,
+    WalkerRows,
+    Work,
+)
 from taichi_nmm.kernel.muscle_table import TORQUES_NM
 from taichi_nmm.parameters import (
     PUBLISHED_GAINS,
@@ -54,11 +63,9 @@ def record(gains: Array, settings: Settings) -> Walks:
     """Walk on level ground at a physics step of 1 ms, and keep each tick."""
     batch = check_batch(gains)
     backend.start(settings)
-    packs, launch = (
-        simulator.start_packs(batch, settings),
-        simulator.launcher(batch, settings),
-    )
-    kept = layout.FIRST_FIBRE + Muscle.count
+    packs = simulator.start_packs(batch, settings)
+    launch = simulator.launcher(batch, settings)
+    kept = WalkerRows.delay  # the rows before: state and fibres
     rows = np.empty((TICKS + 1, len(batch), kept), dtype=backend.real_dtype())
     rows[0] = packs.unfold(packs.rows)[:, :kept]
     for tick in range(TICKS):
@@ -71,27 +78,34 @@ def record(gains: Array, settings: Settings) -> Walks:
     rows_0, rows_1 = (
         part[held, np.arange(len(batch))] for part in (rows[:-1], rows[1:])
     )
-    touching = rows_1[..., State.touching : State.touching + 2 * LEGS]
+    before, after = named(State, rows_0), named(State, rows_1)
+    force = named(Muscle, rows_1[..., WalkerRows.fibres :]).force
     return Walks(
-        q=rows_0[..., State.q : State.q + COORDINATES],
-        qdot=rows_0[..., State.qdot : State.qdot + COORDINATES],
-        contact=touching.reshape(TICKS, -1, LEGS, 2).max(axis=3),
-        load_n=rows_0[..., [State.ground_force + 1, State.ground_force + 3]],
-        torque_nm=_torques(rows_0, rows_1),
+        q=last_axis(before.q),
+        qdot=last_axis(before.qdot),
+        contact=last_axis(np.maximum(after.touching[::2], after.touching[1::2])),
+        load_n=last_axis(before.ground_force[1::2]),
+        torque_nm=_torques(last_axis(before.q), after, last_axis(force)),
         up=up,
         constants=constant_rows(batch, settings),
     )
 
 
-def _torques(before: Array, after: Array) -> Array:
+def named(layout: Layout, rows: Array) -> Any:
+    """Blocks [row, t, n] of an array [t, n, row]."""
+    return layout.of(np.moveaxis(rows, -1, 0))
+
+
+def last_axis(block: Array) -> Array:
+    """[row, t, n] to [t, n, row]."""
+    return np.ascontiguousarray(np.moveaxis(block, 0, -1))
+
+
+def _torques(q: Array, after: Any, force: Array) -> Array:
     """[t, n, 6] of the muscles' forces and the ideal parts after a tick."""
-    first = layout.FIRST_FIBRE + Muscle.force
-    force = after[..., first : first + LEGS * layout.MUSCLES_PER_LEG].astype(np.float64)
-    force = force.reshape(*force.shape[:2], LEGS, layout.MUSCLES_PER_LEG)
-    joint = joint_angles(
-        before[..., State.q : State.q + COORDINATES].astype(np.float64)
-    )
-    joint = joint.reshape(*force.shape[:3], 3)
+    shape = (*q.shape[:2], LEGS)
+    force = force.astype(np.float64).reshape(*shape, MUSCLES_PER_LEG)
+    joint = joint_angles(q.astype(np.float64)).reshape(*shape, 3)
     hip = force @ TORQUES_NM[:, 0]
     knee, ankle = (
         (force @ TORQUES_NM[:, 2 * n - 1]) * np.cos(joint[..., n])
@@ -99,8 +113,8 @@ def _torques(before: Array, after: Array) -> Array:
         for n in (1, 2)
     )
     weight, ideal_hip, ideal_knee = (
-        after[..., row : row + LEGS].astype(np.float64)
-        for row in (State.stance_weight, State.hip_torque, State.knee_torque)
+        last_axis(block).astype(np.float64)
+        for block in (after.stance_weight, after.hip_torque, after.knee_torque)
     )
     torque = np.stack(
         [weight * hip + ideal_hip, weight * knee + ideal_knee, ankle], axis=-1
@@ -135,32 +149,27 @@ def sensed_in_float32(walks: Walks) -> list[Observation]:
     """The same by the simulator's own kinematics, on NumPy in float32: rounding is its own."""
     (kinematics,) = interpreted("kinematics", double=False)
     count = TICKS * WALKERS
-    state = np.zeros((State.count, count), dtype=np.float32)
-    state[State.q : State.q + COORDINATES] = walks.q.reshape(count, -1).T
-    state[State.qdot : State.qdot + COORDINATES] = walks.qdot.reshape(count, -1).T
-    const = np.tile(walks.constants.T.astype(np.float32), TICKS)
-    work = np.zeros((Work.count, count), dtype=np.float32)
+    state = State.of(np.zeros((State.count, count), dtype=np.float32))
+    state.q[:] = walks.q.reshape(count, -1).T
+    state.qdot[:] = walks.qdot.reshape(count, -1).T
+    const = Const.of(np.tile(walks.constants.T.astype(np.float32), TICKS))
+    work = Work.of(np.zeros((Work.count, count), dtype=np.float32))
     lanes = np.arange(count)
     kinematics.directions(lanes, state, work)
     kinematics.contact_points(lanes, state, work)
     kinematics.centre_of_mass(lanes, state, const, work)
-    length, angle, ankle_x = (
-        work[row : row + LEGS].T
-        for row in (Work.leg_length, Work.leg_angle, Work.ankle_x)
+    ahead = work.com_x - work.ankle_x
+    return observations(
+        walks, work.leg_length.T, work.leg_angle.T, ahead.T, work.com_speed
     )
-    ahead = work[Work.com_x][:, None] - ankle_x
-    return observations(walks, length, angle, ahead, work[Work.com_speed])
 
 
 def observations(
     walks: Walks, length: Array, angle: Array, ahead: Array, speed: Array
 ) -> list[Observation]:
     """An `Observation` of each tick from lengths, angles and speeds of all ticks, [t n, ...]."""
-    shape, q, qdot = (
-        walks.up.shape,
-        walks.q.astype(np.float64),
-        walks.qdot.astype(np.float64),
-    )
+    shape = walks.up.shape
+    q, qdot = walks.q.astype(np.float64), walks.qdot.astype(np.float64)
     columns = (
         joint_angles(q),
         joint_angles(qdot),

@@ -1,9 +1,11 @@
 """Packs: who falls makes room, and every walker keeps its rows."""
 
+import math
+
 import numpy as np
 
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.layout import WALKER_ROWS, Const, State
+from taichi_nmm.kernel.layout import Const, State, WalkerRows
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 
@@ -18,7 +20,8 @@ FALLS = (
 
 def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended() -> None:
     backend.start(Settings(arch="cpu"))
-    rows, numbers = np.zeros((1, WALKER_ROWS)), np.arange(29, dtype=np.int32)
+    rows = np.zeros((1, WalkerRows.count))
+    numbers = np.arange(29, dtype=np.int32)
     rows[:, State.active] = 1.0
     constants = np.tile(numbers[:, None], (1, Const.count)).astype(np.float64)
     packs = Packs(rows, constants, numbers, starts=0 * numbers)
@@ -30,7 +33,7 @@ def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended() -> 
         packs.compact()
         up -= set(walkers)
         assert set(packs.walkers[packs.up()]) == up
-        assert len(packs.rows) == -(-len(up) // packs.lanes)
+        assert len(packs.rows) == math.ceil(len(up) / packs.lanes)
         assert np.array_equal(
             packs.terrains.ravel()[: len(packs.walkers)], packs.walkers
         )

@@ -56,4 +56,8 @@ def test_what_was_not_measured_is_unknown_and_never_zero() -> None:
     assert known["knee_peak_swing_rad"] is None and known["phi_printed"] == 0.0
     rows["mean_speed_mps"][2] = np.nan
     assert known_numbers(rows[2])["mean_speed_mps"] is None
-    assert set(COLUMNS["step_means"]) <= set(NEEDED_BY) <= set(RESULT_DTYPE.names or ())
+    assert (
+        set(COLUMNS["means"]["steps"])
+        <= set(NEEDED_BY)
+        <= set(RESULT_DTYPE.names or ())
+    )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, initial, simulate
 from taichi_nmm.body import BALL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies
-from taichi_nmm.kernel.layout import COORDINATES, SEGMENT_COUNT, Const, Signal, Work
+from taichi_nmm.kernel.layout import COORDINATES, Const, Signal, Work
 from taichi_nmm.mujoco_engine import engine as mujoco_engine
 from tests.parity import numpy_dynamics
 from tests.parity.interpreter import interpreted
@@ -46,11 +46,12 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
     rng = np.random.default_rng(5)
     q, qdot = rng.uniform(-1.0, 1.0, (2, WALKERS, COORDINATES))
     seeds, ticks = rng.integers(2**24, size=WALKERS), 1000 * SLOTS
-    const, work = np.zeros((Const.count, WALKERS)), np.zeros((Work.count, WALKERS))
-    const[Const.noise_seed], const[Const.catch_ns] = seeds, LARGEST_NS
-    const[Const.catch_ns, 0] = 0.0
-    work[Work.sine : Work.sine + SEGMENT_COUNT] = np.sin(q[:, 2:]).T
-    work[Work.cosine : Work.cosine + SEGMENT_COUNT] = np.cos(q[:, 2:]).T
+    const = Const.of(np.zeros((Const.count, WALKERS)))
+    work = Work.of(np.zeros((Work.count, WALKERS)))
+    const.noise_seed[:] = seeds
+    const.catch_ns[1:] = LARGEST_NS
+    work.sine[:] = np.sin(q[:, 2:]).T
+    work.cosine[:] = np.cos(q[:, 2:]).T
     turn = numpy_dynamics.clockwise_quarter_turn(numpy_dynamics.unit_vectors(q))[
         :, 1:, 0
     ]
@@ -60,17 +61,16 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
         [pulls(int(seed), LARGEST_NS, ticks) for seed in seeds]
     )  # [n, t, leg]
     forces[0] = 0.0
-    rows = slice(Work.momentum, Work.momentum + COORDINATES)
     with np.errstate(over="ignore"):
         for tick in range(ticks):
-            work[rows] = 0.0
+            work.momentum[:] = 0.0
             dynamics.catch_feet(np.arange(WALKERS), tick, 1.0, const, work)
-            power = (work[rows].T * qdot).sum(axis=1)
+            power = (work.momentum.T * qdot).sum(axis=1)
             np.testing.assert_allclose(
                 power, (forces[:, tick] * speed).sum(axis=1), atol=1e-9
             )
             np.testing.assert_allclose(
-                work[Work.momentum], forces[:, tick].sum(axis=1), atol=1e-9
+                work.momentum[0], forces[:, tick].sum(axis=1), atol=1e-9
             )
     held = forces[1:].reshape(WALKERS - 1, SLOTS, 1000, 2)
     assert ((held != 0.0).sum(axis=2) == 20).all()  # wholly within its slot

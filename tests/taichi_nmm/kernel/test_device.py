@@ -27,25 +27,22 @@ def torques(
     of one that hardly lifts.
     """
     (device,) = interpreted("device")
-    state, lane = np.zeros((State.count, 1)), np.arange(1)
+    state = State.of(np.zeros((State.count, 1)))
+    work = Work.of(np.full((Work.count, 1), rate_radps))
     worlds = taichi_nmm.WorldRanges(exoskeleton=worn).draw([1])
-    const = constant_rows(
-        check_batch(PUBLISHED_GAINS, worlds=worlds), taichi_nmm.Settings()
-    ).T
-    work = np.full((Work.count, 1), rate_radps)
-    for name, value in zip(
-        ("torque", "peak", "rise", "fall"), (TORQUE, PEAK, RISE, FALL), strict=True
-    ):
-        const[getattr(Const, f"exo_{name}")] = value
+    batch = check_batch(PUBLISHED_GAINS, worlds=worlds)
+    const = Const.of(constant_rows(batch, taichi_nmm.Settings()).T)
+    const.exo_torque[:] = TORQUE
+    const.exo_peak[:] = PEAK
+    const.exo_rise[:] = RISE
+    const.exo_fall[:] = FALL
     found = []
     for tick in range(strides * STRIDE):
         since = tick % STRIDE
-        state[State.touching + 1] = since < STANCE  # the ball is enough
-        state[State.touching + 2] = (
-            since < STRIDE - 50
-        )  # too short a lift to be a swing
-        device.assist(lane, state, const, work)
-        found.append(state[State.device_torque : State.device_torque + 6, 0].copy())
+        state.touching[1] = since < STANCE  # the ball is enough
+        state.touching[2] = since < STRIDE - 50  # too short a lift to be a swing
+        device.assist(np.arange(1), state, const, work)
+        found.append(state.device_torque[:, 0].copy())
     return np.array(found)
 
 
@@ -140,15 +137,16 @@ def work_of_a_cycle(stiffness: float, damping: float) -> float:
     """Of a prosthesis on the right foot, which swings by 0.2 rad once a second, J."""
     (device,) = interpreted("device")
     times = np.arange(0.0, 1.0, 1e-3)
-    const, work = np.zeros((Const.count, 1000)), np.zeros((Work.count, 1000))
-    const[[Const.ankle_stiffness + 1, Const.ankle_rest + 1]] = [[stiffness], [0.1]]
-    const[Const.ankle_damping + 1] = damping
-    work[Work.joint + 5] = 0.3 + 0.2 * np.sin(2 * np.pi * times)
-    work[Work.joint_rate + 5] = rate = 0.4 * np.pi * np.cos(2 * np.pi * times)
+    const = Const.of(np.zeros((Const.count, 1000)))
+    work = Work.of(np.zeros((Work.count, 1000)))
+    const.ankle_stiffness[1] = stiffness
+    const.ankle_rest[1] = 0.1
+    const.ankle_damping[1] = damping
+    angle = 0.3 + 0.2 * np.sin(2 * np.pi * times)
+    rate = 0.4 * np.pi * np.cos(2 * np.pi * times)
+    work.joint[5], work.joint_rate[5] = angle, rate
     torque = device.prosthesis_torque(np.arange(1000), 5, 1, const, work)
-    np.testing.assert_allclose(
-        torque, stiffness * (0.1 - work[Work.joint + 5]) - damping * rate
-    )
+    np.testing.assert_allclose(torque, stiffness * (0.1 - angle) - damping * rate)
     return float(np.mean(torque * rate))
 
 

@@ -4,16 +4,11 @@ import numpy as np
 
 from taichi_nmm import Bodies, Settings
 from taichi_nmm.kernel.layout import (
-    WALKER_ROWS,
     Const,
-    Delay,
-    Gait,
+    Layout,
     Muscle,
-    Signal,
     State,
-    Sums,
     Work,
-    blocks,
 )
 from taichi_nmm.parameters import (
     GAIN_NAMES,
@@ -27,32 +22,26 @@ from tests.parity.interpreter import interpreted
 
 
 def test_blocks_follow_each_other_and_each_gain_has_a_row_of_its_name() -> None:
-    named = blocks(a=2, b=1, c=3)
-    assert (named.a, named.b, named.c, named.count) == (0, 2, 3, 6)
-    assert (
-        sum(block.count for block in (State, Muscle, Delay, Gait, Sums)) == WALKER_ROWS
-    )
-    # What the table can say in numbers alone: signals are felt and sensed, each in a
-    # row.
-    assert State.device_air - State.felt == Signal.count
-    assert (
-        Work.sensed - Work.leg_angle_rate == 2
-        and Work.sensed + Signal.count <= Work.count
-    )
+    layout = Layout(a=2, b=1, c=Layout(d=1, e=2))
+    assert (layout.a, layout.b, layout.c, layout.count) == (0, 2, 3, 6)
+    rows = np.arange(12.0).reshape(6, 2)
+    named = layout.of(rows)
+    assert named.a.tolist() == rows[:2].tolist() and named.b.tolist() == [4.0, 5.0]
+    assert named.c.e.tolist() == rows[4:].tolist() and named.c[0, 1] == 7.0
+    named.c.d[1] = named[0, 0] = -1.0  # views
+    assert rows[3, 1] == rows[0, 0] == -1.0
+    both = Layout(x=2) | Layout(2, y=1) | Layout(2, z=3)
+    assert (both.x, both.y, both.z, both.count) == (0, 2, 2, 5)
     gains = np.arange(1.0, 1.0 + len(GAIN_NAMES))
     one_for_all, asymmetry = -np.arange(1.0, 13.0), np.full(16, 0.25)
     low_level = [*one_for_all, *asymmetry]
-    (rows,) = constant_rows(check_batch(gains, low_level_gains=low_level), Settings())
-    left, right = (
-        [rows[getattr(Const, name) + leg] for name in GAIN_NAMES] for leg in (0, 1)
-    )
-    assert left == (1.25 * gains).tolist() and right == (0.75 * gains).tolist()
+    rows = constant_rows(check_batch(gains, low_level_gains=low_level), Settings())
+    const = Const.of(rows.T)
+    by_leg = np.array([getattr(const, name)[:, 0] for name in GAIN_NAMES])
+    np.testing.assert_array_equal(by_leg, np.outer(gains, [1.25, 0.75]))
     names = LOW_LEVEL_NAMES[: len(one_for_all)]
-    assert [rows[getattr(Const, name)] for name in names] == one_for_all.tolist()
-    assert rows[Const.total_mass] == Bodies.nominal().mass_kg.sum()
-    # Side by side, in their order, before all else.
-    by_leg = np.column_stack([left, right]).ravel()
-    assert rows[: Const.total_mass].tolist() == [*by_leg, *one_for_all]
+    assert [getattr(const, name)[0] for name in names] == one_for_all.tolist()
+    assert const.total_mass[0] == Bodies.nominal().mass_kg.sum()
 
 
 def test_each_leg_is_controlled_by_its_own_gains() -> None:
@@ -64,20 +53,17 @@ def test_each_leg_is_controlled_by_its_own_gains() -> None:
     low_level[0, -16:] = (both[0] - both[1]) / both.sum(axis=0)
     gains = np.vstack([both.mean(axis=0), both])
     walkers = constant_rows(check_batch(gains, low_level_gains=low_level), Settings())
-    start = (
-        rng.uniform(0.0, 1.0, (State.count, 50)),
-        rng.uniform(-0.1, 1.0, (Work.count, 50)),
-    )
-    start[0][State.swing_phase : State.swing_phase + 2] = rng.integers(0, 4, (2, 50))
+    states = rng.uniform(0.0, 1.0, (State.count, 50))
+    scratch = rng.uniform(-0.1, 1.0, (Work.count, 50))
+    State.of(states).swing_phase[:] = rng.integers(0, 4, (2, 50))
     orders = []
     for row in walkers:
-        state, work = (each.copy() for each in start)
-        const, fibres = np.tile(row[:, None], 50), np.zeros((Muscle.count, 50))
+        state, work = State.of(states.copy()), Work.of(scratch.copy())
+        const = Const.of(np.tile(row[:, None], 50))
+        fibres = Muscle.of(np.zeros((Muscle.count, 50)))
         reflexes.stimulate(lane, state, const, fibres, work)
         torques = [swing.swing_torques(lane, leg, state, const, work) for leg in (0, 1)]
-        stimulations = fibres[Muscle.stimulation : Muscle.stimulation + 14].reshape(
-            2, 7, 50
-        )
+        stimulations = fibres.stimulation.reshape(2, 7, 50)
         orders.append(
             [np.vstack([*stimulations[leg], *torques[leg]]) for leg in (0, 1)]
         )

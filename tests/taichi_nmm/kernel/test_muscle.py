@@ -12,8 +12,7 @@ from scipy.optimize import brentq
 from storage.points import sobol_points
 from taichi_nmm import GAINS, PUBLISHED_GAINS, Settings, Worlds, terrain
 from taichi_nmm.initial import initial_rows
-from taichi_nmm.kernel import layout
-from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Muscle, State, Sums, Work
+from taichi_nmm.kernel.layout import MUSCLES_PER_LEG, Const, Muscle, WalkerRows, Work
 from taichi_nmm.kernel.muscle_table import (
     MUSCLE_DATA,
     SLACK_LENGTH_M,
@@ -88,15 +87,9 @@ def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(
 @cache
 def isometric(m: int, own: bool) -> Any:
     """Contract muscle m at fixed joint angles until it rests: walkers of ACTIVATIONS together."""
-    walker, lanes, angles = (
-        interpreted_walker(),
-        np.arange(len(ACTIVATIONS)),
-        RESTING_RAD,
-    )
+    walker, lanes = interpreted_walker(), np.arange(len(ACTIVATIONS))
     muscle = walker.muscle
-    fibres, work = (
-        np.repeat(rows, len(lanes), axis=1) for rows in interpreted_rows(angles)
-    )
+    fibres, work = interpreted_rows(RESTING_RAD, len(lanes))
     data, worlds = list(MUSCLE_DATA.values())[m], Worlds.nominal(len(lanes))
     if own:  # a fibre 10 % shorter, a tendon 2 % longer
         fibre, slack = 0.9 * data.optimal_length_m, 1.02 * data.slack_length_m
@@ -104,32 +97,34 @@ def isometric(m: int, own: bool) -> Any:
         every = np.ones((3, 14))
         worlds = replace(worlds, optimal_length=0.9 * every, slack_length=1.02 * every)
     batch = check_batch(np.tile(PUBLISHED_GAINS, (len(lanes), 1)), worlds=worlds)
-    const = constant_rows(batch, Settings()).T
-    unit = unit_lengths(*angles)[m]
+    const = Const.of(constant_rows(batch, Settings()).T)
+    unit = unit_lengths(*RESTING_RAD)[m]
     for i in (m, m + MUSCLES_PER_LEG):
-        fibres[Muscle.activation + i] = fibres[Muscle.stimulation + i] = ACTIVATIONS
-        fibres[Muscle.length + i] = (unit - data.slack_length_m) / data.optimal_length_m
+        fibres.activation[i] = fibres.stimulation[i] = ACTIVATIONS
+        fibres.length[i] = (unit - data.slack_length_m) / data.optimal_length_m
     constants = muscle.constants(muscle_table(1e-3), m)
     walker.joints.stretch_tendons(lanes, work)
-    relaxed = work.copy()
+    relaxed = work[:].copy()
     for _ in range(3000):
-        before = fibres.copy()
+        before = fibres[:].copy()
         muscle.activate(lanes, m, constants, 1 - np.exp(-0.1), own, fibres, const, work)
         for _ in range(muscle.ITERATIONS):
             muscle.balance(lanes, m, constants, own, fibres, const, work)
         muscle.contract(lanes, m, constants, own, fibres, const, work)
         work[:] = relaxed
-        if np.abs(fibres - before).max() < AT_REST:
+        if np.abs(fibres[:] - before).max() < AT_REST:
             break
-    return data, unit, fibres[Muscle.length + m], fibres[Muscle.force + m]
+    return data, unit, fibres.length[m], fibres.force[m]
 
 
-def interpreted_rows(angles: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Rows of muscles, and of `Work` with both legs at these joint angles; one walker."""
-    fibres, work = np.zeros((Muscle.count, 1)), np.zeros((Work.count, 1))
-    work[Work.joint : Work.joint + 6, 0] = np.tile(angles, 2)
-    work[Work.sine_joint : Work.sine_joint + 4, 0] = np.tile(np.sin(angles[1:]), 2)
-    work[Work.cosine_joint : Work.cosine_joint + 4, 0] = np.tile(np.cos(angles[1:]), 2)
+def interpreted_rows(angles: Array, walkers: int = 1) -> tuple[Any, Any]:
+    """Rows of muscles, and of `Work` with both legs at these joint angles."""
+    fibres = Muscle.of(np.zeros((Muscle.count, walkers)))
+    work = Work.of(np.zeros((Work.count, walkers)))
+    both = np.tile(angles, 2)[:, None]
+    work.joint[:] = both
+    work.sine_joint[:] = np.sin(both)[[1, 2, 4, 5]]
+    work.cosine_joint[:] = np.cos(both)[[1, 2, 4, 5]]
     return fibres, work
 
 
@@ -212,12 +207,9 @@ def walking_states(ticks: int) -> Problem:
     muscle.speed_range = recording
     flat, step_s = terrain.flat(), 1e-3
     batch = check_batch(sobol_points(SEED, 0, WALKERS, GAINS))
-    start = np.tile(initial_rows(flat)[:, None], WALKERS)
-    state, *others = np.split(
-        start, [layout.FIRST_FIBRE, layout.FIRST_DELAY, layout.FIRST_EVENT]
-    )
-    const = constant_rows(batch, Settings()).T
-    sums, work = np.zeros((Sums.count, WALKERS)), np.zeros((Work.count, WALKERS))
+    rows = WalkerRows.of(np.tile(initial_rows(flat)[:, None], WALKERS))
+    const = Const.of(constant_rows(batch, Settings()).T)
+    work = Work.of(np.zeros((Work.count, WALKERS)))
     for tick in range(ticks):
         with np.errstate(all="ignore"):
             walker.step(
@@ -230,14 +222,16 @@ def walking_states(ticks: int) -> Problem:
                 batch.terrain_index,
                 flat.height_m[None, :],
                 muscle_table(step_s),
-                state,
-                *others,
-                sums,
+                rows.state,
+                rows.fibres,
+                rows.delay,
+                rows.events,
+                rows.sums,
                 const,
                 work,
             )
         if tick % SAMPLED_TICKS == SAMPLED_TICKS - 1:
-            up = state[State.active] > 0.5
+            up = rows.state.active > 0.5
             recorded += [arguments[:, up] for arguments in met]
         met.clear()
     return list(np.concatenate(recorded, axis=1))
@@ -286,16 +280,14 @@ def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
     )
     for m, (data, slope) in enumerate(zip(MUSCLE_DATA.values(), slopes, strict=True)):
         fibres, work = interpreted_rows(angles)
-        fibres[Muscle.force + m] = 1.0
+        fibres.force[m] = 1.0
         joints.turn_joints(np.arange(1), fibres, work)
         attachment = (data.hip, data.knee, data.ankle)[joint]
         pennation = 1.0 if attachment is None else attachment.pennation
-        torque_nm = work[Work.joint_torque + joint, 0]
+        torque_nm = work.joint_torque[joint, 0]
         assert torque_nm == pytest.approx(-slope * data.fmax_n / pennation, abs=1e-4)
         assert (attachment is None) == (torque_nm == 0.0)
-    assert not work[
-        Work.joint_torque + 3 : Work.joint_torque + 6
-    ].any()  # the other leg's
+    assert not work.joint_torque[3:].any()  # the other leg's
 
 
 def test_strains_follow_the_lengths() -> None:
@@ -304,8 +296,4 @@ def test_strains_follow_the_lengths() -> None:
     _fibres, work = interpreted_rows(angles)
     interpreted_walker().joints.stretch_tendons(np.arange(1), work)
     expected = (unit_lengths(*angles) / SLACK_LENGTH_M - 1.0) / REFERENCE
-    for leg in range(2):
-        first = Work.strain + MUSCLES_PER_LEG * leg
-        assert np.allclose(
-            work[first : first + MUSCLES_PER_LEG, 0], expected, rtol=1e-12
-        )
+    assert np.allclose(work.strain[:, 0], np.tile(expected, 2), rtol=1e-12)

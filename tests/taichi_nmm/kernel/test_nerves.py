@@ -19,19 +19,18 @@ def nerves() -> Any:
 def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> Any:
     """What is felt of signals that stay the same, [t, signal, n]."""
     lanes = np.arange(len(seeds))
-    const = np.zeros((Const.count, len(seeds)))
-    const[Const.nerve_blend], const[Const.sensing_noise] = blend, amplitude
-    const[Const.noise_seed] = seeds
-    state, work = (
-        np.zeros((State.count, len(seeds))),
-        np.zeros((Work.count, len(seeds))),
+    state, const, work = (
+        layout.of(np.zeros((layout.count, len(seeds))))
+        for layout in (State, Const, Work)
     )
+    const.nerve_blend[:] = blend
+    const.sensing_noise[:] = amplitude
+    const.noise_seed[:] = seeds
     heard = []
     for tick in range(TICKS):
-        sensed = slice(Work.sensed, Work.sensed + Signal.count)
-        work[sensed] = signals
+        work.sensed[:] = signals
         nerves.feel(lanes, tick, state, const, work)
-        heard.append(work[sensed].copy())
+        heard.append(work.sensed[:].copy())
     return np.array(heard)
 
 
