@@ -71,8 +71,8 @@ FACTORS = (0.05, 20.0)  # of a configuration, of masses and inertias
 AS_NOMINAL = (1.0,) * len(SEGMENTS)
 
 
-class Rows:
-    """A batch of bodies or worlds: a child is a frozen dataclass of arrays with a row each."""
+class Collection:
+    """Bodies or worlds: a child is a frozen dataclass of arrays with a row each."""
 
     def __len__(self) -> int:
         return len(next(iter(vars(self).values())))
@@ -84,17 +84,18 @@ class Rows:
             index: their numbers, in the order of the new batch; they may repeat.
         """
         rows = checks.row_numbers("index", index, len(self))
-        return type(self)(*(values[rows] for values in vars(self).values()))
+        taken = {name: values[rows] for name, values in vars(self).items()}
+        return type(self)(**taken)
 
     @classmethod
     def stacked(cls, worlds: Iterable[Self]) -> Self:
         """Several batches as one; they may be of bodies as well."""
         parts = checks.each(checks.instance(cls), least=1)(cls.__name__.lower(), worlds)
         return cls(
-            *map(
-                np.concatenate,
-                zip(*(vars(part).values() for part in parts), strict=True),
-            )
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts])
+                for name in vars(parts[0])
+            }
         )
 
     def _check_shapes(
@@ -115,7 +116,7 @@ class Rows:
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies(Rows):
+class Bodies(Collection):
     """A batch of bodies, one row each, segments in the order of `SEGMENT_NAMES`.
 
     Attributes:
@@ -147,7 +148,11 @@ class Bodies(Rows):
                 [getattr(segment, attribute) for segment in SEGMENTS], (count, 1)
             )
 
-        return Bodies(column("mass_kg"), column("inertia_kgm2"), column("com_m"))
+        return Bodies(
+            mass_kg=column("mass_kg"),
+            inertia_kgm2=column("inertia_kgm2"),
+            com_m=column("com_m"),
+        )
 
     @staticmethod
     @checks.checked(seeds=checks.each(checks.seed))
@@ -174,9 +179,9 @@ class Bodies(Rows):
         nominal = Bodies.nominal(len(draws))
         half_length = 0.5 * np.array([segment.length_m for segment in SEGMENTS])
         return Bodies(
-            nominal.mass_kg * (1.0 + draws[:, 0]),
-            nominal.inertia_kgm2 * (1.0 + draws[:, 1]),
-            nominal.com_m + draws[:, 2] * half_length,
+            mass_kg=nominal.mass_kg * (1.0 + draws[:, 0]),
+            inertia_kgm2=nominal.inertia_kgm2 * (1.0 + draws[:, 1]),
+            com_m=nominal.com_m + draws[:, 2] * half_length,
         )
 
 
@@ -203,7 +208,9 @@ class Build:
         """
         drawn = Bodies.disturbed(seeds, self.disturbance)
         return Bodies(
-            drawn.mass_kg * self.mass, drawn.inertia_kgm2 * self.inertia, drawn.com_m
+            mass_kg=drawn.mass_kg * self.mass,
+            inertia_kgm2=drawn.inertia_kgm2 * self.inertia,
+            com_m=drawn.com_m,
         )
 
     def document(self) -> dict[str, Any]:
@@ -240,10 +247,7 @@ def _read_factors(table: Table, otherwise: tuple[float, ...]) -> tuple[float, ..
     table.done()
     factors = []
     for name, factor in zip(FACTOR_NAMES, otherwise, strict=True):
-        wider = (
-            name,
-            name.partition("_")[0],
-            "all",
-        )  # the narrowest that is named counts
+        # The narrowest that is named counts.
+        wider = (name, name.partition("_")[0], "all")
         factors.append(next((named[each] for each in wider if each in given), factor))
     return tuple(factors)

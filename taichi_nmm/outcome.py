@@ -183,7 +183,7 @@ class Recorder:
         prosthesis = self._worlds.prosthesis[walker]
         return Trajectory(
             walker=walker,
-            time_s=ticks * CONTROL_TICK_S,
+            time_s=ticks.astype(np.float64) * CONTROL_TICK_S,
             q=q,
             qdot=state.qdot.T,
             joint_rad=q[:, 3:] - q[:, [2, 3, 4, 2, 6, 7]],
@@ -218,7 +218,7 @@ def _mean_forces(sums: Any, interval: int) -> Array:
     before = np.vstack([np.zeros((1, 2 * LEGS)), impulse])[:-1]
     restarted = np.diff(sums.ticks, prepend=0.0) <= 0
     before[restarted] = 0.0
-    return (impulse - before) / (interval * CONTROL_TICK_S)
+    return np.asarray((impulse - before) / (interval * CONTROL_TICK_S))
 
 
 # Of hip, knee and ankle: where the stops begin, how fast they give way, which are

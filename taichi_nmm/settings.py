@@ -10,8 +10,7 @@ from storage.inputs.errors import InputError
 CONTROL_TICK_S = 1e-3
 PHYSICS_STEPS_S = (1e-3, 0.5e-3, 0.25e-3)
 PRECISIONS = ("float32", "float64")
-GPUS = ("cuda", "vulkan")
-ARCHITECTURES = ("auto", "cpu", *GPUS)
+ARCHITECTURES = ("auto", "cpu", "cuda")
 
 # Gaits converge with the step; at 0.03 (Geyer & Herr 2010) they do not.
 CONTACT_RELAXATION_SPEED_MPS = 0.10
@@ -58,7 +57,7 @@ class Settings:
         physics_step_s: 1, 0.5 or 0.25 ms; the controller ticks every 1 ms.
         contact_relaxation_speed_mps: outward speed at which a contact lets go.
         precision: "float32" or "float64".
-        arch: "auto" (a GPU when there is one, else the CPU), "cpu", "cuda" or "vulkan".
+        arch: "auto" (CUDA if there is a device, else the CPU), "cpu" or "cuda".
         threads: CPU threads; None takes every core. Results do not depend on it.
         engine: the engine that moves the bodies: "taichi", this simulator's own, or
             "mujoco".

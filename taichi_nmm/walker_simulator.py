@@ -42,7 +42,7 @@ from taichi_nmm.result import (
     SCORE_FIELDS,
     Result,
 )
-from taichi_nmm.settings import GPUS, OWN_ENGINE, Settings
+from taichi_nmm.settings import OWN_ENGINE, Settings
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
 from taichi_nmm.world import MUSCLE_LIMITS, NOMINAL, WorldRanges, Worlds, read_world
 
@@ -105,30 +105,26 @@ class WalkerWorlds:
 
         def streams(place: int) -> list[np.random.SeedSequence]:
             """Seeds of all bodies, grounds or surroundings."""
-            keys = [
-                (STREAMS[seed.spawn_key[0]][place], *seed.spawn_key[1:])
-                for seed in seeds
-            ]
-            return [
-                np.random.SeedSequence(seed.entropy, spawn_key=key)
-                for seed, key in zip(seeds, keys, strict=True)
-            ]
+            found = []
+            for seed in seeds:
+                purpose, *index = seed.spawn_key
+                key = (STREAMS[purpose][place], *index)
+                found.append(np.random.SeedSequence(seed.entropy, spawn_key=key))
+            return found
 
         return DrawnWorlds(
-            self.build.draw(streams(0)),
-            tuple(map(self.ground.draw, streams(1))),
-            self.ranges.draw(streams(2)),
+            bodies=self.build.draw(streams(0)),
+            terrains=tuple(self.ground.draw(seed) for seed in streams(1)),
+            surroundings=self.ranges.draw(streams(2)),
         )
 
     def document(self, worlds: DrawnWorlds) -> dict[str, Any]:
         """Names for people, and digests of all numbers that were drawn."""
-        numbers = vars(worlds.surroundings)
+        numbers = dict(vars(worlds.surroundings))
         # Newer than many stores, as is the key "world" below.
         for newer in ("catch_ns", "prosthesis", "exoskeleton", *MUSCLE_LIMITS):
             if getattr(self.ranges, newer) == getattr(NOMINAL, newer):
-                numbers = {
-                    name: values for name, values in numbers.items() if name != newer
-                }
+                del numbers[newer]
         bodies = array_digest(*vars(worlds.bodies).values())
         document: dict[str, Any] = {
             "terrain": terrain_document(worlds.terrains),
@@ -168,15 +164,16 @@ class Walker:
     @classmethod
     def read(cls, table: Table, arch: str | None) -> Self:
         """From [simulation], `searched` and `fixed_gains`; `arch` overrides the file's."""
-        settings, fixed = (
-            read_settings(table.table("simulation"), arch),
-            read_fixed(table),
-        )
+        settings = read_settings(table.table("simulation"), arch)
+        fixed = read_fixed(table)
         named = table.texts("kept", (*KEPT, ENERGY))
-        kept = tuple(
-            name for name in named if name != ENERGY
-        )  # once it had to be named
-        return cls(settings, searched_parameters(table.texts("searched")), fixed, kept)
+        return cls(
+            settings=settings,
+            searched=searched_parameters(table.texts("searched")),
+            fixed=fixed,
+            # Once the energy had to be named.
+            kept=tuple(name for name in named if name != ENERGY),
+        )
 
     @property
     def columns(self) -> np.dtype[np.void]:
@@ -352,7 +349,7 @@ def require_engine(settings: Settings) -> None:
     require_kernel_cache()
     if settings.engine == "mujoco":
         require_mujoco()
-    if settings.arch in GPUS:
+    if settings.arch == "cuda":
         started_arch(settings)
 
 

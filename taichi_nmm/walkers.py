@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from storage.inputs import checks
 from storage.inputs.errors import InputError
-from taichi_nmm.body import GRAVITY_MPS2, SHANK_LENGTH_M, THIGH_LENGTH_M, Bodies, Rows
+from taichi_nmm.body import (
+    GRAVITY_MPS2,
+    SHANK_LENGTH_M,
+    THIGH_LENGTH_M,
+    Bodies,
+    Collection,
+)
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
 from taichi_nmm.kernel.layout import LEGS, Const
 from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
@@ -31,7 +37,7 @@ from taichi_nmm.settings import CONTROL_TICK_S, Settings
 from taichi_nmm.terrain import Terrain, flat
 from taichi_nmm.world import Worlds
 
-R = TypeVar("R", bound=Rows)
+R = TypeVar("R", bound=Collection)
 
 CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
 BLEND_TICKS = 10  # of a switch, for which gains stay the same

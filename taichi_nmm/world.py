@@ -5,7 +5,7 @@ The nominal world is that of the published walker. `WorldRanges` draws others.
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from storage.inputs import checks
 from storage.inputs.config import REQUIRED, Table
 from storage.inputs.errors import InputError
-from taichi_nmm.body import SIDES, Rows
+from taichi_nmm.body import SIDES, Collection
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.settings import OWN_ENGINE
 
@@ -61,6 +61,8 @@ MOTIONS = {  # of an exoskeleton: hip extension, knee flexion and plantarflexion
     "dorsiflexion": (0.0, 0.0, -1.0),
 }
 POWER_W: Range = (1.0, 1e6)  # the last is no limit
+FOOT_SHAPE = (len(SIDES), len(PROSTHESIS_LIMITS))  # of a world's numbers
+DEVICE_SHAPE = (len(SIDES), 4)
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,14 @@ class Prosthesis:
         }
         checks.check_fields(self, "prosthesis.", side=checks.word(*SIDES), **numbers)
 
+    @property
+    def row(self) -> NDArray[np.float64]:
+        """As `Worlds` have it, [2, 3]."""
+        numbers = (self.stiffness_nmprad, self.damping_nmsprad, self.rest_rad)
+        return np.array(
+            [numbers if side == self.side else (0.0,) * 3 for side in SIDES]
+        )
+
 
 @dataclass(frozen=True)
 class Exoskeleton:
@@ -113,17 +123,15 @@ class Exoskeleton:
     @property
     def row(self) -> NDArray[np.float64]:
         """As `Worlds` have it, [2, 4]."""
-        legs = [[self.side in ("both", side)] for side in SIDES]
-        return np.array(legs) * (*MOTIONS[self.motion], 0.0) + (
-            0.0,
-            0.0,
-            0.0,
-            self.power_w,
-        )
+        shares = {
+            side: MOTIONS[self.motion] if self.side in ("both", side) else (0.0,) * 3
+            for side in SIDES
+        }
+        return np.array([(*shares[side], self.power_w) for side in SIDES])
 
 
 @dataclass(frozen=True, eq=False)
-class Worlds(Rows):
+class Worlds(Collection):
     """A batch of worlds, one row each.
 
     Attributes:
@@ -192,22 +200,8 @@ class Worlds(Rows):
     @checks.checked(count=checks.whole(0, checks.MOST_ROWS))
     def nominal(count: int = 1) -> "Worlds":
         """`count` worlds of the published walker."""
-        one, zero, strength = (
-            np.ones(count),
-            np.zeros(count),
-            np.ones((count, MUSCLE_COUNT)),
-        )
-        none, usual = (
-            np.zeros((count, *_size("prosthesis"))),
-            FRICTION_COEFFICIENT * one,
-        )
-        own, worn = (
-            (strength, strength, strength),
-            np.tile(Exoskeleton().row, (count, 1, 1)),
-        )
-        return Worlds(
-            one, one, usual, strength, zero, zero, zero, zero, none, *own, worn
-        )
+        one = replace(NOMINAL.draw([0]), noise_seed=np.zeros(1))
+        return one.take(np.zeros(count, dtype=np.intp))
 
 
 @dataclass(frozen=True)
@@ -258,12 +252,12 @@ class WorldRanges:
     def __post_init__(self) -> None:
         pairs = {name: checks.interval(*LIMITS[name]) for name in RANGES}
         low, high = LIMITS["strength"]
-        foot, device = (
-            checks.optional(checks.instance(Prosthesis)),
-            checks.instance(Exoskeleton),
-        )
         checks.check_fields(
-            self, "world.", **pairs, prosthesis=foot, exoskeleton=device
+            self,
+            "world.",
+            **pairs,
+            prosthesis=checks.optional(checks.instance(Prosthesis)),
+            exoskeleton=checks.instance(Exoskeleton),
         )
         for name in ("muscles", *MUSCLE_LIMITS):
             given = getattr(self, name)
@@ -290,35 +284,32 @@ class WorldRanges:
             seeds: one a world, n of them; a number of a world has a stream of its own.
         """
         streams = [_streams(seed) for seed in seeds]
-        drawn: dict[str, NDArray[np.float64]] = {}
-        for name in RANGES:
-            size, (low, high) = _size(name), getattr(self, name)
-            shares = np.array(
-                [stream[name].random(size) for stream in streams]
-            ).reshape(-1, *size)
-            if name in OWN_CONTACT:
-                drawn[name] = low * (high / low) ** shares
-            else:
-                drawn[name] = low + (high - low) * shares
-        drawn["strength"] = drawn["strength"] * drawn.pop("overall_strength")[:, None]
-        drawn["strength"] = drawn["strength"] * self.muscles
-        drawn["prosthesis"] = np.zeros((len(streams), *_size("prosthesis")))
-        if self.prosthesis is not None:
-            leg = SIDES.index(self.prosthesis.side)
-            drawn["prosthesis"][:, leg] = [
-                getattr(self.prosthesis, n) for n in PROSTHESIS_LIMITS
-            ]
-            gone = [
-                MUSCLE_NAMES.index(f"{m}_{self.prosthesis.side}") for m in ACROSS_ANKLE
-            ]
+        drawn = {name: self._drawn(name, streams) for name in RANGES}
+        overall = drawn.pop("overall_strength")[:, None]
+        drawn["strength"] = drawn["strength"] * overall * self.muscles
+        foot = self.prosthesis
+        if foot is not None:
+            gone = [MUSCLE_NAMES.index(f"{name}_{foot.side}") for name in ACROSS_ANKLE]
             drawn["strength"][:, gone] = 0.0
-        drawn["exoskeleton"] = np.tile(self.exoskeleton.row, (len(streams), 1, 1))
-        for name in MUSCLE_LIMITS:
-            drawn[name] = np.tile(
-                np.asarray(getattr(self, name), dtype=float), (len(streams), 1)
-            )
+        # What all of these worlds have.
+        shared = {name: np.array(getattr(self, name), float) for name in MUSCLE_LIMITS}
+        shared["prosthesis"] = np.zeros(FOOT_SHAPE) if foot is None else foot.row
+        shared["exoskeleton"] = self.exoskeleton.row
+        for name, row in shared.items():
+            drawn[name] = np.repeat(row[None], len(streams), axis=0)
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
         return Worlds(**drawn, noise_seed=np.array(noise_seeds, dtype=np.float64))
+
+    def _drawn(
+        self, name: str, streams: list[dict[str, np.random.Generator]]
+    ) -> NDArray[np.float64]:
+        """A number of each world, [n] or [n, 14], within its range."""
+        size, (low, high) = _size(name), getattr(self, name)
+        shares = np.array([stream[name].random(size) for stream in streams])
+        shares = shares.reshape(-1, *size)
+        if name in OWN_CONTACT:
+            return np.asarray(low * (high / low) ** shares)
+        return np.asarray(low + (high - low) * shares)
 
     def document(self) -> dict[str, Any]:
         """The table [world] of these ranges: only what is not nominal."""
@@ -328,12 +319,16 @@ class WorldRanges:
             if getattr(self, name) != getattr(NOMINAL, name)
         }
         muscles: dict[str, Any] = _changed(self.muscles)
-        own = {name: _changed(getattr(self, name)) for name in MUSCLE_LIMITS}
-        muscles |= {name: changed for name, changed in own.items() if changed}
-        document |= {"muscles": muscles} if muscles else {}
-        document |= {"prosthesis": asdict(self.prosthesis)} if self.prosthesis else {}
-        worn = self.exoskeleton != NOMINAL.exoskeleton
-        return document | ({"exoskeleton": asdict(self.exoskeleton)} if worn else {})
+        for name in MUSCLE_LIMITS:
+            if changed := _changed(getattr(self, name)):
+                muscles[name] = changed
+        if muscles:
+            document["muscles"] = muscles
+        if self.prosthesis:
+            document["prosthesis"] = asdict(self.prosthesis)
+        if self.exoskeleton != NOMINAL.exoskeleton:
+            document["exoskeleton"] = asdict(self.exoskeleton)
+        return document
 
 
 MUSCLE_NAMES = tuple(f"{muscle}_{side}" for side in SIDES for muscle in MUSCLES)
@@ -363,18 +358,19 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
         name: table.range(name, getattr(NOMINAL, name), *LIMITS[name])
         for name in RANGES
     }
-    named, own = table.table("muscles"), dict[str, Any]()
+    named = table.table("muscles")
     muscles = _read_muscles(named, 0.0, LIMITS["strength"][1])
+    own = {}
     for name, limits in MUSCLE_LIMITS.items():
         own[name] = _read_muscles(named.table(name), *limits)
         named.table(name).done()
     named.done()
-    foot, device = (
-        _read_prosthesis(table),
-        _read_exoskeleton(table.table("exoskeleton")),
-    )
     ranges = WorldRanges(
-        **pairs, muscles=muscles, prosthesis=foot, exoskeleton=device, **own
+        **pairs,
+        **own,
+        muscles=muscles,
+        prosthesis=_read_prosthesis(table),
+        exoskeleton=_read_exoskeleton(table.table("exoskeleton")),
     )
     table.done()
     if engine != OWN_ENGINE:
@@ -399,14 +395,14 @@ def _read_muscles(table: Table, low: float, high: float) -> tuple[float, ...]:
 
 
 def _read_prosthesis(world: Table) -> Prosthesis | None:
-    given, table = "prosthesis" in world.unread, world.table("prosthesis")
-    if not given:
+    if "prosthesis" not in world.unread:
         return None
-    side, usual = table.text("side", choices=SIDES), {"rest_rad": Prosthesis.rest_rad}
-    numbers = {
-        name: table.number(name, usual.get(name, REQUIRED), *limits)
-        for name, limits in PROSTHESIS_LIMITS.items()
-    }
+    table = world.table("prosthesis")
+    side = table.text("side", choices=SIDES)
+    numbers = {}
+    for name, limits in PROSTHESIS_LIMITS.items():
+        usual = Prosthesis.rest_rad if name == "rest_rad" else REQUIRED
+        numbers[name] = table.number(name, usual, *limits)
     table.done()
     return Prosthesis(side, **numbers)
 
@@ -415,9 +411,9 @@ def _read_exoskeleton(table: Table) -> Exoskeleton:
     usual = Exoskeleton()
     motion = table.text("motion", usual.motion, choices=tuple(MOTIONS))
     side = table.text("side", usual.side, choices=("both", *SIDES))
-    device = Exoskeleton(motion, side, table.number("power_w", usual.power_w, *POWER_W))
+    power_w = table.number("power_w", usual.power_w, *POWER_W)
     table.done()
-    return device
+    return Exoskeleton(motion=motion, side=side, power_w=power_w)
 
 
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
@@ -437,7 +433,7 @@ def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generato
 def _size(name: str) -> tuple[int, ...]:
     """Numbers of that name in one world."""
     if name == "prosthesis":
-        return len(SIDES), len(PROSTHESIS_LIMITS)
+        return FOOT_SHAPE
     if name == "exoskeleton":
-        return Exoskeleton().row.shape
+        return DEVICE_SHAPE
     return (MUSCLE_COUNT,) if name in ("strength", *MUSCLE_LIMITS) else ()

@@ -5,7 +5,7 @@ their senses come from outside. The host launches `actuate`.
 """
 
 from taichi_nmm.kernel import joints, kinematics, walker
-from taichi_nmm.kernel.backend import Array, Rows, named_rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, Static, named_rows, ti
 from taichi_nmm.kernel.entry_points import (
     load,
     load_slots,
@@ -32,7 +32,7 @@ def step(
     commands,
     activation_blend,
     load_blend,
-    lanes: Rows,
+    lanes: Static,
     muscles: Rows,
     senses: Rows,
     state: Rows,
@@ -78,7 +78,7 @@ def take_in(lane, senses: Rows, state: Rows, work: Rows):
 
 @ti.kernel
 def actuate(
-    lanes: Rows,
+    lanes: Static,
     packs: Array,
     constants: Array,
     muscles: Array,

@@ -27,6 +27,7 @@ __all__ = [
     "Array",
     "BoundKernel",
     "Rows",
+    "Static",
     "is_double",
     "lanes",
     "lanes_a_turn",
@@ -44,9 +45,11 @@ LANES_GPU = 32  # a warp
 
 if TYPE_CHECKING:
     Rows: TypeAlias = Any
+    Static: TypeAlias = Any
     Array: TypeAlias = Any
 else:
-    Rows = ti.template()  # a local array [row, lane], passed by reference
+    Rows = ti.template()  # a local array [row, lane], or some rows of one, by reference
+    Static = ti.template()  # known when the kernel is compiled
     Array = (
         ti.types.ndarray()
     )  # a NumPy array, passed to a kernel without a copy on a CPU
@@ -123,7 +126,7 @@ def _find_program(settings: Settings, is_same: bool) -> None:
     for arch in wanted:
         found = program.living()  # none after a try that failed
         runs = found is not None and program.architecture(found) == arch
-        if runs or (program.begin(arch) and _computes(arch)):
+        if runs or program.begin(arch):
             _program, _arch = program.living(), arch
             return
     raise InputError(
@@ -231,7 +234,7 @@ class BoundKernel:
         for argument, value in zip(
             compiler.parameters(self._primal), self._arguments, strict=True
         ):
-            if argument.annotation is Rows:
+            if argument.annotation is Static:
                 continue
             slot = self._slots[argument.name] = compiler.slot(len(self._slots))
             if isinstance(value, np.ndarray):
@@ -290,21 +293,3 @@ def metadata() -> dict[str, Any]:
 def _engine(settings: Settings) -> tuple[Any, ...]:
     """The settings that Taichi is initialised for."""
     return settings.precision, settings.arch, settings.threads, settings.wide_registers
-
-
-def _computes(arch: str) -> bool:
-    """Whether a program that was begun stores numbers; on a driver without a device none arrive."""
-    if arch == "cpu":
-        return True
-    values = np.ones(4, dtype=np.float32)
-    try:
-        _double(values)
-    except RuntimeError:
-        return False
-    return bool(np.all(values == 2.0))
-
-
-@ti.kernel
-def _double(values: Array):
-    for i in range(values.shape[0]):
-        values[i] = 2.0 * values[i]

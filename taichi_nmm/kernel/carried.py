@@ -5,7 +5,7 @@ gives the torques of a physics step, `follow` takes in where the bodies are afte
 """
 
 from taichi_nmm.kernel import contact, dynamics, gait, joints, walker
-from taichi_nmm.kernel.backend import Array, Rows, named_rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, Static, named_rows, ti
 from taichi_nmm.kernel.entry_points import (
     load,
     load_slots,
@@ -35,7 +35,7 @@ def before(
     tick,
     commands,
     activation_blend,
-    lanes: Rows,
+    lanes: Static,
     terrain: Rows,
     heights: Rows,
     muscles: Rows,
@@ -73,7 +73,7 @@ def after(
     ends,
     step_s,
     load_blend,
-    lanes: Rows,
+    lanes: Static,
     drive_rows: Rows,
     motion: Rows,
     state: Rows,
@@ -102,7 +102,7 @@ def after(
 
 @ti.kernel
 def drive(
-    lanes: Rows,
+    lanes: Static,
     packs: Array,
     constants: Array,
     terrains: Array,
@@ -166,7 +166,7 @@ def drive(
 
 @ti.kernel
 def follow(
-    lanes: Rows,
+    lanes: Static,
     packs: Array,
     constants: Array,
     drives: Array,

@@ -6,7 +6,7 @@ damper, capped by one Coulomb coefficient. Both enter the step linearly implicit
 """
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.dynamics import point_velocity
 from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import CONTACTS, LEGS
@@ -32,7 +32,7 @@ def find_cells(lane, state: Rows, work: Rows):
 
 
 @ti.func
-def find_cell(lane, p: Rows, x, work: Rows):
+def find_cell(lane, p: Static, x, work: Rows):
     """The cell that holds x is that of point p; the ground is level outside of the grid."""
     cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
     clamped = smaller(
@@ -57,7 +57,7 @@ def read_terrain(lane, index, heights: Rows, work: Rows):
 
 
 @ti.func
-def ground_under(lane, p: Rows, work: Rows):
+def ground_under(lane, p: Static, work: Rows):
     """Height and slope of the ground at point p: linear between nodes."""
     low = work.height_left[p, lane]
     rise = work.height_right[p, lane] - low
@@ -158,7 +158,7 @@ def add_up_legs(lane, state: Rows, work: Rows):
 
 
 @ti.func
-def ground_at_ankle(lane, leg: Rows, work: Rows):
+def ground_at_ankle(lane, leg: Static, work: Rows):
     """Ground height under the ankle, from those under heel and ball."""
     heel = work.ground[2 * leg, lane]
     ball = work.ground[2 * leg + 1, lane]
@@ -166,6 +166,6 @@ def ground_at_ankle(lane, leg: Rows, work: Rows):
 
 
 @ti.func
-def on_ground(lane, leg: Rows, state: Rows):
+def on_ground(lane, leg: Static, state: Rows):
     """1 while heel or ball of the leg is in the ground, else 0."""
     return larger(state.touching[2 * leg, lane], state.touching[2 * leg + 1, lane])

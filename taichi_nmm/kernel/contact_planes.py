@@ -11,7 +11,7 @@ hundredths of a millimetre, hundreds of metres from where the ground begins.
 """
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
-from taichi_nmm.kernel.backend import Array, Rows, ti
+from taichi_nmm.kernel.backend import Array, Static, ti
 from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import CONTACTS
 from taichi_nmm.terrain import GRID_SPACING_M
@@ -51,7 +51,7 @@ def lay_planes(
 
 
 @ti.func
-def sole_centre(w, sole: Rows, qpos: Array):
+def sole_centre(w, sole: Static, qpos: Array):
     """Where the centre of a sole is, by the angles of MuJoCo's hinges (`linkage`)."""
     hip = ti.static(3 + 3 * (sole // 2))
     offset = ti.static((HEEL_OFFSET_M, BALL_OFFSET_M)[sole % 2])
@@ -148,7 +148,7 @@ def cell_under(x, nodes: Array):
 
 
 @ti.func
-def lay(w, plane: Rows, point, positions: Array, quaternions: Array):
+def lay(w, plane: Static, point, positions: Array, quaternions: Array):
     """Put a plane through a point of the ground, turned about y from z to its normal."""
     positions[w, plane, 0] = point[1]
     positions[w, plane, 2] = point[2]

@@ -13,7 +13,7 @@ from taichi_nmm.body import (
     SHANK_LENGTH_M,
     THIGH_LENGTH_M,
 )
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.elementary import (
     FIRST_FACTOR,
     INCREMENT,
@@ -46,7 +46,7 @@ FIRST_CATCH_WORD = Signal.count + 1  # of the hash: after those of the noise
 
 
 @ti.func
-def leg_slopes(lane, leg: Rows, work: Rows):
+def leg_slopes(lane, leg: Static, work: Rows):
     """The vectors e of a leg's thigh, shank and foot: x1, z1, x2, z2, x3, z3."""
     x1, z1 = slope_vector(lane, 1 + 3 * leg, work)
     x2, z2 = slope_vector(lane, 2 + 3 * leg, work)
@@ -55,7 +55,7 @@ def leg_slopes(lane, leg: Rows, work: Rows):
 
 
 @ti.func
-def leg_inertia(lane, leg: Rows, const: Rows, work: Rows):
+def leg_inertia(lane, leg: Static, const: Rows, work: Rows):
     """B_ij e_i.e_j of a leg: m11, m22, m33, m12, m13, m23."""
     b = ti.static(6 * leg)
     x1, z1, x2, z2, x3, z3 = leg_slopes(lane, leg, work)
@@ -216,7 +216,7 @@ def without_hat(lane, const: Rows, work: Rows):
 
 
 @ti.func
-def in_the_air(lane, leg: Rows, const: Rows, work: Rows):
+def in_the_air(lane, leg: Static, const: Rows, work: Rows):
     """A leg's equations without contacts and stops."""
     m11, m22, m33, m12, m13, m23 = leg_inertia(lane, leg, const, work)
     x1, z1, x2, z2, x3, z3 = leg_slopes(lane, leg, work)
@@ -246,7 +246,7 @@ def in_the_air(lane, leg: Rows, const: Rows, work: Rows):
 
 
 @ti.func
-def point_spring(lane, c: Rows, step_s, work: Rows):
+def point_spring(lane, c: Static, step_s, work: Rows):
     """Damping matrix xx, xz, zz and force x, z of one point in the world, both times the step.
 
     Along normal n and tangent t = (n_z, -n_x); a slipping point's friction is a given
@@ -271,7 +271,7 @@ def point_spring(lane, c: Rows, step_s, work: Rows):
 
 
 @ti.func
-def add_foot(lane, leg: Rows, step_s, equations: Rows, base: Rows, work: Rows):
+def add_foot(lane, leg: Static, step_s, equations: Rows, base: Rows, work: Rows):
     """Heel and ball of a leg: J^T C J and J^T f, where J = (1, L1 e1, L2 e2, r e3) moves a point.
 
     They differ in r alone, so C, r C, r^2 C, f and r f are summed over both first.
@@ -317,7 +317,7 @@ def add_foot(lane, leg: Rows, step_s, equations: Rows, base: Rows, work: Rows):
 
 
 @ti.func
-def point_velocity(lane, c: Rows, work: Rows):
+def point_velocity(lane, c: Static, work: Rows):
     """Velocity x, z of contact point c after the step: hip + L1 e1 w1 + L2 e2 w2 + r e3 w3."""
     leg = ti.static(c // 2)
     lever = ti.static(
@@ -333,7 +333,7 @@ def point_velocity(lane, c: Rows, work: Rows):
 
 
 @ti.func
-def add_stops(lane, leg: Rows, step_s, equations: Rows, work: Rows):
+def add_stops(lane, leg: Static, step_s, equations: Rows, work: Rows):
     """Active stops of knee and ankle: J = +1 on the child, -1 on the parent."""
     m, r = ti.static(Leg.inertia, Leg.rhs)
     knee, ankle = ti.static(2 * leg, 2 * leg + 1)
@@ -354,7 +354,7 @@ def add_stops(lane, leg: Rows, step_s, equations: Rows, work: Rows):
 
 
 @ti.func
-def eliminate_leg(lane, leg: Rows, step_s, base: Rows, const: Rows, work: Rows):
+def eliminate_leg(lane, leg: Static, step_s, base: Rows, const: Rows, work: Rows):
     """Factor a leg's matrix as L D L^T and take the leg out of the base's equations.
 
     Returns the inverse on the coupling in x, in z, and on the right-hand side.

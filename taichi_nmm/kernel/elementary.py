@@ -7,7 +7,7 @@ Library functions are calls, and a call stops LLVM's loop vectoriser. Accurate t
 from math import factorial, log
 
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Static, ti
 
 TWO_OVER_PI = 0.6366197723675814
 # pi/2 in two parts (Cody & Waite): the first has few bits, so that k times it is exact.
@@ -63,7 +63,7 @@ def smaller(x, y):
 
 
 @ti.func
-def polynomial(x, coefficients: Rows):
+def polynomial(x, coefficients: Static):
     """Horner's rule; `coefficients` is a tuple of two or more, highest power first."""
     value = coefficients[0] * x + coefficients[1]
     for coefficient in ti.static(coefficients[2:]):

@@ -7,7 +7,7 @@ neighbouring numbers.
 """
 
 from taichi_nmm.kernel import dynamics, kinematics, walker
-from taichi_nmm.kernel.backend import Array, Rows, local_rows, named_rows, ti
+from taichi_nmm.kernel.backend import Array, Rows, Static, local_rows, named_rows, ti
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     MUSCLES_PER_LEG,
@@ -29,14 +29,14 @@ TURNS_PER_BLOCK = 64  # of a GPU: two warps
 
 
 @ti.func
-def seat(turn, lanes_of_pack, lanes: Rows):
+def seat(turn, lanes_of_pack, lanes: Static):
     """The pack of a turn, and the first of its lanes there."""
     turns = lanes_of_pack // lanes
     return turn // turns, turn % turns * lanes
 
 
 @ti.func
-def load(packs: Rows, turn, first: Rows, layout: Rows, lanes: Rows):
+def load(packs: Rows, turn, first: Static, layout: Static, lanes: Static):
     """A block of a turn's rows in a local array."""
     rows = named_rows(layout, lanes)
     p, place = seat(turn, packs.shape[2], lanes)
@@ -57,7 +57,7 @@ def load_table(muscles: Rows):
 
 
 @ti.func
-def load_terrains(terrains: Rows, turn, lanes: Rows):
+def load_terrains(terrains: Rows, turn, lanes: Static):
     """The ground of each lane."""
     terrain = ti.Vector.zero(ti.i32, lanes)
     p, place = seat(turn, terrains.shape[1], lanes)
@@ -67,7 +67,7 @@ def load_terrains(terrains: Rows, turn, lanes: Rows):
 
 
 @ti.func
-def save(packs: Rows, turn, first: Rows, layout: Rows, lanes: Rows, source: Rows):
+def save(packs: Rows, turn, first: Static, layout: Static, lanes: Static, source: Rows):
     """Copy a local array back into a block of a turn's rows."""
     p, place = seat(turn, packs.shape[2], lanes)
     for row in range(layout.count):
@@ -76,7 +76,7 @@ def save(packs: Rows, turn, first: Rows, layout: Rows, lanes: Rows, source: Rows
 
 
 @ti.func
-def load_slots(packs: Rows, turn, tick, lanes: Rows):
+def load_slots(packs: Rows, turn, tick, lanes: Static):
     """A local array of a turn's delay rings, with the slots that a tick exchanges."""
     delay = named_rows(Delay, lanes)
     p, place = seat(turn, packs.shape[2], lanes)
@@ -89,7 +89,7 @@ def load_slots(packs: Rows, turn, tick, lanes: Rows):
 
 
 @ti.func
-def save_slots(packs: Rows, turn, tick, lanes: Rows, delay: Rows):
+def save_slots(packs: Rows, turn, tick, lanes: Static, delay: Rows):
     """Copy them back."""
     p, place = seat(turn, packs.shape[2], lanes)
     for lane in range(lanes):
@@ -101,7 +101,7 @@ def save_slots(packs: Rows, turn, tick, lanes: Rows, delay: Rows):
 
 @ti.kernel
 def advance(
-    lanes: Rows,
+    lanes: Static,
     packs: Array,
     constants: Array,
     terrains: Array,
@@ -163,7 +163,7 @@ def advance(
 
 @ti.kernel
 def accelerate(
-    lanes: Rows,
+    lanes: Static,
     states: Array,
     torques: Array,
     constants: Array,

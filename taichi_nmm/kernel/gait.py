@@ -9,7 +9,7 @@ leg's first swing makes a step.
 
 import math
 
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.contact import ground_at_ankle, on_ground
 from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import (
@@ -45,7 +45,7 @@ def add_with_square(rows: Rows, lane, condition, value):
 
 
 @ti.func
-def notice(lane, leg: Rows, state: Rows, gait: Rows, work: Rows):
+def notice(lane, leg: Static, state: Rows, gait: Rows, work: Rows):
     """Whether a leg strikes the ground at this tick, or its take-off is sure."""
     alive = state.active[lane] > 0.5
     down = alive & (on_ground(lane, leg, state) > 0.5)
@@ -61,7 +61,9 @@ def notice(lane, leg: Rows, state: Rows, gait: Rows, work: Rows):
 
 
 @ti.func
-def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work: Rows):
+def note_events(
+    lane, leg: Static, tick, state: Rows, gait: Rows, sums: Rows, work: Rows
+):
     """Score the step of a leg that has left the ground, and begin the stance of one that strikes.
 
     Of what both legs share it changes the tick of the last strike alone.
@@ -99,7 +101,9 @@ def note_events(lane, leg: Rows, tick, state: Rows, gait: Rows, sums: Rows, work
 
 
 @ti.func
-def follow_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, work: Rows):
+def follow_leg(
+    lane, leg: Static, tick, state: Rows, const: Rows, gait: Rows, work: Rows
+):
     """Mid-stance, peaks and latest values of one leg."""
     alive = state.active[lane] > 0.5
     down = alive & (on_ground(lane, leg, state) > 0.5)
@@ -123,7 +127,7 @@ def follow_leg(lane, leg: Rows, tick, state: Rows, const: Rows, gait: Rows, work
 
 @ti.func
 def follow_contact(
-    lane, leg: Rows, tick, down, com, state: Rows, const: Rows, gait: Rows, work: Rows
+    lane, leg: Static, tick, down, com, state: Rows, const: Rows, gait: Rows, work: Rows
 ):
     """While a foot is on the ground: keep the latest values and the peaks of the stance."""
     latch(gait.com_last[leg], lane, down, com)
@@ -167,7 +171,7 @@ def body_weight(lane, const: Rows):
 
 
 @ti.func
-def count_strike(lane, leg: Rows, strike, tick, gait: Rows, sums: Rows, work: Rows):
+def count_strike(lane, leg: Static, strike, tick, gait: Rows, sums: Rows, work: Rows):
     """Length and duration of the step that this strike ends."""
     length = work.ankle_x[leg, lane] - work.ankle_x[1 - leg, lane]
     add(sums.strikes, lane, strike, 1.0)
@@ -186,7 +190,7 @@ def count_strike(lane, leg: Rows, strike, tick, gait: Rows, sums: Rows, work: Ro
 
 
 @ti.func
-def score_step(lane, leg: Rows, scored, gait: Rows, sums: Rows):
+def score_step(lane, leg: Static, scored, gait: Rows, sums: Rows):
     """M1..M5 of a finished step, and its peaks, added to the walker's sums."""
     swing_peak = gait.knee_peak_swing[leg, lane]
     m1 = (swing_peak > KNEE_FLEXION_LOW_RAD) & (swing_peak < KNEE_FLEXION_HIGH_RAD)

@@ -6,7 +6,7 @@ th).
 """
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.elementary import HALF_PI, arctangent2, sine_cosine
 from taichi_nmm.kernel.layout import LEGS, SEGMENT_COUNT
 
@@ -21,7 +21,7 @@ def directions(lane, state: Rows, work: Rows):
 
 
 @ti.func
-def slope_vector(lane, i: Rows, work: Rows):
+def slope_vector(lane, i: Static, work: Rows):
     """e_i, the derivative of link i's direction; feet (3, 6) lie a quarter turn ahead."""
     s, c = work.sine[i, lane], work.cosine[i, lane]
     x = 0.0 - c

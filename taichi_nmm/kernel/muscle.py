@@ -10,7 +10,7 @@ waits (docs/speed.md).
 
 import numpy as np
 
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.elementary import LOG2_E, larger, smaller, two_to
 from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG
 from taichi_nmm.kernel.muscle_table import (
@@ -147,7 +147,7 @@ def constants(table: Rows, m):
 
 
 @ti.func
-def tendon_stretch(lane, row, nominal, own: Rows, const: Rows):
+def tendon_stretch(lane, row, nominal, own: Static, const: Rows):
     """Strain of a tendon over its reference, for each optimal length of its fibre."""
     stretch = nominal
     if ti.static(own):
@@ -157,7 +157,7 @@ def tendon_stretch(lane, row, nominal, own: Rows, const: Rows):
 
 @ti.func
 def activate(
-    lane, m, data: Rows, blend, own: Rows, muscle: Rows, const: Rows, work: Rows
+    lane, m, data: Rows, blend, own: Static, muscle: Rows, const: Rows, work: Rows
 ):
     """Activation of muscle m of both legs, and where its fibre will balance.
 
@@ -203,7 +203,7 @@ def activate(
 
 
 @ti.func
-def balance(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Rows):
+def balance(lane, m, data: Rows, own: Static, muscle: Rows, const: Rows, work: Rows):
     """One iteration of the fibre's speed of muscle m of both legs."""
     for leg in ti.static(range(LEGS)):
         row = m + MUSCLES_PER_LEG * leg
@@ -222,7 +222,7 @@ def balance(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Row
 
 
 @ti.func
-def contract(lane, m, data: Rows, own: Rows, muscle: Rows, const: Rows, work: Rows):
+def contract(lane, m, data: Rows, own: Static, muscle: Rows, const: Rows, work: Rows):
     """Length and force of muscle m of both legs after the step, and its metabolic power.
 
     A muscle's strength scales its tendon too, so that it contracts as the nominal one

@@ -5,7 +5,7 @@ a ring of n slots delays by n ticks. Lag and noise are ours. Noise is a hash of 
 walker and signal, so that it does not depend on the batch, and costs no memory.
 """
 
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.contact import on_ground
 from taichi_nmm.kernel.elementary import (
     FIRST_FACTOR,
@@ -53,7 +53,7 @@ def sense(lane, state: Rows, muscle: Rows, work: Rows):
 
 
 @ti.func
-def exchange(lane, ring: Rows, slot, delay: Rows, work: Rows):
+def exchange(lane, ring: Static, slot, delay: Rows, work: Rows):
     """Put the present signals of a kind of ring into a slot, and take the delayed ones out."""
     first_signal, count, ticks, first_row = ti.static(RINGS[ring])
     for i in ti.static(range(count)):

@@ -6,7 +6,7 @@ EXTEND. Angles and rates of the leg are present ones; only the stance flags are 
 
 import math
 
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.elementary import larger, smaller
 from taichi_nmm.kernel.layout import LEGS
 
@@ -71,7 +71,7 @@ def place_legs(lane, state: Rows, const: Rows, work: Rows):
 
 
 @ti.func
-def swing_torques(lane, leg: Rows, state: Rows, const: Rows, work: Rows):
+def swing_torques(lane, leg: Static, state: Rows, const: Rows, work: Rows):
     """Ideal hip and knee torque of one leg in swing; moves its phase on."""
     stance = work.sensed.stance
     angle, rate = (

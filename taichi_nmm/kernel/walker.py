@@ -18,7 +18,7 @@ from taichi_nmm.kernel import (
     reflexes,
     swing,
 )
-from taichi_nmm.kernel.backend import Rows, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.elementary import larger
 from taichi_nmm.kernel.layout import (
     COORDINATES,
@@ -45,7 +45,7 @@ def step(
     activation_blend,
     load_blend,
     rough,
-    lanes: Rows,
+    lanes: Static,
     terrain: Rows,
     heights: Rows,
     muscles: Rows,
@@ -106,7 +106,7 @@ def step(
 
 
 @ti.func
-def locate(rough, lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: Rows):
+def locate(rough, lanes: Static, terrain: Rows, heights: Rows, state: Rows, work: Rows):
     """Where the links, the joints and the tendons are, and the ground's heights below them."""
     for lane in range(lanes):
         kinematics.directions(lane, state, work)
@@ -122,7 +122,7 @@ def locate(rough, lanes: Rows, terrain: Rows, heights: Rows, state: Rows, work: 
 @ti.func
 def control(
     tick,
-    lanes: Rows,
+    lanes: Static,
     state: Rows,
     fibres: Rows,
     delay: Rows,
@@ -151,7 +151,7 @@ def control(
 
 @ti.func
 def command(
-    tick, lanes: Rows, state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows
+    tick, lanes: Static, state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows
 ):
     """Delayed senses, reflexes, swing-leg placement: stimulations and ideal torques of a tick."""
     time = ti.cast(tick, float)
@@ -178,7 +178,7 @@ def command(
 
 
 @ti.func
-def highest(row: Rows, lanes: Rows):
+def highest(row: Rows, lanes: Static):
     """The largest number of a row over the lanes, 0 at least."""
     most = 0.0
     for lane in range(lanes):
@@ -187,7 +187,7 @@ def highest(row: Rows, lanes: Rows):
 
 
 @ti.func
-def nerves_vary(lanes: Rows, const: Rows):
+def nerves_vary(lanes: Static, const: Rows):
     """Whether any lane has lag or noise; `nerves.feel` would change nothing of the others'."""
     vary = 0.0
     for lane in range(lanes):
@@ -198,7 +198,13 @@ def nerves_vary(lanes: Rows, const: Rows):
 
 @ti.func
 def contract_muscles(
-    blend, own: Rows, lanes: Rows, muscles: Rows, fibres: Rows, const: Rows, work: Rows
+    blend,
+    own: Static,
+    lanes: Static,
+    muscles: Rows,
+    fibres: Rows,
+    const: Rows,
+    work: Rows,
 ):
     """All muscles, phase by phase. Run-time loops: their code is read from the nearest cache.
 

@@ -84,7 +84,7 @@ def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
     """
     shim: Any = ModuleType("taichi_nmm.kernel.backend")
     shim.ti = NUMPY_TAICHI
-    shim.Rows = shim.Array = Any
+    shim.Rows = shim.Static = shim.Array = Any
     shim.is_double = lambda: double
     # Used in kernels, which are not interpreted.
     shim.local_rows = shim.named_rows = None
