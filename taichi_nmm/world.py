@@ -360,7 +360,7 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     }
     named = table.table("muscles")
     muscles = _read_muscles(named, 0.0, LIMITS["strength"][1])
-    own = {}
+    own = dict[str, Any]()
     for name, limits in MUSCLE_LIMITS.items():
         own[name] = _read_muscles(named.table(name), *limits)
         named.table(name).done()
