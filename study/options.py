@@ -13,7 +13,7 @@ import re
 import sys
 import tomllib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
@@ -31,18 +31,12 @@ MOST_WORKERS = 1024  # processes; each takes hundreds of MB
 LARGEST_SEED = 2**63 - 1  # as in configurations
 LONGEST_NAME_BYTES = 255  # NAME_MAX of Linux and of macOS
 LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
-NEGATIVE = re.compile(
-    r"-[.,]?\d"
-)  # the begin of a number, which is no option; also of -1e5 and -0,5
-ARGUMENT = re.compile(
-    r"\Aargument --([\w-]+)\S*: "
-)  # as argparse begins a line, with all names
-UNPRINTABLE = (
-    "Cc",
-    "Cs",
-    "Zl",
-    "Zp",
-)  # Unicode's control characters, half characters, line ends
+# The begin of a number, which is no option; also of -1e5 and -0,5.
+NEGATIVE = re.compile(r"-[.,]?\d")
+# As argparse begins a line, with all names.
+ARGUMENT = re.compile(r"\Aargument --([\w-]+)\S*: ")
+# Unicode's control characters, half characters, line ends.
+UNPRINTABLE = ("Cc", "Cs", "Zl", "Zp")
 OTHERS = "--COLUMN"  # stands for options of names that a file gives
 BOTH_ENGINES = "both"
 WALKED_ENGINES = (*ENGINES, BOTH_ENGINES)
@@ -99,7 +93,9 @@ class Options(argparse.ArgumentParser):
                 must not be.
         """
         words = list(sys.argv[1:] if words is None else words)
-        others = self._others(words) if self.takes_others else {}
+        others = dict[str, str]()
+        if self.takes_others:
+            words, others = self._others(words)
         for word in words:
             flag, _, value = word.partition("=")
             if flag.startswith("--") and value == "--":  # argparse makes a list of it
@@ -107,51 +103,56 @@ class Options(argparse.ArgumentParser):
         # Options of a file's names enter numbers; of others the last one counts, as in
         # shells.
         kind = _Once if self.takes_others else argparse.Namespace
-        blank = kind(**dict.fromkeys(action.dest for action in self._actions))
-        given = vars(super().parse_args(words, blank))
-        may_be_missing = {
-            action.dest for action in self._actions if not action.required
+        nothing = kind(**dict.fromkeys(action.dest for action in self._actions))
+        given = {
+            name: self._checked(name, value)
+            for name, value in vars(super().parse_args(words, nothing)).items()
+            if value is not None
         }
-        found = super().parse_args(words)
-        for name, value in vars(found).items():
-            field = name.replace("_", "-")
-            for word in value if isinstance(value, list) else [value]:
-                _check_word(field, word)
-            if name in self.bounds and isinstance(value, str):
-                setattr(found, name, _whole(field, value, *self.bounds[name]))
-        found.given = {
-            name: value
-            for name, value in given.items()
-            if value is not None and name in may_be_missing
-        }
-        if self.takes_others:
-            found.others = others
+        found = argparse.Namespace(others=others, given={})
+        for action in self._actions:
+            name, default = action.dest, action.default
+            if isinstance(default, str):
+                default = self._get_value(action, default)
+            setattr(found, name, given.get(name, default))
+            if name in given and not action.required:
+                found.given[name] = given[name]
         return found
 
-    def _others(self, words: list[str]) -> dict[str, str]:
-        """Take options of other names, with their values, out of a command line.
+    def _checked(self, name: str, value: Any) -> Any:
+        """What was given for an option; text is of one line, a whole number within bounds."""
+        field = name.replace("_", "-")
+        for word in value if isinstance(value, list) else [value]:
+            _check_word(field, word)
+        if name in self.bounds:
+            return _whole(field, value, *self.bounds[name])
+        return value
+
+    def _others(self, words: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+        """A command line without the options of other names; and their values by name.
 
         A value is the word that follows, or what stands behind an equals sign.
         """
-        found, place = dict[str, str](), 0
-        while place < len(words):
-            flag, equals, value = words[place].partition("=")
-            is_other = (
-                flag.startswith("--")
-                and flag != "--"
-                and flag not in self._option_string_actions
-            )
-            if not is_other or (not equals and place + 1 == len(words)):
-                place += 1
-                continue
+        rest = []
+        found = dict[str, str]()
+        remaining = iter(words)
+        for word in remaining:
+            flag, equals, after = word.partition("=")
             name = flag.removeprefix("--")
-            if not equals:
-                value = words[place + 1]
+            is_other = flag.startswith("--") and name and flag not in self.flags
+            value = after if equals or not is_other else next(remaining, None)
+            if not is_other or value is None:
+                rest.append(word)
+                continue
             if name in found:
                 _refuse_second(name, value, found[name])
             found[name] = value
-            del words[place : place + (1 if equals else 2)]
-        return found
+        return rest, found
+
+    @property
+    def flags(self) -> Collection[str]:
+        """All ways to write an option: --help, -h, ..."""
+        return self._option_string_actions
 
     def error(self, message: str) -> NoReturn:
         """One line, as for all bad input; one of ours names the option as all fields are named."""
@@ -175,7 +176,8 @@ class Options(argparse.ArgumentParser):
             for each in DECLARED["shared"][words.pop("like")]:
                 self.declare(each | words)
             return
-        flags, stores = words.pop("flags"), words.pop("stores", False)
+        flags = words.pop("flags")
+        stores = words.pop("stores", False)
         if "whole" in words:
             self.whole(*flags, *words.pop("whole"), **words)
             return
@@ -220,17 +222,15 @@ def require_used(args: argparse.Namespace, used: Sequence[str], by: str) -> None
     Raises:
         InputError: naming the first option that is not among them.
     """
-    others = getattr(args, "others", {})
     given = {name.replace("_", "-"): value for name, value in args.given.items()}
     known = {each.lstrip("-").lower() for each in used}
     if OTHERS in used:
-        known |= others.keys()
-    for name, value in (given | others).items():
+        known |= args.others.keys()
+    for name, value in (given | args.others).items():
         if name not in known:
+            shown = str(value) if isinstance(value, Path) else value
             raise InputError(
-                name,
-                str(value) if isinstance(value, Path) else value,
-                f"{by} takes {' '.join(used) or 'no options'}",
+                name, shown, f"{by} takes {' '.join(used) or 'no options'}"
             )
 
 
@@ -330,13 +330,13 @@ def is_printable(text: str) -> bool:
 
 def _whole(field: str, text: str, low: int, high: int | str) -> int:
     """The whole number within bounds that a text is."""
-    high = looked_up(high) if isinstance(high, str) else high
+    most: int = looked_up(high) if isinstance(high, str) else high
     try:
         value = int(text)
     except ValueError:  # no number, or one of thousands of digits
         value = None
-    if value is None or not low <= value <= high:
-        allowed = f"a whole number from {low} to {high}"
+    if value is None or not low <= value <= most:
+        allowed = f"a whole number from {low} to {most}"
         raise InputError(field, text if value is None else value, allowed)
     return value
 

@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
@@ -77,24 +78,16 @@ class Advice:
         self.state = state
         self.simulated = simulated
         self.here = state.of_context(state.context)
-        self.told = [trial for trial in self.here if trial.value is not None]
-
-    @cached_property
-    def others(self) -> dict[str, list[Trial]]:
-        """The trials of each other context in which one is finished."""
-        told = [
-            trial.context
-            for trial in self.state.trials.values()
-            if trial.value is not None
+        self.told = [
+            trial for trial in state.finished if trial.context == state.context
         ]
-        names = [name for name in dict.fromkeys(told) if name != self.state.context]
-        return {name: self.state.of_context(name) for name in names}
-
-    @cached_property
-    def elsewhere(self) -> list[Trial]:
-        """Finished trials of other contexts."""
-        trials = [trial for trials in self.others.values() for trial in trials]
-        return [trial for trial in trials if trial.value is not None]
+        elsewhere = [
+            trial for trial in state.finished if trial.context != state.context
+        ]
+        self.others = list(dict.fromkeys(trial.context for trial in elsewhere))
+        self.elsewhere = sorted(
+            elsewhere, key=lambda trial: self.others.index(trial.context)
+        )
 
     def propose(
         self, asked: Sequence[Trial]
@@ -104,16 +97,16 @@ class Advice:
         Raises:
             InputError: no candidate is left, or none within the limits of [safety].
         """
-        study = study_of([*self.here, *asked], self.space, self.plan)
+        trials = [*self.here, *asked]
+        study = self._study(trials)
         study.sampler = self.sampler
-        if self.plan.safety != Safety() or self._limits_were_broken_elsewhere:
-            study.sampler = self._sampler(self._allowed([*self.here, *asked]))
+        if self.plan.safety != Safety() or self._minds_limits_elsewhere:
+            study.sampler = self._sampler(self._allowed(trials))
         try:
             trial = study.ask(dict(self.space))
         except TableExhaustedError as error:
-            raise InputError(
-                "candidates", str(error), "a row that nobody has tried"
-            ) from None
+            allowed = "a row that nobody has tried"
+            raise InputError("candidates", str(error), allowed) from None
         notes = dict(study.get_trials(deepcopy=False)[trial.number].user_attrs)
         return trial.params, notes, self._why()
 
@@ -121,7 +114,7 @@ class Advice:
         """What is expected of each candidate, in a sentence; "" where nothing is to be said."""
         if not params:
             return []
-        study = study_of(self.told, self.space, self.plan)  # what runs has told nothing
+        study = self._study(self.told)  # what runs has told nothing
         found = self.sampler.predict(study, params)
         return [self._expected(found, place) for place in range(len(params))]
 
@@ -134,54 +127,60 @@ class Advice:
         Raises:
             InputError: there is none.
         """
-        good = [trial for trial in self.told if self.plan.may_be_named(trial)]
-        if not good:
+        if not self._good:
             allowed = "a finished trial that neither failed nor broke a limit"
-            context = f" in context {self.state.context!r}" * bool(self.state.context)
-            found = (
-                f"none of {len(self.told)} trials"
-                if self.told
-                else f"no trial yet{context}"
-            )
+            found = "no trial yet"
+            if self.told:
+                found = f"none of {len(self.told)} trials"
+            elif self.state.context:
+                found += f" in context {self.state.context!r}"
             raise InputError("recommend", found, allowed)
-        doubts = {trial.number: self._doubts_of(trial) for trial in good}
+        doubts = {trial.number: self._doubts_of(trial) for trial in self._good}
         least = min(map(len, doubts.values()))
         named = {number for number, doubt in doubts.items() if len(doubt) == least}
-        study = study_of((), self.space, self.plan)
+        study = self._study(())
         for trial in self.here:
             limits = {"may be named": -1.0 if trial.number in named else 1.0}
             study.add_trial(frozen(trial, self.space, self.plan, limits))
         best = self.sampler.best(study)
         chosen = self.here[best.number]
-        others = [trial for trial in good if trial.number not in named]
+        others = [trial for trial in self._good if trial.number not in named]
         remarks = [*doubts[chosen.number], *self._passed_over(chosen, others)]
-        return Recommended(
-            **vars(best) | {"number": chosen.number}, remark=" ".join(remarks)
-        )
+        known = vars(best) | {"number": chosen.number}
+        return Recommended(**known, remark=" ".join(remarks))
 
     def repeat(self) -> int | None:
         """The trial of which a repeat would tell most: the least sure one that may be the best."""
-        good = [trial for trial in self.told if self.plan.may_be_named(trial)]
-        if not good:
+        if not self._good:
             return None
         best = self.best()
-        study = study_of(self.here, self.space, self.plan)
-        found = self.sampler.predict(study, [trial.params for trial in good])
+        params = [trial.params for trial in self._good]
+        found = self.sampler.predict(self._study(self.here), params)
         may_be = (
             found.high >= best.value
             if self.plan.goal.maximise
             else found.low <= best.value
         )
+        if not may_be.any():
+            return None
         sure = np.where(may_be, found.low - found.high, np.inf)
-        return good[int(sure.argmin())].number if may_be.any() else None
+        return self._good[int(sure.argmin())].number
 
     def worth(self) -> str:
         """Which simulated worlds the machine is like, or what the features are worth."""
         if not self.sampler.has_features:
             return ""
-        return str(self.sampler.worth(study_of(self.here, self.space, self.plan)))
+        return str(self.sampler.worth(self._study(self.here)))
 
-    def unknown_limits(self, trials: Iterable[Trial]) -> str:
+    @cached_property
+    def _good(self) -> list[Trial]:
+        """Finished trials that may be named."""
+        return [trial for trial in self.told if self.plan.may_be_named(trial)]
+
+    def _study(self, trials: Iterable[Trial]) -> optuna.Study:
+        return study_of(trials, self.space, self.plan)
+
+    def _unknown_limits(self, trials: Iterable[Trial]) -> str:
         """Columns with limits that were not entered of some trials, in a sentence, or ""."""
         missing = dict[str, list[int]]()
         for trial in trials:
@@ -195,15 +194,12 @@ class Advice:
 
     def _passed_over(self, chosen: Trial, others: Iterable[Trial]) -> list[str]:
         """What is not known of trials that had better values than the chosen one."""
-        sign = -1.0 if self.plan.goal.maximise else 1.0
         better = [
             trial
             for trial in others
-            if trial.value is not None
-            and chosen.value is not None
-            and sign * trial.value < sign * chosen.value
+            if self.plan.goal.is_better(trial.result, chosen.result)
         ]
-        unknown = self.unknown_limits(better)
+        unknown = self._unknown_limits(better)
         if not unknown:
             return []
         numbers = _trials([trial.number for trial in better])
@@ -211,144 +207,135 @@ class Advice:
 
     def _doubts_of(self, trial: Trial) -> list[str]:
         """What speaks against a trial that may be named."""
-        same = [other for other in self.told if other.params == trial.params]
-        bad = [other.number for other in same if not self.plan.may_be_named(other)]
-        found = [
-            f"But {_trials(bad)} of the same parameters failed or broke a limit."
-        ] * bool(bad)
-        unknown = self.unknown_limits([trial])
+        bad = [
+            other.number
+            for other in self.told
+            if other.params == trial.params and not self.plan.may_be_named(other)
+        ]
+        found = []
+        if bad:
+            numbers = _trials(bad)
+            found.append(
+                f"But {numbers} of the same parameters failed or broke a limit."
+            )
+        unknown = self._unknown_limits([trial])
         return [*found, unknown] if unknown else found
 
     def _expected(self, found: Prediction, place: int) -> str:
-        value, low, high = (
-            float(x[place]) for x in (found.value, found.low, found.high)
-        )
+        value = float(found.value[place])
+        low = float(found.low[place])
+        high = float(found.high[place])
         parts = list[str]()
         if np.isfinite(value):
-            known = np.isfinite(low) and np.isfinite(high)
             interval = "interval unknown"
-            if known:
+            if np.isfinite([low, high]).all():
                 interval = f"{low:.4g} to {high:.4g}, the mean without noise"
             parts.append(f"{value:.4g} ({interval})")
-            if self.simulated is not None and self._is_beyond(value):
+            if self.simulated is not None:
                 least, most = self.simulated
-                parts.append(
-                    f"beyond all that was simulated, {least:.4g} to {most:.4g}"
-                )
+                if not least <= value <= most:
+                    parts.append(
+                        f"beyond all that was simulated, {least:.4g} to {most:.4g}"
+                    )
         if np.isfinite(found.success[place]):
             parts.append(f"success {100 * found.success[place]:.0f} %")
-        if limits := self._expected_limits(float(found.kept[place])):
-            parts.append(limits)
+        if self.plan.limited:
+            parts.append(self._expected_limits(float(found.kept[place])))
         return f"{EXPECTED}{', '.join(parts)}." if parts else ""
-
-    def _is_beyond(self, value: float) -> bool:
-        assert self.simulated is not None
-        least, most = self.simulated
-        return not least <= value <= most
 
     def _expected_limits(self, kept: float) -> str:
         """The chance that limits are kept, where trials tell of them; what is unknown, by name."""
         limited = self.plan.limited
-        told = {
-            name for trial in (*self.told, *self.elsewhere) for name in trial.columns
-        }
-        known = [name for name in limited if name in told]
-        unknown = [name for name in limited if name not in told]
+        told = {name for trial in self.state.finished for name in trial.columns}
+        known = ", ".join(name for name in limited if name in told)
+        unknown = ", ".join(name for name in limited if name not in told)
         if not known or not np.isfinite(kept):
-            return f"limits unknown ({', '.join(limited)})" if limited else ""
+            return f"limits unknown ({', '.join(limited)})"
         if unknown:
-            chance = f"limits of {', '.join(known)} kept {100 * kept:.0f} %"
-            return f"{chance}, of {', '.join(unknown)} unknown"
+            return f"limits of {known} kept {100 * kept:.0f} %, of {unknown} unknown"
         return f"all limits kept {100 * kept:.0f} %"
 
     def _why(self) -> str:
         """Why a proposal is made, in a sentence or two."""
         if not self.told:
             known = ""
-            if self.others:
+            if self.elsewhere:
                 known = f"the best {BEFORE}, or "
             elif self.candidates.rows.worlds is not None:
                 known = "the best simulated, or "
             return f"The first one: {known}one of several to begin with."
-        unknown = self.unknown_limits(self.told)
-        kept = [
-            trial for trial in self.told if self.plan.kept(trial.columns) is not False
-        ]
+        kept = self._within_limits(self.told)
         if not kept:
             why = "No trial has kept all limits yet: the one that most likely does."
         elif self.plan.goal.success is not None and not self._successful(kept):
             why = "No trial has succeeded yet: the one that most likely does, or improves most."
         else:
             choose = max if self.plan.goal.maximise else min
-            best = choose(trial.value for trial in kept if trial.value is not None)
+            best = choose(trial.result for trial in kept)
             why = f"The largest improvement to be expected on {best:.4g}."
-        return f"{why} {unknown}".strip()
+        return f"{why} {self._unknown_limits(self.told)}".strip()
 
     @property
-    def _limits_were_broken_elsewhere(self) -> bool:
-        """Whether the first trials here, which the ranking chooses, must mind limits too."""
-        broken = (self.plan.kept(trial.columns) is False for trial in self.elsewhere)
-        return len(self.told) < RANKED and any(broken)
+    def _broken_elsewhere(self) -> list[Trial]:
+        """Trials that broke a limit in another context."""
+        return [trial for trial in self.elsewhere if self.plan.broke(trial)]
 
-    def _broken_elsewhere(self) -> list[int]:
-        """Rows that broke a limit in another context."""
-        rows = self.candidates.rows
-        broken = (t for t in self.elsewhere if self.plan.kept(t.columns) is False)
-        return [row for trial in broken if (row := rows.find(trial.params)) is not None]
+    @property
+    def _minds_limits_elsewhere(self) -> bool:
+        """Whether a limit was broken elsewhere, and the next trial here is one of the ranking."""
+        return len(self.told) < RANKED and bool(self._broken_elsewhere)
 
     def _allowed(self, trials: Sequence[Trial]) -> Mask:
         """Rows within the limits of [safety]; one at least."""
-        safety, rows = self.plan.safety, self.candidates.rows
-        found = self.sampler.predict(study_of(trials, self.space, self.plan))
-        keeps = ~(found.kept < safety.least_kept) & ~(
-            found.success < safety.least_success
+        safety = self.plan.safety
+        rows = self.candidates.rows
+        found = self.sampler.predict(self._study(trials))
+        # What nobody knows the chance of is allowed: it is NaN.
+        keeps = ~(
+            (found.kept < safety.least_kept) | (found.success < safety.least_success)
         )
-        if self._limits_were_broken_elsewhere:
-            others = ~np.isin(found.rows, self._broken_elsewhere())
+        if self._minds_limits_elsewhere:
+            others = ~np.isin(found.rows, self._rows_of(self._broken_elsewhere))
             for wanted in (others, others & ~(found.kept < LIKELY)):
-                keeps &= wanted | ~(wanted & keeps).any()
+                if (wanted & keeps).any():
+                    keeps &= wanted
         good = self._anchors()
         if good and safety.most_step < 1.0:
-            places = rows.space.unit(
-                np.array([rows.space.row(trial.params) for trial in good])
-            )
-            steps = np.abs(rows.unit[:, None] - places[None]).max(axis=2).min(axis=1)
-            keeps &= steps <= safety.most_step
+            apart = np.abs(rows.unit[:, None] - places_of(rows, good)[None])
+            keeps &= apart.max(axis=2).min(axis=1) <= safety.most_step
         allowed = np.zeros(len(rows), dtype=bool)
         allowed[found.rows[keeps]] = True
-        tried = [
-            row for trial in trials if (row := rows.find(trial.params)) is not None
-        ]
-        allowed[tried] = False
+        allowed[self._rows_of(trials)] = False
         if not allowed.any():
             raise InputError(
                 "safety", "no candidate within the limits", "wider limits in [safety]"
             )
         return allowed
 
+    def _rows_of(self, trials: Iterable[Trial]) -> list[int]:
+        """The rows of the table that trials had."""
+        found = [self.candidates.rows.find(trial.params) for trial in trials]
+        return [row for row in found if row is not None]
+
     def _anchors(self) -> list[Trial]:
         """Trials that steps are measured from: that succeeded here, or else on other ground.
 
         Those that broke a limit count only where none else succeeded.
         """
-        for told in (self.told, self.elsewhere):
-            good = self._successful(told)
-            kept = [
-                trial for trial in good if self.plan.kept(trial.columns) is not False
-            ]
-            if good:
-                return kept or good
-        return []
+        good = self._successful(self.told) or self._successful(self.elsewhere)
+        return self._within_limits(good) or good
 
     def _successful(self, told: Iterable[Trial]) -> list[Trial]:
         """Trials that did not fail and, with `goal.success`, are as good as that."""
         return [
             trial
             for trial in told
-            if trial.value is not None
-            and not trial.failed
-            and self.plan.goal.is_good(trial.value)
+            if not trial.failed and self.plan.goal.is_good(trial.result)
         ]
+
+    def _within_limits(self, told: Iterable[Trial]) -> list[Trial]:
+        """Trials that, as far as is known, broke no limit."""
+        return [trial for trial in told if not self.plan.broke(trial)]
 
     @cached_property
     def sampler(self) -> FeatureKernelSampler:
@@ -362,32 +349,33 @@ class Advice:
     @cached_property
     def _known(self) -> FeatureTable:
         """The candidates, with what other contexts tell of them."""
-        found, told = self.candidates, list[NDArray[np.float64]]()
-        for trials in self.others.values():
-            study = study_of(trials, self.space, self.plan)
+        found = self.candidates
+        told = list[NDArray[np.float64]]()
+        for context in self.others:
+            study = self._study(self.state.of_context(context))
             known = self.plan.sampler(found).predict(study)
             column = np.full(len(found), np.nan)
             column[known.rows] = known.value
             told.append(column)
         if not told:
             return found
-        with warnings.catch_warnings(
-            action="ignore", category=UserWarning
-        ):  # rows left out
-            return with_before(
-                found, np.column_stack(told), maximise=self.plan.goal.maximise
-            )
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
+            # They are of rows that are left out.
+            columns = np.column_stack(told)
+            return with_before(found, columns, maximise=self.plan.goal.maximise)
+
+
+def places_of(rows: Rows, trials: Iterable[Trial]) -> NDArray[np.float64]:
+    """Trials in the unit cube of the parameters, [n, e]."""
+    return rows.space.unit(np.array([rows.space.row(each.params) for each in trials]))
 
 
 def _trials(numbers: Sequence[int]) -> str:
     """Numbers of trials, in words."""
     shown = ", ".join(map(str, numbers[:SHOWN_NUMBERS]))
-    more = (
-        f" and {len(numbers) - SHOWN_NUMBERS} more"
-        if len(numbers) > SHOWN_NUMBERS
-        else ""
-    )
-    return f"trial{'s' if len(numbers) > 1 else ''} {shown}{more}"
+    if len(numbers) > SHOWN_NUMBERS:
+        shown += f" and {len(numbers) - SHOWN_NUMBERS} more"
+    return f"trials {shown}" if len(numbers) > 1 else f"trial {shown}"
 
 
 def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> FeatureTable:
@@ -401,23 +389,26 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
             unknown.
         maximise: high values are good.
     """
-    rows, k = candidates.rows, told.shape[1]
-    before, own = tuple(f"{BEFORE} {place}" for place in range(k)), rows.worlds
-    if own is None:
-        worlds = Worlds(names=before, costs=told, weights=np.full(k, 1.0 / k))
-        return FeatureTable(replace(rows, worlds=worlds))
-    if own.better is not None:  # in units of their own: as many standard deviations
-        sign = 1.0 if maximise is (own.better == "higher") else -1.0
-        spread = float(np.nanstd(told)) or 1.0
-        told = sign * (told - np.nanmean(told)) / spread * np.nanstd(own.costs)
-        told = told + np.nanmean(own.costs)
-    weights = np.concatenate([own.weights / 2.0, np.full(k, 0.5 / k)])
+    rows = candidates.rows
+    k = told.shape[1]
     worlds = Worlds(
-        names=(*own.names, *before),
-        costs=np.hstack([own.costs, told]),
-        weights=weights,
-        better=own.better,
+        names=tuple(f"{BEFORE} {place}" for place in range(k)),
+        costs=told,
+        weights=np.full(k, 1.0 / k),
     )
+    own = rows.worlds
+    if own is not None:
+        if own.better is not None:  # in units of their own: as many standard deviations
+            sign = 1.0 if maximise is (own.better == "higher") else -1.0
+            spread = float(np.nanstd(told)) or 1.0
+            told = sign * (told - np.nanmean(told)) / spread * np.nanstd(own.costs)
+            told = told + np.nanmean(own.costs)
+        worlds = Worlds(
+            names=(*own.names, *worlds.names),
+            costs=np.hstack([own.costs, told]),
+            weights=np.concatenate([own.weights, worlds.weights]) / 2.0,
+            better=own.better,
+        )
     return FeatureTable(replace(rows, worlds=worlds))
 
 

@@ -6,12 +6,11 @@ is best, and `doubts` what was perhaps entered wrongly.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import numpy as np
 import optuna
 from optuna.distributions import (
     BaseDistribution,
@@ -23,8 +22,14 @@ from storage.databases.studies import read_errors, shown_url
 from storage.inputs import checks
 from storage.inputs.errors import InputError, listed
 from storage.tables import difference
-from study.bench.advice import EXPECTED, Advice, Recommended, simulated_range
-from study.bench.doubts import Range, doubts, odd_failures, odd_value
+from study.bench.advice import (
+    EXPECTED,
+    Advice,
+    Recommended,
+    places_of,
+    simulated_range,
+)
+from study.bench.doubts import Range, doubts, odd_failures
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
 from study.bench.plan import Column, Goal, Plan, read_plan
 from study.bench.shown import require_shown, show
@@ -32,12 +37,21 @@ from study.bench.words import operator_here, require_names
 from study.sampler.space import as_suggested, printed_tolerance
 from study.sampler.table import FeatureTable
 
-WHOLE, VALUE = checks.whole(0), checks.optional(checks.number())
-COLUMNS = checks.optional(checks.by_name(checks.number()))
+WHOLE = checks.whole(0)
+WORDS = checks.optional(checks.text)
+COLUMNS = checks.by_name(checks.number())
+RESULT = {
+    "number": WHOLE,
+    "value": checks.optional(checks.number()),
+    "failed_s": checks.optional(checks.number()),
+    "columns": checks.optional(COLUMNS),
+    "note": checks.text,
+}
 MOST_BATCH = 1000
 
 
-class Own(NamedTuple):
+@dataclass(frozen=True)
+class Own:
     """A trial that nobody proposed.
 
     Attributes:
@@ -53,12 +67,25 @@ class Own(NamedTuple):
 
     params: Mapping[str, Any]
     value: float
-    columns: Mapping[str, float] = {}
+    columns: Mapping[str, float] = field(default_factory=dict)
     note: str = ""
     failed: bool = False
     context: str | None = None
     operator: str | None = None
     time: str | None = None
+
+    def __post_init__(self) -> None:
+        checks.check_fields(
+            self,
+            "",
+            value=checks.number(),
+            columns=COLUMNS,
+            note=checks.text,
+            failed=checks.flag,
+            context=WORDS,
+            operator=WORDS,
+            time=WORDS,
+        )
 
 
 class Bench:
@@ -84,11 +111,8 @@ class Bench:
         if not self._entries:
             return
         with read_errors(self.plan.url):  # which somebody may have edited
-            begun, _ = (
-                self._begun["plan"],
-                (self.space, self._begun["range"], self.state),
-            )
-            found = difference(self.plan.document, begun)
+            found = difference(self.plan.document, self._begun["plan"])
+            _ = self.space, self._simulated, self.state  # all of it can be read
         if found:
             field, ours, theirs = found
             allowed = f"{theirs!r}, with which the bench was begun; or another name for a new one"
@@ -186,15 +210,19 @@ class Bench:
             InputError: no candidate is left, or none within the limits of [safety].
         """
         with self._turn() as state:
-            mine, asked = self._mine(state), list[Trial]()
             advice = self._advice(state)
+            mine = [
+                trial
+                for trial in state.pending
+                if (trial.context, trial.operator) == (state.context, self.operator)
+            ]
+            asked = list[Trial]()
             if repeat is not None:
-                again = state.trial(repeat, finished=True)
-                running = [trial for trial in mine if trial.params == again.params]
-                mine = [*running, *(trial for trial in mine if trial not in running)]
-                if not running:
+                again = state.trial(repeat, finished=True).params
+                mine.sort(key=lambda trial: trial.params != again)
+                if not mine or mine[0].params != again:
                     why = f"Once more what trial {repeat} was."
-                    asked.append(self._new(state, len(asked), again.params, {}, why))
+                    asked.append(self._new(state, len(asked), again, {}, why))
                     mine = mine[: batch - 1]
             while len(mine) + len(asked) < batch:
                 asked.append(self._new(state, len(asked), *advice.propose(asked)))
@@ -203,33 +231,6 @@ class Bench:
                 self._add("next", {"trials": [_given(trial) for trial in told]})
             new = [self.state.trials[trial.number] for trial in asked]
             return [*_with_expectations(advice, mine[:batch]), *new]
-
-    def pending(self) -> list[Trial]:
-        """Trials without a result, with what is expected of each by now."""
-        state, found = self.state, list[Trial]()
-        pending = [trial for trial in state.trials.values() if trial.value is None]
-        for context in dict.fromkeys(trial.context for trial in pending):
-            trials = [trial for trial in pending if trial.context == context]
-            found += _with_expectations(
-                self._advice(replace(state, context=context)), trials
-            )
-        return found
-
-    def expected(self, params: Sequence[Mapping[str, Any]]) -> list[str]:
-        """What is expected of each candidate by now, in a sentence.
-
-        Args:
-            params: of the candidates, by name.
-        """
-        return self._advice(self.state).expected(params)
-
-    def _mine(self, state: State) -> list[Trial]:
-        """Trials of the present context that this operator has not entered yet."""
-        return [
-            trial
-            for trial in state.of_context(state.context)
-            if trial.value is None and trial.operator == self.operator
-        ]
 
     def _new(
         self,
@@ -240,12 +241,34 @@ class Bench:
         why: str,
     ) -> Trial:
         """The trial of this place among those of an entry that is about to be made."""
-        number = state.count + place
-        return Trial(number, params, notes, state.context, self.operator, why)
+        return Trial(
+            number=state.count + place,
+            params=params,
+            notes=notes,
+            context=state.context,
+            operator=self.operator,
+            why=why,
+        )
 
-    @checks.checked(
-        number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text
-    )
+    def pending(self) -> list[Trial]:
+        """Trials without a result, with what is expected of each by now."""
+        state = self.state
+        found = list[Trial]()
+        for context in dict.fromkeys(trial.context for trial in state.pending):
+            trials = [trial for trial in state.pending if trial.context == context]
+            advice = self._advice(replace(state, context=context))
+            found += _with_expectations(advice, trials)
+        return found
+
+    def expected(self, params: Sequence[Mapping[str, Any]]) -> list[str]:
+        """What is expected of each candidate by now, in a sentence.
+
+        Args:
+            params: of the candidates, by name.
+        """
+        return self._advice(self.state).expected(params)
+
+    @checks.checked(**RESULT)
     def record(
         self,
         number: int,
@@ -270,15 +293,15 @@ class Bench:
                 has not.
         """
         if value is None and failed_s is None:
-            raise InputError(
-                "value", None, "the trial's value, or after how long it failed"
-            )
-        kind = "record" if failed_s is None else "fail"
-        self._tell(kind, number, self._checked(value, columns, note, failed_s))
+            allowed = "the trial's value, or after how long it failed"
+            raise InputError("value", None, allowed)
+        result = self._result(value, failed_s, columns, note)
+        with self._turn() as state:
+            state.trial(number, finished=False)
+            kind = "record" if failed_s is None else "fail"
+            self._add(kind, {"trial": number} | result)
 
-    @checks.checked(
-        number=WHOLE, value=VALUE, failed_s=VALUE, columns=COLUMNS, note=checks.text
-    )
+    @checks.checked(**RESULT)
     def correct(
         self,
         number: int,
@@ -306,7 +329,12 @@ class Bench:
         if value is None and failed_s is None and not columns and not note:
             allowed = "something to correct: the value, the time of a failure, a column or the note"
             raise InputError("correct", number, allowed)
-        self._tell("correct", number, self._checked(value, columns, note, failed_s))
+        result = self._result(value, failed_s, columns, note)
+        with self._turn() as state:
+            trial = state.trial(number, finished=True)
+            if trial.failed and value is not None:
+                result["failed"] = False
+            self._add("correct", {"trial": number} | result)
 
     @checks.checked(number=WHOLE, note=checks.text)
     def abort(self, number: int, note: str = "") -> None:
@@ -330,7 +358,8 @@ class Bench:
             InputError: a parameter is missing, unknown or out of its range, by name; or
                 a result as of `record`. Nothing is entered then.
         """
-        return self._add_own([Own(*row) for row in rows], twice=True)[0]
+        own = [row if isinstance(row, Own) else Own(*row) for row in rows]
+        return self._add_own(own, twice=True)[0]
 
     def add_new(self, rows: Sequence[Own]) -> tuple[list[int], list[int]]:
         """The same for those that are not there yet, such as the rows of a file that has grown.
@@ -347,30 +376,39 @@ class Bench:
         self, own: Sequence[Own], *, twice: bool
     ) -> tuple[list[int], list[int]]:
         """Numbers of the trials that were entered, and of those that were there, if that counts."""
-        for row in own:
-            checks.flag("failed", row.failed)
-            for name in ("context", "operator", "time"):
-                checks.optional(checks.text)(name, getattr(row, name))
-        checked = [self._params(row.params) for row in own]
-        results = [
-            self._checked(checks.number()("value", row.value), row.columns, row.note)
-            for row in own
-        ]
+        params_of = [self._params(row.params) for row in own]
+        results = [self._result(row.value, None, row.columns, row.note) for row in own]
         with self._turn() as state:
             trials = list[dict[str, Any]]()
-            others, known = list(state.trials.values()), list[int]()
-            for row, params, result in zip(own, checked, results, strict=True):
+            known = list[int]()
+            for row, params, result in zip(own, params_of, results, strict=True):
                 params = _as_known(params, state.trials.values())
-                trial = self._new(state, len(trials), params, {}, "The operator's own.")
-                trial.context = state.context if row.context is None else row.context
-                same = [other for other in others if _is_same(trial, row.value, other)]
+                context = state.context if row.context is None else row.context
+                same = [
+                    trial.number
+                    for trial in state.trials.values()
+                    if trial.params == params
+                    and trial.context == context
+                    and row.value in trial.values  # perhaps corrected since
+                    and trial.number not in known
+                ]
                 if same and not twice:
-                    others.remove(same[0])
-                    known.append(same[0].number)
+                    known.append(same[0])
                     continue
-                given = _given(trial) | result | {"failed": bool(row.failed)}
-                told = {"operator": row.operator, "time": row.time}
-                trials.append(given | {key: word for key, word in told.items() if word})
+                told = {
+                    "number": state.count + len(trials),
+                    "params": params,
+                    "notes": {},
+                    "why": "The operator's own.",
+                    "context": context,
+                    **result,
+                    "failed": bool(row.failed),
+                }
+                if row.operator:
+                    told["operator"] = row.operator
+                if row.time:
+                    told["time"] = row.time
+                trials.append(told)
             if trials or twice:
                 self._add("add", {"trials": trials})
         return [trial["number"] for trial in trials], known
@@ -415,51 +453,36 @@ class Bench:
     def simulated(self) -> dict[int, float]:
         """The mean over the worlds of each finished trial; none without worlds."""
         rows = self.candidates.rows
-        told = [
-            trial for trial in self.state.trials.values() if trial.value is not None
-        ]
+        told = self.state.finished
         if not told or rows.worlds is None:
             return {}
         known = rows.worlds.costs @ rows.worlds.weights
-        places = rows.space.unit(
-            np.array([rows.space.row(trial.params) for trial in told])
-        )
+        places = places_of(rows, told)
         values = rows.mixed(known[rows.numbers][:, None], places, places)[:, 0].tolist()
         return dict(zip([trial.number for trial in told], values, strict=True))
 
-    def _tell(self, kind: str, number: int, result: dict[str, Any]) -> None:
-        with self._turn() as state:
-            trial = state.trial(number, finished=kind == "correct")
-            if trial.failed and result["value"] is not None and "seconds" not in result:
-                result["failed"] = False
-            self._add(kind, {"trial": number} | result)
-
-    def _checked(
+    def _result(
         self,
         value: float | None,
+        failed_s: float | None,
         columns: Mapping[str, float] | None,
         note: str,
-        failed_s: float | None = None,
     ) -> dict[str, Any]:
         """A result as an entry has it."""
-        if value is not None and failed_s is not None:
-            allowed = "the value, or after how long it failed, not both"
-            raise InputError("seconds", failed_s, allowed)
-        for name, given in (COLUMNS("columns", columns) or {}).items():
+        columns = dict(columns or {})
+        for name, given in columns.items():
             if name not in self.plan.columns:
-                known = (
-                    listed(self.plan.columns, name)
-                    or "none: [columns] of the file names them"
-                )
+                known = listed(self.plan.columns, name)
+                known = known or "none: [columns] of the file names them"
                 raise InputError(name, given, f"one of the columns {known}")
-        note = checks.text("note", note)
-        result = {"value": value, "columns": dict(columns or {}), "note": note}
+        result = {"value": value, "columns": columns, "note": note}
         if failed_s is None:
             return result
-        return result | {
-            "value": self.plan.goal.of_failure(failed_s),
-            "seconds": failed_s,
-        }
+        if value is not None:
+            allowed = "the value, or after how long it failed, not both"
+            raise InputError("seconds", failed_s, allowed)
+        result["value"] = self.plan.goal.of_failure(failed_s)
+        return result | {"seconds": failed_s}
 
     def _params(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of the operator's own, each of its type and in its range."""
@@ -477,14 +500,6 @@ class Bench:
             except ValueError:
                 raise InputError(name, params[name], str(of)) from None
         return found
-
-    def odd(self, value: float) -> str:
-        """A warning of a value that no simulated world has, or far from those of all trials."""
-        told = [trial.value for trial in self.state.trials.values()]
-        others = [other for other in told if other is not None]
-        if value in others:
-            others.remove(value)  # the one that was just entered
-        return odd_value(value, self._simulated, others)
 
     def doubts(self, number: int | None = None) -> list[str]:
         """What was perhaps entered wrongly, a line each.
@@ -541,6 +556,20 @@ def _with_expectations(advice: Advice, trials: Sequence[Trial]) -> list[Trial]:
     ]
 
 
+def _given(trial: Trial) -> dict[str, Any]:
+    """What an entry has of a trial that is asked for."""
+    names = ("number", "params", "notes", "why", "context")
+    return {name: getattr(trial, name) for name in names}
+
+
+def _as_known(params: dict[str, Any], trials: Iterable[Trial]) -> dict[str, Any]:
+    """Parameters that are as printed those of an earlier trial are that trial's."""
+    for trial in trials:
+        if all(_stands_for(params[name], own) for name, own in trial.params.items()):
+            return trial.params
+    return params
+
+
 def _stands_for(typed: Any, value: Any) -> bool:
     """Whether something typed is a value as a sheet has it."""
     if isinstance(typed, float) and isinstance(value, float):
@@ -548,46 +577,20 @@ def _stands_for(typed: Any, value: Any) -> bool:
     return bool(typed == value)
 
 
-def _is_same(new: Trial, value: float, other: Trial) -> bool:
-    """Whether a trial of this value is there already, perhaps corrected since."""
-    alike = new.params == other.params and new.context == other.context
-    return alike and value in other.values
-
-
-def _as_known(params: dict[str, Any], trials: Iterable[Trial]) -> dict[str, Any]:
-    """Parameters that are as printed those of an earlier trial are that trial's."""
-    for trial in trials:
-        if all(
-            _stands_for(params[name], value) for name, value in trial.params.items()
-        ):
-            return trial.params
-    return params
-
-
-def _given(trial: Trial) -> dict[str, Any]:
-    """A new trial as an entry has it."""
-    fields = asdict(trial)
-    return {
-        name: fields[name] for name in ("number", "params", "notes", "why", "context")
-    }
-
-
 def _require_failures(goal: Goal, simulated: Range | None) -> None:
     """Refuse failures that are worth more than a success, or than all that was simulated."""
-    sign = -1.0 if goal.maximise else 1.0
     for key, value in goal.failures.items():
-        if goal.success is not None and sign * value < sign * goal.success:
+        if goal.success is not None and goal.is_better(value, goal.success):
             allowed = f"a value worse than goal.success, {goal.success:g}"
             raise InputError(f"goal.{key}", value, allowed)
-        if simulated is not None and sign * value < min(
-            sign * end for end in simulated
-        ):
+        if simulated and all(goal.is_better(value, end) for end in simulated):
             least, most = simulated
             allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
             raise InputError(f"goal.{key}", value, allowed)
-    if goal.failed is not None and sign * goal.failed[0] < sign * goal.failed[1]:
-        allowed = f"a value no worse than goal.failed_at_once, {goal.failed[0]:g}"
-        raise InputError("goal.failed_at_end", goal.failed[1], allowed)
+    if goal.failed is not None and goal.is_better(*goal.failed):
+        at_once, at_end = goal.failed
+        allowed = f"a value no worse than goal.failed_at_once, {at_once:g}"
+        raise InputError("goal.failed_at_end", at_end, allowed)
 
 
 def _require_limits(columns: Mapping[str, Column]) -> None:

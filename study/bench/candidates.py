@@ -6,10 +6,10 @@ refused by name; nothing outside of it is ever proposed.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,6 @@ from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
-
-Kind = Literal["float", "whole", "choice"]
 
 KINDS = ("float", "whole", "choice")
 FARTHEST = 1e300  # of a bound, so that differences of two are finite
@@ -45,7 +43,7 @@ class Declared:
         log: whether it is on a logarithmic scale.
     """
 
-    kind: Kind | None = None
+    kind: str | None = None
     bounds: tuple[float, float] | None = None
     step: float | None = None
     log: bool = False
@@ -58,29 +56,15 @@ class Declared:
                 have.
         """
         if self.kind == "choice":
-            for key, given in (("bounds", self.bounds), ("step", self.step)):
-                if given is not None:
-                    raise InputError(
-                        f"candidates.{key}.{name}", given, "none of a choice"
-                    )
-            if self.log:
-                raise InputError(
-                    "candidates.log", name, "parameters that are no choices"
-                )
-            listed = [
-                None if value != value else value
-                for value in table.values(name).tolist()
-            ]
-            return CategoricalDistribution(tuple(dict.fromkeys(listed)))
+            return self._choice(name, table)
         numbers = table.numbers(name)
         known = numbers[np.isfinite(numbers)]
         if not len(known):
             raise InputError(f"candidates.{name}", "no number", "a column of numbers")
         low, high = self.bounds or (float(known.min()), float(known.max()))
         if self.log and low <= 0.0:
-            raise InputError(
-                "candidates.log", name, f"a column above 0; its least value is {low}"
-            )
+            allowed = f"a column above 0; its least value is {low}"
+            raise InputError("candidates.log", name, allowed)
         if self.log and self.step is not None:
             allowed = "none on a logarithmic scale"
             raise InputError(f"candidates.step.{name}", self.step, allowed)
@@ -90,20 +74,27 @@ class Declared:
             return self._whole_numbers(name, low, high)
         return FloatDistribution(low, high, log=self.log, step=self.step)
 
+    def _choice(self, name: str, table: ForeignTable) -> CategoricalDistribution:
+        for key, given in (("bounds", self.bounds), ("step", self.step)):
+            if given is not None:
+                raise InputError(f"candidates.{key}.{name}", given, "none of a choice")
+        if self.log:
+            raise InputError("candidates.log", name, "parameters that are no choices")
+        values = table.values(name).tolist()
+        choices = [None if value != value else value for value in values]  # of NaN
+        return CategoricalDistribution(tuple(dict.fromkeys(choices)))
+
     def _is_whole(self, values: NDArray[Any]) -> bool:
         """Whether the parameter has whole numbers: as declared, or as the column suggests."""
         if self.kind is not None:
             return self.kind == "whole"
-        declared = [*(self.bounds or ()), *([] if self.step is None else [self.step])]
-        return values.dtype.kind in "iu" and all(
-            number.is_integer() for number in declared
-        )
+        declared = (*(self.bounds or ()), self.step or 1.0)
+        return values.dtype.kind in "iu" and all(map(float.is_integer, declared))
 
     def _whole_numbers(self, name: str, low: float, high: float) -> IntDistribution:
         if self.step is not None and not self.step.is_integer():
-            raise InputError(
-                f"candidates.step.{name}", self.step, "a whole number, as its type"
-            )
+            allowed = "a whole number, as its type"
+            raise InputError(f"candidates.step.{name}", self.step, allowed)
         least, most = math.ceil(low), math.floor(high)
         if least > most:
             allowed = "bounds with a whole number between them, as its type"
@@ -116,7 +107,9 @@ def _require_steps(
 ) -> None:
     """Refuse a value that lies between two steps."""
     steps = (values - low) / step
-    for row in np.flatnonzero(np.abs(steps - np.round(steps)) > OFF_STEP)[:1].tolist():
+    is_between = np.abs(steps - np.round(steps)) > OFF_STEP
+    if is_between.any():
+        row = int(is_between.argmax())
         allowed = f"steps of {step:g} from {low:g} on"
         raise InputError(f"candidates.{name}[{row}]", float(values[row]), allowed)
 
@@ -124,16 +117,15 @@ def _require_steps(
 def better_of(table: Table) -> Better | None:
     """Which outcomes are good, where they are in units of their own."""
     given = table.text("better", "costs", ("lower", "higher", "costs"))
-    return cast(Better, given) if given != "costs" else None
+    return None if given == "costs" else cast(Better, given)
 
 
 def choices_of(distribution: BaseDistribution) -> dict[str, Any]:
     """The choices of a parameter by what a file has for them; none where it is a number."""
     if not isinstance(distribution, CategoricalDistribution):
         return {}
-    return {
-        "" if choice is None else str(choice): choice for choice in distribution.choices
-    }
+    choices = distribution.choices
+    return {"" if each is None else str(each): each for each in choices}
 
 
 def beyond_bounds(
@@ -171,36 +163,31 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
     better = better_of(table)
     declared = _declared(table, names)
     found = ForeignTable.read("candidates.file", path, of_columns="candidates")
-    columns = {name: found.values(name) for name in names}
-    space = begun
-    if space is None:
+    if begun is None:
         space = {
             name: each.distribution(name, found) for name, each in declared.items()
         }
-    outcomes, taken = {}, set(names)  # each pattern is a family
+    else:
+        space = dict(begun)
+    outcomes = {}  # each pattern is a family
+    taken = set(names)
     for pattern in patterns:
         named = [name for name in found.names if fnmatch(name, pattern)]
         if pattern in found.names:  # a name may look like a pattern: cost [J]
             named = [pattern]
-        if not named:
-            raise InputError(
-                "candidates.outcomes",
-                pattern,
-                f"some of {listed(found.names, pattern)}",
-            )
         twice = [name for name in named if name in taken]
-        if twice and begun is None:
-            allowed = (
-                f"each column once: {twice[0]} is a parameter or in another pattern"
-            )
+        if not named or (twice and begun is None):
+            allowed = f"some of {listed(found.names, pattern)}"
+            if twice:
+                allowed = (
+                    f"each column once: {twice[0]} is a parameter or in another pattern"
+                )
             raise InputError("candidates.outcomes", pattern, allowed)
         taken.update(named)
-        outcomes[pattern] = np.column_stack([found.numbers(name) for name in named])
+        outcomes[pattern] = _columns(found, named)
     return FeatureTable.from_arrays(
-        columns,
-        np.column_stack([found.numbers(name) for name in features])
-        if features
-        else None,
+        {name: found.values(name) for name in names},
+        _columns(found, features) if features else None,
         features or None,
         outcomes=outcomes or None,
         better=better,
@@ -208,35 +195,37 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
     )
 
 
+def _columns(table: ForeignTable, names: Iterable[str]) -> NDArray[np.float64]:
+    """Columns of numbers, one at least, [n, k]."""
+    return np.column_stack([table.numbers(name) for name in names])
+
+
 def _declared(table: Table, names: tuple[str, ...]) -> dict[str, Declared]:
     """What the file says of parameters, by the name of each of which it says something."""
     logarithmic = table.texts("log")
-    kinds, bounds, steps = (table.table(key) for key in ("type", "bounds", "step"))
-    keys = {
+    kinds = table.table("type")
+    bounds = table.table("bounds")
+    steps = table.table("step")
+    said = {
         "log": logarithmic,
         "type": kinds.unread,
         "bounds": bounds.unread,
         "step": steps.unread,
     }
-    for key, named in keys.items():
+    for key, named in said.items():
         for name in named:
             if name not in names:
                 allowed = f"one of the parameters {listed(names, name) or '(none)'}"
                 raise InputError(f"candidates.{key}", name, allowed)
-    ends = {
-        name: bounds.range(name, (0, 0), -FARTHEST, FARTHEST) for name in bounds.unread
-    }
     found = {}
     for name in names:
-        if not any(name in named for named in keys.values()):
-            continue
-        kind = kinds.text(name, choices=KINDS) if name in keys["type"] else None
-        step = (
-            steps.number(name, low=LEAST_STEP, high=FARTHEST)
-            if name in keys["step"]
-            else None
-        )
-        found[name] = Declared(
-            cast(Kind, kind), ends.get(name), step, name in logarithmic
-        )
+        declared: dict[str, Any] = {"log": name in logarithmic}
+        if name in bounds.unread:
+            declared["bounds"] = bounds.range(name, (0, 0), -FARTHEST, FARTHEST)
+        if name in kinds.unread:
+            declared["kind"] = kinds.text(name, choices=KINDS)
+        if name in steps.unread:
+            declared["step"] = steps.number(name, low=LEAST_STEP, high=FARTHEST)
+        if any(declared.values()):
+            found[name] = Declared(**declared)
     return found

@@ -10,7 +10,7 @@ import statistics
 from collections.abc import Iterator, Sequence
 
 from study.bench.journal import State, Trial
-from study.bench.plan import Column, Plan
+from study.bench.plan import Plan
 
 Range = Sequence[float]
 
@@ -25,7 +25,7 @@ LARGEST = 1e100  # no measurement, in whatever unit
 
 
 def odd_value(value: float, simulated: Range | None, others: Sequence[float]) -> str:
-    """A warning of a trial's value; "" where nothing speaks against it.
+    """What speaks against a trial's value; "": nothing.
 
     Args:
         value: that was entered.
@@ -37,10 +37,9 @@ def odd_value(value: float, simulated: Range | None, others: Sequence[float]) ->
         return f"{value:g} is no measurement: is it right?"
     if simulated is None:
         return _odd_among(value, others)
-    low, high = simulated
-    beyond = BEYOND_WORLDS * (high - low)
-    if low - beyond <= value <= high + beyond and not _other_sign(value, low, high):
+    if not _is_far(value, simulated, BEYOND_WORLDS):
         return ""
+    low, high = simulated
     return f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
 
 
@@ -73,11 +72,11 @@ def doubts(plan: Plan, state: State, simulated: Range | None) -> dict[int, str]:
         state: of the bench.
         simulated: as of `odd_value`.
     """
-    found = dict[int, str]()
-    told = [trial for trial in state.trials.values() if trial.value is not None]
-    for trial in told:
-        others = [other for other in told if other is not trial]
-        if said := list(_doubts_of(plan, trial, others, simulated)):
+    found = {}
+    for trial in state.finished:
+        others = [other for other in state.finished if other is not trial]
+        said = list(_doubts_of(plan, trial, others, simulated))
+        if said:
             found[trial.number] = "; ".join(said)
     return found
 
@@ -85,28 +84,24 @@ def doubts(plan: Plan, state: State, simulated: Range | None) -> dict[int, str]:
 def _doubts_of(
     plan: Plan, trial: Trial, others: Sequence[Trial], simulated: Range | None
 ) -> Iterator[str]:
-    assert trial.value is not None
-    values = [other.value for other in others if other.value is not None]
-    if not trial.failed and (said := odd_value(trial.value, simulated, values)):
-        yield f"{plan.goal.value} {said}"
+    if not trial.failed:
+        said = odd_value(trial.result, simulated, [other.result for other in others])
+        if said:
+            yield f"{plan.goal.value} {said}"
     least = plan.least_of_a_walk
-    if least is not None and trial.value < least:
+    if least is not None and trial.result < least:
         yield (
             f"{plan.goal.value} {trial.value:g} is less than a walk of {plan.goal.duration_s:g} s "
             f"can cost, {least:.4g}: was it a log with clock times?"
         )
     for name, value in trial.columns.items():
         known = [other.columns[name] for other in others if name in other.columns]
-        if said := _odd_column(value, plan.columns[name], known):
+        if known:  # the limits of a column tell of its size too
+            column = plan.columns[name]
+            known += filter(math.isfinite, (column.least, column.most))
+        said = odd_value(value, None, known)
+        if said:
             yield f"{name} {said}"
-
-
-def _odd_column(value: float, column: Column, others: Sequence[float]) -> str:
-    """The limits of a column tell of its size too."""
-    if not abs(value) < LARGEST:
-        return f"{value:g} is no measurement: is it right?"
-    ends = [end for end in (column.least, column.most) if math.isfinite(end)]
-    return _odd_among(value, [*others, *ends] if others else [])
 
 
 def _odd_among(value: float, others: Sequence[float]) -> str:
@@ -117,16 +112,18 @@ def _odd_among(value: float, others: Sequence[float]) -> str:
     if len(others) < LEAST_KNOWN:
         return ""
     low, high = min(others), max(others)
-    beyond = BEYOND_TRIALS * (high - low)
-    if low - beyond <= value <= high + beyond and not _other_sign(value, low, high):
-        return ""
     nearest = low if value < low else high
-    if nearest * value > 0.0 and 1.0 / FACTOR <= value / nearest <= FACTOR:
+    is_near = nearest * value > 0.0 and 1.0 / FACTOR <= value / nearest <= FACTOR
+    if is_near or not _is_far(value, (low, high), BEYOND_TRIALS):
         return ""
     return (
         f"{value:g} is far from all other trials, {low:.4g} to {high:.4g}: is it right?"
     )
 
 
-def _other_sign(value: float, low: float, high: float) -> bool:
-    return (low > 0.0 > value) or (high < 0.0 < value)
+def _is_far(value: float, known: Range, share: float) -> bool:
+    """Whether a value is of another sign than all known ones, or beyond a share of their range."""
+    low, high = known
+    beyond = share * (high - low)
+    is_other_sign = low > 0.0 > value or high < 0.0 < value
+    return is_other_sign or not low - beyond <= value <= high + beyond

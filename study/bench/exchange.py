@@ -1,6 +1,7 @@
 """Trials of a bench as a file, and from one: all that a trial is goes out and comes in again."""
 
 import csv
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from io import StringIO
@@ -44,9 +45,7 @@ def read_trials(bench: Bench, path: Path) -> list[Own]:
         InputError: naming the column and what is wrong.
     """
     columns = bench.plan.columns
-    choices = {
-        name: choices_of(distribution) for name, distribution in bench.space.items()
-    }
+    choices = {name: choices_of(each) for name, each in bench.space.items()}
     named = [name for name, known in choices.items() if known]
     file = ForeignTable.read("import", path, words=[*WORDS, *named])
     _require_used(file.names, [*choices, *columns, "trial", "value", "failed", *WORDS])
@@ -59,28 +58,23 @@ def read_trials(bench: Bench, path: Path) -> list[Own]:
         failed = np.nan_to_num(file.numbers("failed"))
         if not np.isin(failed, (0.0, 1.0)).all():
             raise InputError("import: failed", "other numbers", "0 or 1 in each row")
-    for row in np.flatnonzero(np.isnan(values) & (failed > 0.0))[:1].tolist():
-        raise InputError(
-            f"import.value[{row}]", "nothing", "the value of each trial that failed"
-        )
-    if np.isnan(values).all():
+    is_empty = np.isnan(values)
+    if (is_empty & (failed > 0.0)).any():
+        row = int((is_empty & (failed > 0.0)).argmax())
+        allowed = "the value of each trial that failed"
+        raise InputError(f"import.value[{row}]", "nothing", allowed)
+    if is_empty.all():
         raise InputError("import", str(path), "a file with a value in one row at least")
     found = list[Own]()
-    for place in np.flatnonzero(~np.isnan(values)).tolist():
+    for place in np.flatnonzero(~is_empty).tolist():
+        numbers = {name: float(given[place]) for name, given in told.items()}
         said = {name: given[place] for name, given in words.items()}
         own = Own(
             params={name: given[place] for name, given in params.items()},
             value=float(values[place]),
-            columns={
-                name: float(n[place])
-                for name, n in told.items()
-                if not np.isnan(n[place])
-            },
+            columns={name: n for name, n in numbers.items() if not math.isnan(n)},
             failed=bool(failed[place]),
-            note=said.get("note", ""),
-            context=said.get("context"),
-            operator=said.get("operator") or None,
-            time=said.get("time") or None,
+            **said,
         )
         found.append(own)
     return found
@@ -96,13 +90,11 @@ def _require_used(names: Sequence[str], known: Sequence[str]) -> None:
     meant = {plain(name): name for name in known}
     for name in others:
         if plain(name) in meant:
-            raise InputError(
-                "import", name, f"{meant[plain(name)]}, as the bench has it"
-            )
+            allowed = f"{meant[plain(name)]}, as the bench has it"
+            raise InputError("import", name, allowed)
     if others:
-        warnings.warn(
-            f"columns that are no part of a trial: {listed(others)}", stacklevel=3
-        )
+        unused = f"columns that are no part of a trial: {listed(others)}"
+        warnings.warn(unused, stacklevel=3)
 
 
 def _parameter(file: ForeignTable, name: str, choices: Mapping[str, Any]) -> list[Any]:
@@ -111,7 +103,5 @@ def _parameter(file: ForeignTable, name: str, choices: Mapping[str, Any]) -> lis
     if choices:
         said = ["" if word is None else str(word) for word in given.tolist()]
         return [choices.get(word, word) for word in said]
-    found: list[Any] = (
-        file.numbers(name) if given.dtype.kind == "O" else given
-    ).tolist()
-    return found
+    numbers = file.numbers(name) if given.dtype.kind == "O" else given
+    return list(numbers.tolist())

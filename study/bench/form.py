@@ -9,7 +9,7 @@ machine tries them.
 
 import secrets
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor
 from contextlib import contextmanager
 from functools import partial
@@ -25,8 +25,8 @@ from storage.inputs.errors import InputError
 from storage.simulator import WALKER
 from storage.store import open_store
 from study.bench.bench import Bench
-from study.bench.journal import MOST_DIGITS, Trial
-from study.bench.words import shown, times
+from study.bench.journal import Trial
+from study.bench.words import MOST_DIGITS, number_of, shown, times
 from study.experiment.experiment import experiment_of
 from study.experiment.gains import named_gains, recorded_walk
 from study.loopback import HOST, Application, guarded
@@ -36,18 +36,24 @@ from study.pictures.scene import SMALL, frames
 PAGE = bottle.SimpleTemplate(
     Path(__file__).with_suffix(".html").read_text(encoding="utf-8")
 )
-PROTECTION = [
-    (
-        "Content-Security-Policy",
-        "default-src 'none'; style-src 'unsafe-inline'; media-src 'self'; "
-        "form-action 'self'; frame-ancestors 'none'",
-    ),
-    ("X-Content-Type-Options", "nosniff"),
-    ("Referrer-Policy", "same-origin"),
-    ("Cache-Control", "no-store"),
-]
-OPERATOR, COOKIE_S = "bench_operator", 30 * 24 * 3600
-SHOWN_ENTRIES, LONGEST_NAME = 20, 60
+# What browsers may do with an answer.
+PROTECTION = {
+    "Content-Security-Policy": "default-src 'none'; style-src 'unsafe-inline'; "
+    "media-src 'self'; form-action 'self'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+OPERATOR = "bench_operator"  # a cookie
+KEPT = {
+    "path": "/",
+    "httponly": True,
+    "samesite": "lax",
+    "maxage": 30 * 24 * 3600,
+}
+COLUMN = "column "  # before the name of one, in a form
+SHOWN_ENTRIES = 20
+LONGEST_NAME = 60
 Fields = Mapping[str, str]
 Filming = Callable[[Mapping[str, Any]], bytes]
 """An MP4 of parameters by name; pickles."""
@@ -69,10 +75,9 @@ def filming_of(bench: Bench, simulator: str | None) -> Filming | None:
     if simulator is not None:
         filmable(simulator, bench.space)
         return partial(filmed, simulator, {}, SECONDS)
-    candidates = bench.plan.candidates
-    if "store" not in candidates.unread:
+    if bench.plan.store is None:
         return None
-    store = open_store(candidates.folder / candidates.unread["store"])
+    store = open_store(bench.plan.store)
     fixed = store.specification.get("fixed_gains", {})
     return partial(of_walker, fixed) if store.simulator == WALKER else None
 
@@ -105,14 +110,12 @@ class Films:
         Raises:
             InputError: what the simulator or the film's encoder refuses.
         """
-        path = (
-            self._folder / f"{trial.number}.mp4"
-        )  # a number is given to one trial for ever
+        # A number is given to one trial for ever.
+        path = self._folder / f"{trial.number}.mp4"
         with self._turn:
             if not path.exists():
-                path.write_bytes(
-                    self._makers.submit(self._filming, trial.params).result()
-                )
+                film = self._makers.submit(self._filming, trial.params)
+                path.write_bytes(film.result())
         return path
 
 
@@ -126,90 +129,17 @@ def application(
         address: where it is served.
         films: of its candidates; None: they cannot be filmed.
     """
-    app, turn, own = bottle.Bottle(), threading.Lock(), bench.operator
-    token = "" if address == HOST else secrets.token_urlsafe(16)
-    cookie = f"bench_{secrets.token_hex(4)}"  # servers on other ports of a machine have others
-    kept = {"path": "/", "httponly": True, "samesite": "lax", "maxage": COOKIE_S}
-
-    def require_token() -> None:
-        request = bottle.request
-        given = (
-            request.get_cookie(cookie)
-            or (request.path == "/" and request.query.token)
-            or ""
-        )
-        if not secrets.compare_digest(given.encode() if token else b"", token.encode()):
-            bottle.abort(403, "open the link that the command has printed")
-        host, origin = request.get_header("Host"), request.get_header("Origin")
-        if (
-            origin is not None and origin.partition("://")[2] != host
-        ):  # https behind a proxy
-            bottle.abort(403, "only the page itself may make entries")
-
-    @contextmanager
-    def operated() -> Iterator[None]:
-        """The bench in the hands of the person who asks."""
-        with turn:
-            bench.operator = unquote(bottle.request.get_cookie(OPERATOR) or "") or own
-            yield
-
-    def show() -> Any:
-        if token and bottle.request.query.token:
-            bottle.response.set_cookie(cookie, token, **kept)
-            return bottle.redirect("/")
-        with operated():
-            return page_or_line(bench, bottle.request.query.entry)
-
-    def page_or_line(bench: Bench, entry: str = "", **told: Any) -> str:
-        """The page; or one line, where the database cannot be read now."""
-        try:
-            return page(bench, entry, filmed=films is not None, **told)
-        except InputError as error:
-            raise bottle.HTTPError(503, told.get("error") or str(error)) from None
-
-    def film(trial: int) -> Any:
-        with operated():
-            try:
-                known = bench.look().trials
-            except InputError as error:
-                return bottle.abort(503, str(error))
-        if films is None or trial not in known:
-            return bottle.abort(404, "no such film")
-        try:
-            path = films.of(known[trial])
-        except (InputError, BrokenExecutor) as error:
-            return bottle.abort(503, str(error))
-        return bottle.static_file(path.name, str(path.parent), mimetype="video/mp4")
-
-    def name_operator() -> Any:
-        name = bottle.request.forms.getunicode("operator", "").strip()[:LONGEST_NAME]
-        bottle.response.set_cookie(OPERATOR, quote(name), **kept)
-        return bottle.redirect("/")
-
-    def enter(action: str) -> Any:
-        if action not in ENTRIES:
-            bottle.abort(404, "no such entry")
-        try:
-            given = dict(bottle.request.forms.decode())
-        except UnicodeError:
-            bottle.abort(400, "this is no text")
-        with operated():
-            try:
-                ENTRIES[action](bench, given)
-            except InputError as error:
-                bottle.response.status = 400
-                return page_or_line(bench, error=str(error), given=given)
-            return bottle.redirect(f"/?entry={bench.entries[-1].number}")
-
+    pages = Pages(bench, address, films)
+    app = bottle.Bottle()
     app.default_error_handler = error_page
-    app.add_hook("before_request", require_token)
-    app.get("/", callback=show)
-    app.get("/film/<trial:int>", callback=film)
-    app.post("/operator", callback=name_operator)
-    app.post("/<action>", callback=enter)
-
-    answer = protected(app)
-    return (answer if token else guarded(answer, None)), token
+    app.add_hook("before_request", pages.require_token)
+    app.add_hook("after_request", lambda: bottle.response.headers.update(PROTECTION))
+    app.install(or_one_line)
+    app.get("/", callback=pages.show)
+    app.get("/film/<trial:int>", callback=pages.film)
+    app.post("/operator", callback=pages.name_operator)
+    app.post("/<action>", callback=pages.enter)
+    return (app if pages.token else guarded(app, None)), pages.token
 
 
 def error_page(error: Any) -> str:
@@ -218,97 +148,162 @@ def error_page(error: Any) -> str:
     return f'<!DOCTYPE html><title>bench</title><p role="alert">{line}'
 
 
-def protected(app: Application) -> Application:
-    """An application whose answers tell browsers what the page may do."""
+def or_one_line(answer: Callable[..., Any]) -> Callable[..., Any]:
+    """The answer; or one line, where the database cannot be read now, or no film made."""
 
-    def answer(
-        environment: dict[str, Any], start: Callable[..., Any]
-    ) -> Iterable[bytes]:
-        def begin(status: str, headers: list[tuple[str, str]], *error: Any) -> Any:
-            return start(status, [*headers, *PROTECTION], *error)
+    def answered(**given: Any) -> Any:
+        try:
+            return answer(**given)
+        except (InputError, BrokenExecutor) as error:
+            return bottle.HTTPError(503, str(error))
 
-        return app(environment, begin)
-
-    return answer
+    return answered
 
 
-def page(
-    bench: Bench,
-    entry: str = "",
-    error: str = "",
-    given: Fields | None = None,
-    filmed: bool = False,
-) -> str:
-    """The page after an entry of this number, or with an error and what was typed."""
-    state = bench.look()
-    told = list[str]()
-    if entry.isdecimal() and int(entry[:MOST_DIGITS]) < len(bench.entries):
-        made = bench.entries[int(entry[:MOST_DIGITS])]
-        value = made.data.get("value")
-        odd = "" if value is None else bench.odd(value)
-        doubts = bench.doubts(made.data["trial"]) if "trial" in made.data else []
-        told = [str(made).strip(), *([odd] if odd else doubts)]
-    trials = list(state.trials.values())
-    return str(
-        PAGE.render(
+class Pages:
+    """The answers of an `application`, whose arguments these are.
+
+    Attributes:
+        token: that a browser must show, or have shown; "": none.
+    """
+
+    def __init__(self, bench: Bench, address: str, films: Films | None) -> None:
+        self._bench = bench
+        self._films = films
+        self._own = bench.operator
+        self._turn = threading.Lock()
+        # Servers on other ports of a machine have cookies of other names.
+        self._cookie = f"bench_{secrets.token_hex(4)}"
+        self.token = "" if address == HOST else secrets.token_urlsafe(16)
+
+    def require_token(self) -> None:
+        """Refuse who has not opened the link, and what pages of other sites send."""
+        request = bottle.request
+        given = request.get_cookie(self._cookie)
+        if not given and request.path == "/":
+            given = request.query.token
+        if self.token and not secrets.compare_digest(
+            (given or "").encode(), self.token.encode()
+        ):
+            bottle.abort(403, "open the link that the command has printed")
+        origin = request.get_header("Origin")
+        # The page's own is of https where a proxy stands before it.
+        if origin is not None and origin.partition("://")[2] != request.get_header(
+            "Host"
+        ):
+            bottle.abort(403, "only the page itself may make entries")
+
+    @contextmanager
+    def _operated(self) -> Iterator[Bench]:
+        """The bench, alone, in the hands of the person who asks."""
+        with self._turn:
+            named = unquote(bottle.request.get_cookie(OPERATOR) or "")
+            self._bench.operator = named or self._own
+            yield self._bench
+
+    def show(self) -> Any:
+        """The page, after an entry if the address says so."""
+        if self.token and bottle.request.query.token:
+            bottle.response.set_cookie(self._cookie, self.token, **KEPT)
+            return bottle.redirect("/")
+        with self._operated() as bench:
+            bench.look()
+            return self._page(told=told_of(bench, bottle.request.query.entry))
+
+    def film(self, trial: int) -> Any:
+        """The film of a trial."""
+        with self._operated() as bench:
+            known = bench.look().trials
+        if self._films is None or trial not in known:
+            return bottle.abort(404, "no such film")
+        path = self._films.of(known[trial])
+        return bottle.static_file(path.name, str(path.parent), mimetype="video/mp4")
+
+    def name_operator(self) -> Any:
+        """Keep the name of the person who asks, in the browser."""
+        name = bottle.request.forms.getunicode("operator", "").strip()[:LONGEST_NAME]
+        bottle.response.set_cookie(OPERATOR, quote(name), **KEPT)
+        return bottle.redirect("/")
+
+    def enter(self, action: str) -> Any:
+        """Make an entry, and show it; or the page with what is wrong and what was typed."""
+        if action not in ENTRIES:
+            bottle.abort(404, "no such entry")
+        try:
+            given = dict(bottle.request.forms.decode())
+        except UnicodeError:
+            bottle.abort(400, "this is no text")
+        with self._operated() as bench:
+            try:
+                ENTRIES[action](bench, given)
+            except InputError as error:
+                bench.look()
+                bottle.response.status = 400
+                return self._page(error=str(error), given=given)
+            return bottle.redirect(f"/?entry={bench.entries[-1].number}")
+
+    def _page(
+        self, told: str = "", error: str = "", given: Fields | None = None
+    ) -> str:
+        bench = self._bench
+        page: str = PAGE.render(
             plan=bench.plan,
-            context=state.context,
+            context=bench.state.context,
             operator=bench.operator,
-            told=" ".join(told),
+            told=told,
             error=error,
             given=given or {},
             shown=shown,
-            undone=state.undone,
-            filmed=filmed,
+            undone=bench.state.undone,
+            filmed=self._films is not None,
             times=times,
             remark=bench.plan.horizon_note(),
             pending=bench.pending(),
-            finished=[trial for trial in reversed(trials) if trial.value is not None],
+            finished=reversed(bench.state.finished),
             entries=bench.entries[: -SHOWN_ENTRIES - 1 : -1],
         )
-    )
+        return page
 
 
-def number(given: Fields, name: str) -> float | None:
-    """A number that was typed; None where nothing was.
-
-    Raises:
-        InputError: something else.
-    """
-    word = given.get(name, "").strip()
-    return typed.number(name, word) if word else None
+def told_of(bench: Bench, entry: str) -> str:
+    """What is to be said of the entry of this number; "" where there is none."""
+    if not entry.isdecimal() or int(entry[:MOST_DIGITS]) >= len(bench.entries):
+        return ""
+    made = bench.entries[int(entry[:MOST_DIGITS])]
+    about = made.data.get("trial")
+    doubts = [] if about is None else bench.doubts(about)
+    return " ".join([str(made).strip(), *doubts])
 
 
 def trial_of(given: Fields, name: str = "trial") -> int:
     """The number of a trial, or of an entry, that a form is about."""
-    word = given.get(name, "")
-    if not word.isdecimal() or len(word) > MOST_DIGITS:
-        raise InputError(name, word, "a number")
-    return int(word)
+    return number_of(name, given.get(name, ""))
 
 
-def rest(bench: Bench, given: Fields) -> dict[str, Any]:
-    """Columns and note of a result."""
-    named = {name: number(given, f"column {name}") for name in bench.plan.columns}
-    columns = {name: value for name, value in named.items() if value is not None}
-    return {"columns": columns, "note": given.get("note", "")}
+def result(given: Fields) -> dict[str, Any]:
+    """What was typed of a result: the value, or after how long it failed, columns and the note.
 
-
-def result(bench: Bench, given: Fields) -> dict[str, Any]:
-    """The value of a trial, or after how long it failed, with the rest."""
-    value = number(given, "value")
-    return {"value": value, "failed_s": number(given, "seconds"), **rest(bench, given)}
+    Raises:
+        InputError: something that is no number.
+    """
+    numbers = {
+        name: typed.number(name, word)
+        for name, word in given.items()
+        if word.strip() and (name in ("value", "seconds") or name.startswith(COLUMN))
+    }
+    return {
+        "value": numbers.pop("value", None),
+        "failed_s": numbers.pop("seconds", None),
+        "columns": {name.removeprefix(COLUMN): n for name, n in numbers.items()},
+        "note": given.get("note", ""),
+    }
 
 
 ENTRIES: dict[str, Callable[[Bench, Fields], Any]] = {
     "next": lambda bench, given: bench.next(trial_of(given, "batch")),
-    "record": lambda bench, given: bench.record(
-        trial_of(given), **result(bench, given)
-    ),
+    "record": lambda bench, given: bench.record(trial_of(given), **result(given)),
     "abort": lambda bench, given: bench.abort(trial_of(given), given.get("note", "")),
-    "correct": lambda bench, given: bench.correct(
-        trial_of(given), **result(bench, given)
-    ),
+    "correct": lambda bench, given: bench.correct(trial_of(given), **result(given)),
     "undo": lambda bench, given: bench.undo(trial_of(given, "entry")),
     "context": lambda bench, given: bench.context(given.get("name", "").strip()),
 }

@@ -31,7 +31,6 @@ LOG = " (log)"  # after the name of the study whose attributes are the entries
 KEY = "entry {:06d}"
 WAIT_S = 20.0  # for another command on the same bench
 MOST_TOLD = 6  # results of an entry that are shown with it
-MOST_DIGITS = 9  # of the number of a trial, or of an entry, that somebody types
 
 
 @dataclass(frozen=True)
@@ -52,33 +51,40 @@ class Entry:
     operator: str
     data: Mapping[str, Any]
 
+    @property
+    def trials(self) -> list[int]:
+        """Numbers of the trials that it is about."""
+        if "trials" in self.data:
+            return [int(trial["number"]) for trial in self.data["trials"]]
+        return [int(self.data["trial"])] if "trial" in self.data else []
+
     def __str__(self) -> str:
         """One line."""
-        what = ", ".join(map(str, trials_of(self)))
+        what = ", ".join(map(str, self.trials))
         if self.kind == "undo":
             what = f"entry {self.data['entry']}"
         elif self.kind == "context":
             what = self.data.get("name", what)
         results = self.data.get("trials", [self.data])
-        told = "; ".join(filter(None, map(result_text, results[:MOST_TOLD])))
+        told = "; ".join(filter(None, map(_result_text, results[:MOST_TOLD])))
         if told and len(results) > MOST_TOLD:
             told += f"; and {len(results) - MOST_TOLD} more"
         head = f"{self.number:>4}  {self.time}  {self.operator}: {self.kind} {what}".rstrip()
         return f"{head}: {told}" if told else head
 
 
-def result_text(data: Mapping[str, Any]) -> str:
+def _result_text(data: Mapping[str, Any]) -> str:
     """The numbers of a result as somebody has entered them; "": there are none."""
     parts = list[str]()
-    if data.get("seconds") is not None:
+    is_timed = data.get("seconds") is not None
+    if is_timed:
         parts.append(f"failed after {data['seconds']:.12g} s")
     if data.get("value") is not None:
         parts.append(f"{data['value']:.12g}")
-    if (
-        data.get("failed") is False and "params" not in data
-    ):  # the correction of a failure
+    is_correction = "params" not in data
+    if data.get("failed") is False and is_correction:
         parts.append("no longer a failure")
-    if data.get("failed") and data.get("seconds") is None:  # of an import
+    if data.get("failed") and not is_timed:  # of an import
         parts.append("failed")
     parts += [f"{name} {value:.12g}" for name, value in data.get("columns", {}).items()]
     return ", ".join(parts)
@@ -119,6 +125,12 @@ class Trial:
     time: str = ""
     values: list[float] = field(default_factory=list)
 
+    @property
+    def result(self) -> float:
+        """The value of a finished trial."""
+        assert self.value is not None
+        return self.value
+
 
 @dataclass
 class State:
@@ -140,6 +152,16 @@ class State:
         """The trials of a context, in their order."""
         return [trial for trial in self.trials.values() if trial.context == context]
 
+    @property
+    def finished(self) -> list[Trial]:
+        """The trials that have a result."""
+        return [trial for trial in self.trials.values() if trial.value is not None]
+
+    @property
+    def pending(self) -> list[Trial]:
+        """The trials that have none yet."""
+        return [trial for trial in self.trials.values() if trial.value is None]
+
     def trial(self, number: int, finished: bool) -> Trial:
         """A trial of this number.
 
@@ -147,25 +169,23 @@ class State:
             InputError: there is none, or it is finished where it must not be, or the
                 reverse.
         """
-        waiting = [n for n, trial in self.trials.items() if trial.value is None]
-        pending = listed(waiting, number)
-        if number not in self.trials:
-            known = f"0 to {self.count - 1}; pending: {pending or 'none'}"
-            raise InputError(
-                "trial", number, known if self.count else "none: ask for the next one"
-            )
-        found = self.trials[number]
-        if (found.value is not None) != finished:
+        found = self.trials.get(number)
+        if found is not None and (found.value is not None) == finished:
+            return found
+        waiting = [trial.number for trial in self.pending]
+        pending = listed(waiting, number) or "none"
+        if self.count == 0:
+            allowed = "none: ask for the next one"
+        elif found is None:
+            allowed = f"0 to {self.count - 1}; pending: {pending}"
+        elif finished:
+            allowed = "a finished trial"
+        else:
             allowed = (
-                "a finished trial"
-                if finished
-                else f"a pending trial ({pending or 'none'})"
+                f"a pending trial ({pending}); "
+                "`correct` changes the result of a finished one"
             )
-            other = (
-                "" if finished else "; `correct` changes the result of a finished one"
-            )
-            raise InputError("trial", number, allowed + other)
-        return found
+        raise InputError("trial", number, allowed)
 
 
 class Journal:
@@ -213,16 +233,10 @@ class Journal:
             if self.name in names:
                 raise InputError("name", self.name, "a name that no other study has")
             return []
-        found, number = list[Entry](), 0
+        found = list[Entry]()
         with read_errors(self.url):
-            while (data := known.get(KEY.format(number))) is not None:
-                rest = {
-                    key: data[key] for key in data if key not in ("kind", "time", "by")
-                }
-                found.append(
-                    Entry(number, data["kind"], data["time"], data["by"], rest)
-                )
-                number += 1
+            while (written := known.get(KEY.format(len(found)))) is not None:
+                found.append(_entry(len(found), written))
         return found
 
     def append(self, kind: str, data: Mapping[str, Any], operator: str) -> Entry:
@@ -232,16 +246,21 @@ class Journal:
             storage=self.storage, study_name=self.name + LOG, load_if_exists=True
         )
         moment = datetime.now(UTC).isoformat(timespec="seconds")
-        head = {"kind": kind, "time": moment, "by": operator}
-        study.set_user_attr(KEY.format(number), head | dict(data))
-        return Entry(number, kind, moment, operator, dict(data))
+        written = {"kind": kind, "time": moment, "by": operator, **data}
+        study.set_user_attr(KEY.format(number), written)
+        return _entry(number, written)
 
 
-def trials_of(entry: Entry) -> list[int]:
-    """Numbers of the trials that an entry is about."""
-    if "trials" in entry.data:
-        return [int(trial["number"]) for trial in entry.data["trials"]]
-    return [int(entry.data["trial"])] if "trial" in entry.data else []
+def _entry(number: int, written: Mapping[str, Any]) -> Entry:
+    """An entry as the database has it."""
+    data = dict(written)
+    return Entry(
+        number=number,
+        kind=data.pop("kind"),
+        time=data.pop("time"),
+        operator=data.pop("by"),
+        data=data,
+    )
 
 
 def read_state(entries: list[Entry]) -> State:
@@ -250,10 +269,9 @@ def read_state(entries: list[Entry]) -> State:
     for entry in reversed(entries):
         if entry.kind == "undo" and entry.number not in undone:
             undone.add(int(entry.data["entry"]))
-    state = State({}, "", 0, frozenset(undone))
+    state = State(trials={}, context="", count=0, undone=frozenset(undone))
     for entry in entries:
-        numbers = trials_of(entry)
-        state.count = max([state.count, *(number + 1 for number in numbers)])
+        state.count = max([state.count, *(number + 1 for number in entry.trials)])
         if entry.number in undone:
             continue
         data = entry.data
@@ -262,7 +280,8 @@ def read_state(entries: list[Entry]) -> State:
         for given in data.get("trials", ()):
             trial = Trial(**{"operator": entry.operator, "time": entry.time} | given)
             trial.columns = dict(trial.columns)  # corrections must not reach the entry
-            trial.values += [trial.value] if trial.value is not None else []
+            if trial.value is not None:
+                trial.values.append(trial.value)
             state.trials[trial.number] = trial
         # Version 0.3.0 could bring an entry back whose trial is gone.
         if data.get("trial") in state.trials:
@@ -290,7 +309,7 @@ def _changed_by(entry: Entry, entries: list[Entry]) -> set[int]:
     """Numbers of the trials that an entry changes; an undoing, those of what it undoes."""
     while entry.kind == "undo":
         entry = entries[entry.data["entry"]]
-    return set(trials_of(entry))
+    return set(entry.trials)
 
 
 def undoable(entries: list[Entry], number: int | None, operator: str) -> Entry:
@@ -300,39 +319,30 @@ def undoable(entries: list[Entry], number: int | None, operator: str) -> Entry:
         InputError: there is none, or a later entry stands on it.
     """
     undone = read_state(entries).undone
-    standing = [
-        entry for entry in entries if entry.number not in undone and entry.number
-    ]
-    done = [entry for entry in standing if entry.kind != "undo"]
-    own = [entry for entry in done if entry.operator == operator]
-    if number is None and done and not own:
-        last = " ".join(str(done[-1]).split())
-        allowed = f"the number of an entry, none of which is {operator}'s; the last one is {last}"
-        raise InputError("undo", "the last", allowed)
-    found = (
-        own[-1:]
-        if number is None
-        else [one for one in standing if one.number == number]
-    )
+    standing = [entry for entry in entries[1:] if entry.number not in undone]
+    if number is None:
+        done = [entry for entry in standing if entry.kind != "undo"]
+        found = [entry for entry in done if entry.operator == operator]
+        if done and not found:
+            last = " ".join(str(done[-1]).split())
+            none = f"none of which is {operator}'s; the last one is {last}"
+            allowed = f"the number of an entry, {none}"
+            raise InputError("undo", "the last", allowed)
+    else:
+        found = [entry for entry in standing if entry.number == number]
     if not found:
-        standing_numbers = [entry.number for entry in standing]
-        numbers = listed(standing_numbers, number or "") or "there is none"
-        raise InputError(
-            "undo",
-            "the last" if number is None else number,
-            f"an entry that stands: {numbers}",
-        )
-    (chosen,) = found
-    about = _changed_by(chosen, entries)
-    # An undoing counts if what it undid is earlier: what comes back must find its trial
-    # there.
-    later = [
-        one for one in standing if one.data.get("entry", 0) < chosen.number < one.number
-    ]
-    stands_on = next(
-        (entry for entry in later if about & _changed_by(entry, entries)), None
-    )
-    if stands_on is not None:
-        allowed = f"entry {stands_on.number} first, which is about the same trial"
-        raise InputError("undo", chosen.number, allowed)
+        refused = "the last" if number is None else number
+        numbers = listed([entry.number for entry in standing], number or "")
+        allowed = f"an entry that stands: {numbers or 'there is none'}"
+        raise InputError("undo", refused, allowed)
+    chosen = found[-1]
+    for later in standing:
+        # An undoing counts if what it undid is earlier: what comes back must find its
+        # trial there.
+        stands_on = later.data.get("entry", 0) < chosen.number < later.number
+        if stands_on and not _changed_by(chosen, entries).isdisjoint(
+            _changed_by(later, entries)
+        ):
+            allowed = f"entry {later.number} first, which is about the same trial"
+            raise InputError("undo", chosen.number, allowed)
     return chosen

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import optuna
@@ -24,7 +24,6 @@ from storage.simulator import SURVIVED
 from storage.store import open_store
 from study.bench.candidates import better_of, of_file
 from study.bench.journal import LOG, Trial
-from study.bench.words import horizon
 from study.sampler.sampler import MOST_OFF_GRID, FeatureKernelSampler
 from study.sampler.table import FeatureTable
 
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from study.experiment.objective import Term
 
 Floats = NDArray[np.float64]
+Missing = TypeVar("Missing", None, float)
 
 SMOOTH = "smooth"  # the cost of a store, if the file names none
 # Parts of the file that may change under a running bench: none tells what a trial was.
@@ -83,11 +83,13 @@ class Goal:
             return {}
         return dict(zip(("failed_at_once", "failed_at_end"), self.failed, strict=True))
 
+    def is_better(self, value: float, other: float) -> bool:
+        """Whether a value is better than another one."""
+        return value > other if self.maximise else value < other
+
     def is_good(self, value: float) -> bool:
         """Whether it is as good as `success`; any value is where nothing says what success is."""
-        if self.success is None:
-            return True
-        return value >= self.success if self.maximise else value <= self.success
+        return self.success is None or not self.is_better(self.success, value)
 
     def in_worlds(self, term: "Term") -> "Cost":
         """Values by a column of a store, or a function of them; runs that fell are failures.
@@ -192,39 +194,51 @@ class Plan:
             for limit, excess in self.columns[name].limits(name, value).items()
         }
 
-    def kept(self, told: Mapping[str, float]) -> bool | None:
-        """Whether the columns of a trial keep all limits; None: one that has limits is missing."""
-        if any(excess > 0.0 for excess in self.limits(told).values()):
-            return False
-        return True if all(name in told for name in self.limited) else None
+    def broke(self, trial: Trial) -> bool:
+        """Whether a trial broke a limit, as far as is known."""
+        return any(excess > 0.0 for excess in self.limits(trial.columns).values())
 
     def may_be_named(self, trial: Trial) -> bool:
         """Whether a finished trial neither failed nor, as far as is known, broke a limit."""
-        return not trial.failed and self.kept(trial.columns) is not False
+        return not trial.failed and not self.broke(trial)
+
+    @property
+    def store(self) -> Path | None:
+        """The store that the candidates are the rows of; None: they are those of a file."""
+        store = self.candidates.unread.get("store")
+        return None if store is None else self.candidates.folder / store
+
+    @property
+    def priced_store(self) -> Path | None:
+        """The store, if what its rows cost in its worlds is known, and not features of them."""
+        return None if self.candidates.unread.get("features") else self.store
+
+    @property
+    def _cost(self) -> str:
+        """What a row of a store costs, by the name that the file has for it."""
+        return str(self.candidates.unread.get("cost", SMOOTH))
 
     @property
     def least_of_a_walk(self) -> float | None:
         """What a walk of the whole duration costs at least, 1 / (1 + t) of the smooth cost."""
-        candidates, duration_s = self.candidates.unread, self.goal.duration_s
-        if "store" not in candidates or candidates.get("cost", SMOOTH) != SMOOTH:
+        if self.store is None or self._cost != SMOOTH:
             return None
+        duration_s = self.goal.duration_s
         return 1.0 / (1.0 + duration_s) if math.isfinite(duration_s) else None
 
     @property
     def price_of_a_fall(self) -> float | None:
         """What a fall at once costs in a store whose cost prices falls itself; None: in others."""
-        candidates = self.candidates.unread
-        if "store" not in candidates or candidates.get("features"):
+        if self.priced_store is None:
             return None
         from study.experiment.objective import PRINTED, TRIAL_DTYPE
         from taichi_nmm.result import FELL
 
-        printed = PRINTED.get(candidates.get("cost", SMOOTH))
-        if printed is None:
+        if self._cost not in PRINTED:
             return None
         rows = np.zeros(1, TRIAL_DTYPE)
         rows["end_reason"] = FELL
-        return float(printed(rows)[0])
+        return float(PRINTED[self._cost](rows)[0])
 
     @property
     def direction(self) -> StudyDirection:
@@ -245,33 +259,33 @@ class Plan:
             InputError: naming the key of the file, or the column and row.
         """
         table = Table(self.candidates.unread, "candidates", self.candidates.folder)
-        with warnings.catch_warnings(
-            action="ignore", category=UserWarning
-        ):  # of rows left out
-            is_store = "store" in table.unread
-            found = _of_store(table, self.goal) if is_store else of_file(table, begun)
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
+            # They are of rows that are left out.
+            is_file = self.store is None
+            found = of_file(table, begun) if is_file else _of_store(table, self.goal)
         table.done()
         return found
 
     def cautions(self) -> list[str]:
         """A line for each family of the store in which no row came to the end."""
-        given = self.candidates.unread
-        if "store" not in given or given.get("features"):
+        if self.priced_store is None:
             return []
         from study.experiment.features import cautions_of
 
-        return cautions_of(open_store(self.candidates.folder / given["store"]))
+        return cautions_of(open_store(self.priced_store))
 
     def horizon_note(self) -> str:
         """A sentence on runs of the store that last longer or shorter than a trial; "": none."""
-        given = self.candidates.unread
-        if "store" not in given or given.get("features"):
+        if self.priced_store is None:
             return ""
-        store = open_store(self.candidates.folder / given["store"])
-        runs_s = [
-            float(store.settings_of(name)["horizon_s"]) for name in store.families
-        ]
-        return horizon(runs_s, self.goal.duration_s)
+        store = open_store(self.priced_store)
+        trial_s = self.goal.duration_s
+        runs_s = {store.settings_of(name)["horizon_s"] for name in store.families}
+        said = " and ".join(f"{run_s:g}" for run_s in sorted(runs_s - {trial_s}))
+        if not said:
+            return ""
+        trial = f", a trial {trial_s:g} s" if math.isfinite(trial_s) else ""
+        return f"Simulated runs last {said} s{trial}: what is simulated is the cost of such a run."
 
     def sampler(
         self,
@@ -286,7 +300,8 @@ class Plan:
             allowed: which of them may be proposed, [n]; None: all.
             limits_of: trials elsewhere, of which the limits alone are learned.
         """
-        rows, options = candidates.rows, dict[str, Any]()
+        rows = candidates.rows
+        options = dict[str, Any]()
         if rows.worlds is None and rows.alike is None:
 
             def features(points: Floats) -> Floats:
@@ -316,46 +331,43 @@ def read_plan(path: Path) -> Plan:
 
 
 def _plan_of(table: Table, path: Path) -> Plan:
-    data = table.unread
+    document = {key: given for key, given in table.unread.items() if key not in FREE}
     name = table.text("name", path.stem)
     if not name.strip() or "/" in name:
         raise InputError("name", name, "a name without /")
-    goal = table.table("goal")
-    own_columns = table.table("columns")
-    columns = {key: _column(own_columns.table(key)) for key in own_columns.unread}
-    safety = table.table("safety")
-    is_named = "url" in table.table("storage").unread
-    storage = table.table("storage").text("url", file_url(path.with_suffix(".db")))
-    shown_url(storage)  # refuses what is no study database
-    if is_named:
-        storage = _beside(path, storage, name)
-    off_grid = (
-        table.integer("off_grid", 0, 0, MOST_OFF_GRID) if "off_grid" in data else None
-    )
+    columns = table.table("columns")
     plan = Plan(
-        path,
-        {key: value for key, value in data.items() if key not in FREE},
-        name,
-        table.text("about", ""),
-        table.integer("seed", 0),
-        table.table("candidates"),
-        _goal(goal),
-        columns,
-        Safety(
-            safety.number("most_step", Safety.most_step, 0.0, 1.0),
-            safety.number("least_success", Safety.least_success, 0.0, 1.0),
-            safety.number("least_kept", Safety.least_kept, 0.0, 1.0),
+        path=path,
+        document=document,
+        name=name,
+        about=table.text("about", ""),
+        seed=table.integer("seed", 0),
+        candidates=table.table("candidates"),
+        goal=_goal(table.table("goal")),
+        columns={key: _column(columns.table(key)) for key in columns.unread},
+        safety=_safety(table.table("safety")),
+        off_grid=(
+            table.integer("off_grid", low=0, high=MOST_OFF_GRID)
+            if "off_grid" in table.unread
+            else None
         ),
-        off_grid,
-        storage,
+        url=_url(table.table("storage"), path, name),
     )
-    for part in (table, goal, safety, table.table("columns"), table.table("storage")):
+    for part in (table, *map(table.table, ("goal", "safety", "columns", "storage"))):
         part.done()
-    if plan.safety.least_success > 0.0 and plan.goal.success is None:
-        raise InputError(
-            "safety.least_success", plan.safety.least_success, "0 without goal.success"
-        )
+    least_success = plan.safety.least_success
+    if least_success > 0.0 and plan.goal.success is None:
+        allowed = "0 without goal.success"
+        raise InputError("safety.least_success", least_success, allowed)
     return plan
+
+
+def _url(table: Table, path: Path, name: str) -> str:
+    """The URL of the database of a bench of this file and name."""
+    is_named = "url" in table.unread
+    url = table.text("url", file_url(path.with_suffix(".db")))
+    shown_url(url)  # refuses what is no study database
+    return _beside(path, url, name) if is_named else url
 
 
 def _beside(path: Path, url: str, name: str) -> str:
@@ -376,31 +388,51 @@ def _beside(path: Path, url: str, name: str) -> str:
 
 
 def _goal(table: Table) -> Goal:
-    def optional(key: str) -> float | None:
-        return table.number(key) if key in table.unread else None
-
-    success, duration_s = optional("success"), optional("duration_s")
-    ends = optional("failed_at_once"), optional("failed_at_end")
-    if ends != (None, None) and (
-        None in ends or duration_s is None or duration_s <= 0.0
-    ):
+    duration_s = _number(table, "duration_s", None)
+    at_once = _number(table, "failed_at_once", None)
+    at_end = _number(table, "failed_at_end", None)
+    is_long = duration_s is not None and duration_s > 0.0
+    failed = None
+    if at_once is not None and at_end is not None and is_long:
+        failed = (at_once, at_end)
+    elif at_once is not None or at_end is not None:
         allowed = (
             "all of failed_at_once, failed_at_end and duration_s (above 0), or none"
         )
         raise InputError("goal", "a part", allowed)
-    failed = None if ends[0] is None or ends[1] is None else (ends[0], ends[1])
-    maximise, value = table.boolean("maximise", False), table.text("value", "value")
-    return Goal(value, maximise, success, failed, duration_s or math.inf)
+    return Goal(
+        value=table.text("value", "value"),
+        maximise=table.boolean("maximise", False),
+        success=_number(table, "success", None),
+        failed=failed,
+        duration_s=duration_s or math.inf,
+    )
 
 
 def _column(table: Table) -> Column:
-    least, most = (
-        table.number(key) if key in table.unread else far
-        for key, far in (("least", -math.inf), ("most", math.inf))
+    column = Column(
+        unit=table.text("unit", ""),
+        least=_number(table, "least", -math.inf),
+        most=_number(table, "most", math.inf),
     )
-    column = Column(table.text("unit", ""), least, most)
     table.done()
     return column
+
+
+def _safety(table: Table) -> Safety:
+    def share(key: str) -> float:
+        return table.number(key, getattr(Safety, key), 0.0, 1.0)
+
+    return Safety(
+        most_step=share("most_step"),
+        least_success=share("least_success"),
+        least_kept=share("least_kept"),
+    )
+
+
+def _number(table: Table, key: str, missing: Missing) -> float | Missing:
+    """The number of a key that may be missing."""
+    return table.number(key) if key in table.unread else missing
 
 
 def _of_store(table: Table, goal: Goal) -> FeatureTable:

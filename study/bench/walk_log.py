@@ -37,22 +37,24 @@ def cost_of_log(path: Path, duration_s: float) -> float:
     if len(log) < 2:
         raise InputError("log", f"{len(log)} rows", "two rows or more")
     time_s = log.seconds(TIME)
-    elapsed_s, gaps_s = float(time_s[-1]), np.diff(time_s)
+    elapsed_s = float(time_s[-1])
+    gaps_s = np.diff(time_s)
     most_s = MOST_TRIALS * duration_s if math.isfinite(duration_s) else LONGEST_S
     if elapsed_s > most_s:
         allowed = f"seconds, of a trial of {duration_s:g} s: up to {most_s:g}"
         raise InputError(f"log.{TIME}", f"{elapsed_s:g} from first to last", allowed)
-    for row in np.flatnonzero(
-        gaps_s > max(LONGEST_GAP_S, USUAL_GAPS * np.median(gaps_s))
-    )[:1]:
+    is_long = gaps_s > max(LONGEST_GAP_S, USUAL_GAPS * np.median(gaps_s))
+    if is_long.any():
+        row = int(is_long.argmax())
         allowed = "rows without such a gap; a clock in seconds, not as hhmmss"
         found = f"{gaps_s[row]:g} s after the row before"
         raise InputError(f"log.{TIME}[{row + 1}]", found, allowed)
     position_m = log.numbers(POSITION)
-    for row in np.flatnonzero(~np.isfinite(position_m))[:1].tolist():
-        raise InputError(
-            f"log.{POSITION}[{row}]", float(position_m[row]), "a finite number"
-        )
+    is_known = np.isfinite(position_m)
+    if not is_known.all():
+        row = int(is_known.argmin())
+        where = f"log.{POSITION}[{row}]"
+        raise InputError(where, float(position_m[row]), "a finite number")
     distance_m = float(position_m[-1] - position_m[0])
     speed_mps = distance_m / elapsed_s
     if not math.isfinite(speed_mps) or abs(speed_mps) > FASTEST_MPS:

@@ -5,19 +5,16 @@ a column of an export. So its name must not be one that these have already.
 """
 
 import getpass
-import json
 import os
-import shlex
 import socket
 from collections.abc import Collection, Iterator
-from pathlib import Path
 from typing import Any
 
 from storage.inputs.errors import InputError
-from study.bench.journal import Trial
-from study.options import COMMANDS, DECLARED, is_printable
+from study.options import is_printable, parser_of
 
 PROGRAM = ("taichi-nmm", "bench")
+MOST_DIGITS = 9  # of the number of a trial, or of an entry, that somebody types
 TIMES = {1: "once", 2: "twice"}
 EXPORTED = (
     "trial",
@@ -75,16 +72,10 @@ def clashes(
     taken |= {plain(name): f"--{name} is an option of `bench`" for name in _options()}
     taken |= {plain(name): f"{name} is a parameter" for name in parameters}
     for name in columns:
-        if (
-            not name.strip("- ")
-            or "=" in name
-            or name[0] in "- "
-            or not is_printable(name)
-        ):
-            why = (
-                "one that can be typed as an option, without = and with a letter first"
-            )
-            yield "columns", name, why
+        has_a_letter_first = name.strip("- ") and name[0] not in "- "
+        if not has_a_letter_first or "=" in name or not is_printable(name):
+            how = "without = and with a letter first"
+            yield "columns", name, f"one that can be typed as an option, {how}"
         elif plain(name) in taken:
             yield "columns", name, taken[plain(name)]
         taken[plain(name)] = f"{name} is another column"
@@ -92,17 +83,7 @@ def clashes(
 
 def _options() -> list[str]:
     """Names of the options of `taichi-nmm bench`, without dashes."""
-    declared = [
-        each
-        for option in COMMANDS["bench"]["options"]
-        for each in (
-            DECLARED["shared"][option["like"]] if "like" in option else [option]
-        )
-    ]
-    return [flag.lstrip("-") for option in declared for flag in option["flags"]] + [
-        "help",
-        "h",
-    ]
+    return [flag.lstrip("-") for flag in parser_of("bench").flags]
 
 
 def plain(name: str) -> str:
@@ -110,48 +91,15 @@ def plain(name: str) -> str:
     return name.strip().casefold().replace("_", "-").replace(" ", "-")
 
 
-def sheet(
-    trial: Trial,
-    *,
-    name: str,
-    columns: Collection[str],
-    parameters: Collection[str],
-    remark: str = "",
-    file: Path | None = None,
-) -> str:
-    """A trial to run, for paper, with the command line that enters its result.
+def number_of(field: str, word: str) -> int:
+    """The number of a trial, or of an entry, that somebody types.
 
-    Args:
-        trial: that runs next.
-        name: of the bench.
-        columns: names of its other numbers.
-        parameters: names of its parameters.
-        remark: what else is to be known about the trial; "": nothing.
-        file: of the bench, if the command line must name it.
+    Raises:
+        InputError: something else.
     """
-    head = " | ".join(filter(None, [f"trial {trial.number}", name, trial.context]))
-    if trial.aborted:
-        head += f" (again: broken off {times(trial.aborted)})"
-    width = max(map(len, trial.params))
-    values = [
-        f"  {name:<{width}}  {shown(value)}" for name, value in trial.params.items()
-    ]
-    untyped = {
-        name for field, name, _ in clashes(columns, parameters) if field == "columns"
-    }
-    words = [*PROGRAM, "record", str(trial.number)]
-    if file is not None:
-        words += ["--bench", str(file)]
-    enter = shlex.join(words)
-    for option in ("value", *(name for name in columns if name not in untyped)):
-        enter += f" {shlex.quote(f'--{option}')} ..."
-    lines = [head, *values, trial.why, remark, f"enter: {enter}"]
-    if untyped:
-        # A bench of 0.3.0: its options of these names are something else.
-        lines.append(
-            f"on the page of `bench serve` alone: {', '.join(sorted(untyped))}"
-        )
-    return "\n".join([*filter(None, lines), ""])
+    if not word.isdecimal() or len(word) > MOST_DIGITS:
+        raise InputError(field, word, "a number")
+    return int(word)
 
 
 def times(count: int) -> str:
@@ -162,28 +110,3 @@ def times(count: int) -> str:
 def shown(value: Any) -> str:
     """A parameter as a sheet has it."""
     return f"{value:.8g}" if isinstance(value, float) else str(value)
-
-
-def horizon(runs_s: Collection[float], duration_s: float) -> str:
-    """A sentence on runs of a store that last no trial, whose costs are known of; "": all do.
-
-    Args:
-        runs_s: lengths of the runs.
-        duration_s: of a whole trial; infinite where it has no end.
-    """
-    others = sorted({length for length in runs_s if length != duration_s})
-    if not others:
-        return ""
-    said = " and ".join(f"{length:g}" for length in others)
-    trial = f", a trial {duration_s:g} s" if duration_s < float("inf") else ""
-    return f"Simulated runs last {said} s{trial}: what is simulated is the cost of such a run."
-
-
-def json_line(document: Any, encoding: str | None) -> str:
-    """A document as JSON in one line, with the letters that a terminal's encoding has."""
-    text = json.dumps(document, ensure_ascii=False)
-    try:
-        text.encode(encoding or "ascii")
-    except UnicodeEncodeError:
-        return json.dumps(document)
-    return text

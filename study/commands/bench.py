@@ -19,12 +19,11 @@ from storage.commit import commit_text, require_writable
 from storage.inputs import typed
 from storage.inputs.errors import InputError, listed
 from storage.inputs.reading import json_document, toml_document
-from study.bench import words
-from study.bench.bench import Bench
+from study.bench.bench import Bench, Own
 from study.bench.candidates import beyond_bounds
 from study.bench.exchange import export_text, read_trials
-from study.bench.journal import MOST_DIGITS, Trial
-from study.bench.words import PROGRAM
+from study.bench.journal import Trial
+from study.bench.words import PROGRAM, clashes, number_of, shown, times
 from study.options import COMMANDS, require_used
 
 EVERYWHERE = "0.0.0.0"
@@ -39,15 +38,13 @@ def main(args: Namespace) -> None:
     used = COMMANDS["bench"]["uses"][args.action]
     if args.action == "new":
         require_used(args, used, args.action)
-        bench = Bench.new(
-            needed(args.what, "what", "the TOML file of the bench"), args.operator
-        )
+        path = needed(args.what, "what", "the TOML file of the bench")
+        bench = Bench.new(path, args.operator)
         rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
         warn([*bench.plan.cautions(), *bench.doubts()])
-        print(
-            f"next: {shlex.join([*PROGRAM, 'next', '--bench', str(bench.plan.path)])}"
-        )
+        line = [*PROGRAM, "next", "--bench", str(bench.plan.path)]
+        print(f"next: {shlex.join(line)}")
         return
     require_used(args, [*used, "--bench"], args.action)
     bench = Bench(args.bench or only_bench(), args.operator)
@@ -59,12 +56,11 @@ def main(args: Namespace) -> None:
 
 def only_bench() -> Path:
     """The TOML file of the working folder that describes a bench."""
-    found = [
-        path
-        for path in sorted(Path().glob("*.toml"))
-        if {"candidates", "goal"}
-        <= toml_document("bench", path, "readable TOML").keys()
-    ]
+    found = []
+    for path in sorted(Path().glob("*.toml")):
+        tables = toml_document("bench", path, "readable TOML")
+        if "candidates" in tables and "goal" in tables:
+            found.append(path)
     if len(found) != 1:
         names = listed(found) or "none in this folder"
         raise InputError("bench", names, "one: give --bench FILE")
@@ -83,51 +79,79 @@ def next_trials(bench: Bench, args: Namespace) -> None:
         commit_text(args.json, json.dumps(known, indent=1, ensure_ascii=False) + "\n")
 
 
-def sheet(bench: Bench, trial: Trial, file: Path | None = None) -> str:
-    """A trial to run, for paper; the command line on it names the file of the bench, if any."""
+def sheet(bench: Bench, trial: Trial, file: Path | None) -> str:
+    """A trial to run, for paper, with the command line that enters its result.
+
+    Args:
+        bench: that it is of.
+        trial: that runs next.
+        file: of the bench, if the command line must name it.
+    """
     plan = bench.plan
-    return words.sheet(
-        trial,
-        name=plan.name,
-        columns=plan.columns,
-        parameters=bench.space,
-        remark=plan.horizon_note(),
-        file=file,
-    )
+    head = " | ".join(filter(None, [f"trial {trial.number}", plan.name, trial.context]))
+    if trial.aborted:
+        head += f" (again: broken off {times(trial.aborted)})"
+    width = max(map(len, trial.params))
+    values = [f"  {name:<{width}}  {shown(of)}" for name, of in trial.params.items()]
+    line = [*PROGRAM, "record", str(trial.number)]
+    if file is not None:
+        line += ["--bench", str(file)]
+    enter = shlex.join(line)
+    # A bench of 0.3.0 may have columns whose options are something else.
+    named = clashes(plan.columns, bench.space)
+    untyped = {name for field, name, _ in named if field == "columns"}
+    for option in ("value", *(name for name in plan.columns if name not in untyped)):
+        enter += f" {shlex.quote(f'--{option}')} ..."
+    lines = [head, *values, trial.why, plan.horizon_note(), f"enter: {enter}"]
+    if untyped:
+        names = ", ".join(sorted(untyped))
+        lines.append(f"on the page of `bench serve` alone: {names}")
+    return "\n".join([*filter(None, lines), ""])
+
+
+def json_line(document: Any) -> str:
+    """A document as JSON in one line, with the letters that the terminal's encoding has."""
+    text = json.dumps(document, ensure_ascii=False)
+    try:
+        text.encode(sys.stdout.encoding or "ascii")
+    except UnicodeEncodeError:
+        return json.dumps(document)
+    return text
 
 
 def record(bench: Bench, args: Namespace) -> None:
     """Enter, correct or add the result of a trial."""
     value = args.value
-    columns = others(args)
     if args.log is not None:
         from study.bench.walk_log import cost_of_log
 
         if value is not None:
-            raise InputError(
-                "value", value, "the value, or --log, which gives it, not both"
-            )
+            allowed = "the value, or --log, which gives it, not both"
+            raise InputError("value", value, allowed)
         value = cost_of_log(args.log, bench.plan.goal.duration_s)
-    which = None if args.action == "add" else number(args)
-    if args.action == "fail":
-        seconds = needed(args.seconds, "seconds", "a time")
-        bench.record(number(args), failed_s=seconds, columns=columns, note=args.note)
-    elif args.action == "correct":
-        bench.correct(
-            number(args), value, failed_s=args.seconds, columns=columns, note=args.note
-        )
-    elif args.action == "add":
-        gains = json_document(
-            "gains", needed(args.gains, "gains", PARAMETERS), PARAMETERS
-        )
+    told: dict[str, Any] = {
+        "columns": {
+            name: typed.number(name, word) for name, word in args.others.items()
+        },
+        "note": args.note,
+    }
+    if args.action == "add":
+        path = needed(args.gains, "gains", PARAMETERS)
+        gains = json_document("gains", path, PARAMETERS)
         value = needed(value, "value", "the trial's value")
-        (which,) = bench.add([(gains, value, columns, args.note)])
+        (which,) = bench.add([Own(gains, value, **told)])
         print(f"trial {which}")
     else:
-        value = needed(value, "value", "the trial's value, or --log")
-        bench.record(number(args), value, columns=columns, note=args.note)
-    odd = "" if value is None else bench.odd(value)
-    warn([odd] if odd else bench.doubts(which))
+        which = number(args)
+        if args.action == "correct":
+            bench.correct(which, value, failed_s=args.seconds, **told)
+        elif args.action == "fail":
+            seconds = needed(args.seconds, "seconds", "a time")
+            bench.record(which, failed_s=seconds, **told)
+        else:
+            value = needed(value, "value", "the trial's value, or --log")
+            bench.record(which, value, **told)
+    warn(bench.doubts(which))
     print(bench.entries[-1])
 
 
@@ -141,18 +165,16 @@ def status(bench: Bench, args: Namespace) -> None:
     """Print the trials, and the entries."""
     state = bench.state
     print(" | ".join(filter(None, [bench.plan.name, bench.plan.about, state.context])))
-    for field, name, why in words.clashes(bench.plan.columns, bench.space):
+    for field, name, why in clashes(bench.plan.columns, bench.space):
         warn([f"{field} {name}: {why}; what was typed may stand in another place"])
     warn(list(beyond_bounds(bench.plan.candidates, bench.space)))
     for trial in state.trials.values():
         value = "pending" if trial.value is None else f"{trial.value:.6g}"
-        marks = ", ".join(
-            filter(None, ["failed" * trial.failed, trial.context, trial.note])
-        )
-        columns = "".join(
-            f"  {name} {given:g}" for name, given in trial.columns.items()
-        )
-        print(f"trial {trial.number:>3}  {value:<10}{columns}  {marks}".rstrip())
+        line = f"trial {trial.number:>3}  {value:<10}"
+        line += "".join(f"  {name} {given:g}" for name, given in trial.columns.items())
+        failed = "failed" if trial.failed else ""
+        marks = ", ".join(filter(None, [failed, trial.context, trial.note]))
+        print(f"{line}  {marks}".rstrip())
     for entry in bench.entries:
         print(f"{entry}{' (undone)' if entry.number in state.undone else ''}")
     warn(bench.doubts())
@@ -162,9 +184,7 @@ def recommend(bench: Bench, args: Namespace) -> None:
     """Print the best gains by the model, and what to repeat; or that nothing is known yet."""
     state = bench.state
     where = f" in {state.context}" if state.context else ""
-    finished = [
-        trial for trial in state.of_context(state.context) if trial.value is not None
-    ]
+    finished = [trial for trial in state.finished if trial.context == state.context]
     if not finished:
         print(f"Nothing to recommend yet: no trial is finished{where}.")
         return
@@ -173,7 +193,7 @@ def recommend(bench: Bench, args: Namespace) -> None:
         return
     best = bench.best()
     print(best)
-    print(words.json_line(dict(best.params), sys.stdout.encoding))
+    print(json_line(dict(best.params)))
     print("The interval is that of the mean, without the noise of a single trial.")
     number = bench.repeat()
     if number is not None:
@@ -187,24 +207,23 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
     from study.pictures import style
     from study.sampler.diagnostics import RankCorrelation
 
-    trials, simulated = bench.state.trials, bench.simulated()
-    told = np.array([(simulated[n], trials[n].value) for n in simulated], dtype=float)
+    simulated = bench.simulated()
+    seen = {number: bench.state.trials[number].result for number in simulated}
     lines = [
-        f"trial {n:>3}  simulated {a:10.4g}  seen {b:10.4g}"
-        for n, (a, b) in zip(simulated, told.tolist(), strict=True)
+        f"trial {number:>3}  simulated {value:10.4g}  seen {seen[number]:10.4g}"
+        for number, value in simulated.items()
     ]
-    r = RankCorrelation.of(told[:, 0], told[:, 1]) if len(told) else None
-    lines += [
-        f"Rank correlation of simulated and seen: {r or 'too few trials'}",
-        "",
-        bench.worth(),
-    ]
+    expected = np.array([*simulated.values()])
+    found = np.array([*seen.values()])
+    r = RankCorrelation.of(expected, found) if simulated else None
+    lines.append(f"Rank correlation of simulated and seen: {r or 'too few trials'}")
+    lines += ["", bench.worth()]
     print("\n".join(lines))
     path = bench.plan.path.with_name(f"{bench.plan.name}-simulator.png")
     figure = style.new_figure(4.5, 4.0)
     axes = figure.add_subplot()
     style.tidy(axes)
-    axes.plot(*told.reshape(-1, 2).T, "o", color=style.BLACK)
+    axes.plot(expected, found, "o", color=style.BLACK)
     axes.set_xlabel("simulated")
     axes.set_ylabel(f"seen: {bench.plan.goal.value}")
     figure.tight_layout()
@@ -228,9 +247,8 @@ def import_trials(bench: Bench, args: Namespace) -> None:
     if entered:
         print(f"trials {', '.join(map(str, entered))}")
     if known:
-        print(
-            f"there already: trials {', '.join(map(str, known))}; `add` enters a trial again"
-        )
+        numbers = ", ".join(map(str, known))
+        print(f"there already: trials {numbers}; `add` enters a trial again")
 
 
 def other(bench: Bench, args: Namespace) -> None:
@@ -250,13 +268,16 @@ def serve(bench: Bench, args: Namespace) -> None:
     from study.bench.form import Films, application, filming_of
     from study.loopback import HOST, wsgi_server
 
-    address, filming = args.listen or HOST, filming_of(bench, args.simulator)
+    address = args.listen or HOST
+    filming = filming_of(bench, args.simulator)
     with tempfile.TemporaryDirectory() as folder, Processes(1) as makers:
         films = None if filming is None else Films(filming, makers, Path(folder))
         app, token = application(bench, address, films)
         with wsgi_server(app, address, args.port) as server:
             host = socket.gethostname() if address == EVERYWHERE else address
-            link = f"http://{host}:{server.server_port}/{f'?token={token}' if token else ''}"
+            link = f"http://{host}:{server.server_port}/"
+            if token:
+                link += f"?token={token}"
             print(f"bench       {link}  (Ctrl-C ends it)", flush=True)
             with suppress(KeyboardInterrupt):
                 server.serve_forever()
@@ -264,10 +285,7 @@ def serve(bench: Bench, args: Namespace) -> None:
 
 def number(args: Namespace) -> int:
     """The number of a trial or an entry."""
-    word = needed(args.what, "what", "the number of a trial")
-    if not word.isdecimal() or len(word) > MOST_DIGITS:
-        raise InputError("what", word, "a number")
-    return int(word)
+    return number_of("what", needed(args.what, "what", "the number of a trial"))
 
 
 def needed(value: Any, field: str, allowed: str) -> Any:
@@ -275,14 +293,6 @@ def needed(value: Any, field: str, allowed: str) -> Any:
     if value is None:
         raise InputError(field, "missing", allowed)
     return value
-
-
-def others(args: Namespace) -> dict[str, float]:
-    """Columns that options name."""
-    found = {}
-    for name, word in args.others.items():
-        found[name] = typed.number(name, word)
-    return found
 
 
 ACTIONS: dict[str, Callable[[Bench, Namespace], None]] = {

@@ -79,7 +79,9 @@ def test_a_log_of_a_walk_gives_the_cost(
     bench("correct 0 --log short.csv", capsys)
     short = Bench("walk.toml").state.trials[0].value
     assert whole is not None and short is not None and whole < short
-    assert "warning: -31 is far from all" in bench("correct 0 --cost -31", capsys)
+    assert "warning: trial 0: J/m -31 is far from all" in bench(
+        "correct 0 --cost -31", capsys
+    )
 
 
 @pytest.mark.parametrize(("line", "said"), asset("bench-refusals.toml").items())
