@@ -7,7 +7,7 @@ import sys
 import tempfile
 import tomllib
 from argparse import Namespace
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,13 @@ from study.pictures.trajectory_files import (
 )
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.mujoco_engine import require_mujoco
-from taichi_nmm.result import ENERGY, FURTHER_FIELDS, OF_MUSCLES, known_numbers
+from taichi_nmm.result import (
+    ENERGY,
+    FURTHER_FIELDS,
+    OF_MUSCLES,
+    Trajectory,
+    known_numbers,
+)
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.walker_simulator import require_engine
@@ -67,19 +73,9 @@ MUSCLES_ALONE = (
     "{} lacks {}, the energy with that of the motors: the row spends least with its muscles alone; "
     "compute the store anew, or ask for that by name: --least {}"
 )
-ANGLES = (
-    "knee_peak_swing_rad",
-    "ankle_strike_rad",
-    "ankle_takeoff_rad",
-    "trunk_mean_rad",
-)
 LONGEST_MOVIE_S = 120.0
-CHOICES = (
-    "gains",
-    "row",
-    "speed",
-    "trial",
-)  # options, of which one may name the controller
+# Options, of which one may name the controller, and the one that it needs beside it.
+CHOICES = {"gains": None, "row": "store", "speed": "store", "trial": "storage"}
 REPORTED = (
     *OUTCOMES,
     ENERGY,
@@ -90,13 +86,8 @@ REPORTED = (
 )
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 COLUMN = 10  # characters
-OF_THE_FRONT = (
-    "--front",
-    "--store",
-    "--config",
-    "--arch",
-    "--json",
-)  # options that it uses
+# Options that it uses.
+OF_THE_FRONT = ("--front", "--store", "--config", "--arch", "--json")
 
 
 def find_gains(args: Namespace) -> NamedGains:
@@ -104,24 +95,26 @@ def find_gains(args: Namespace) -> NamedGains:
     given = [name for name in CHOICES if getattr(args, name) is not None]
     if len(given) > 1:
         raise InputError(given[1], getattr(args, given[1]), f"none beside --{given[0]}")
+    kind = given[0] if given else "gains"
+    beside = CHOICES[kind]
     for where, kinds in (("store", ("row", "speed")), ("storage", ("trial",))):
-        is_needed = given[0] in kinds if given else False
-        if is_needed == (getattr(args, where) is None):
-            missing, kind = (where, given[0]) if is_needed else (kinds[0], kinds[0])
-            raise InputError(
-                missing, None, f"a value: --{kind} and --{where} belong together"
-            )
-    if args.least is not None and args.speed is None:
+        is_there = getattr(args, where) is not None
+        if is_there != (where == beside):
+            needing = kinds[0] if is_there else kind
+            missing = needing if is_there else where
+            allowed = f"a value: --{needing} and --{where} belong together"
+            raise InputError(missing, None, allowed)
+    if args.least is not None and kind != "speed":
         raise InputError("least", args.least, "none without --speed")
-    if args.speed is not None:
+    if kind == "speed":
         speeds = checks.each(checks.number(0.0))("speed", args.speed)
         least = args.least or priced(args.store)
         rows = [row_at_speed(args.store, speed, least) for speed in speeds]
         first, *later = (gains_of_row(args.store, row) for row in rows)
         return replace(first, later=tuple(later))
-    if args.row is not None:
+    if kind == "row":
         return gains_of_row(args.store, args.row)
-    if args.trial is not None:
+    if kind == "trial":
         return gains_of_trial(args.trial, args.storage)
     return gains_of_source(args.gains or "reference")
 
@@ -130,9 +123,8 @@ def priced(store: Path) -> str:
     """What a row of a store is to have the least of; a line is printed where that lacks motors."""
     if has_worlds_of(open_store(store), ENERGY):
         return ENERGY
-    print(
-        f"warning: {MUSCLES_ALONE.format(store, ENERGY, OF_MUSCLES)}", file=sys.stderr
-    )
+    lacking = MUSCLES_ALONE.format(store, ENERGY, OF_MUSCLES)
+    print(f"warning: {lacking}", file=sys.stderr)
     return OF_MUSCLES
 
 
@@ -147,18 +139,6 @@ def folder_of(gains: NamedGains, experiment: Experiment, args: Namespace) -> Pat
     }
     digest = hashlib.sha256(json.dumps(walk, sort_keys=True).encode()).hexdigest()
     return Path("out") / "walk" / f"{gains.name}-{digest[:DIGEST_LENGTH]}"
-
-
-def require_no_other(folder: Path, made: Collection[str]) -> None:
-    """Refuse a folder with a picture that this walk does not make: it may be of another one.
-
-    Raises:
-        InputError: naming the picture.
-    """
-    for shows, name in FILES.items():
-        if shows not in made and (folder / name).exists():
-            allowed = "a folder without it: this walk makes none, and that one may be of another"
-            raise InputError("out", str(folder / name), allowed)
 
 
 def read(args: Namespace) -> Experiment:
@@ -200,32 +180,50 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
 
 
 def write_pictures(
-    result: taichi_nmm.Result,
+    walks: Mapping[str, taichi_nmm.Result],
     experiment: Experiment,
-    run: int,
+    args: Namespace,
     folder: Path,
-    title: str,
-    movie_s: float,
+    name: str,
 ) -> dict[str, str]:
-    """Draw, and return the paths of the pictures by their names."""
-    trajectory, terrain = result.trajectories[0], experiment.terrain(run)
-    weight_n = experiment.weight_n(run)
+    """Draw, and return the paths of the pictures by their names.
+
+    Args:
+        walks: the walk by each engine; the first is drawn, several are compared.
+        experiment: in which they walked.
+        args: of the command.
+        folder: of the pictures.
+        name: of the controller and the ground.
+    """
+    result, *_ = walks.values()
+    trajectory = result.trajectories[0]
+    terrain = experiment.terrain(args.run)
+    weight_n = experiment.weight_n(args.run)
+    title = f"{name}: {row_text(result.rows[0])}"
     files = {shows: folder / name for shows, name in FILES.items()}
-    for file in (
-        files.values()
-    ):  # of an earlier walk: if we are stopped, none stays beside ours
+    for file in files.values():
+        # Of an earlier walk: if we are stopped, none stays beside ours.
         file.unlink(missing_ok=True)
-    paths = {
-        "strip": write_strip(files["strip"], trajectory, terrain, title),
-        "gait_cycle": write_gait_cycle(
-            files["gait_cycle"], trajectory, weight_n, title
-        ),
-    }
-    if movie_s > 0:
-        paths["movie"] = write_movie(
-            files["movie"], trajectory, terrain, movie_s, title
-        )
-    return {name: str(path) for name, path in paths.items()}
+    paths = [
+        write_strip(files["strip"], trajectory, terrain, title),
+        write_gait_cycle(files["gait_cycle"], trajectory, weight_n, title),
+    ]
+    if args.movie_seconds > 0:
+        movie_s = args.movie_seconds
+        paths.append(write_movie(files["movie"], trajectory, terrain, movie_s, title))
+    if len(walks) > 1:
+        shown = [
+            strip.Shown(
+                label=engine,
+                title=f"{engine}: {row_text(walk.rows[0])}",
+                trajectory=walk.trajectories[0],
+            )
+            for engine, walk in walks.items()
+        ]
+        compared = f"{name}, run {args.run}: two engines"
+        figure = strip.strips_figure(shown, terrain, compared)
+        paths.append(style.save_png(figure, files["strips"]))
+    return {path.stem: str(path) for path in paths}
 
 
 def ended(walk: taichi_nmm.Result, terrain: Terrain) -> str:
@@ -235,37 +233,34 @@ def ended(walk: taichi_nmm.Result, terrain: Terrain) -> str:
 
 
 def summary(
-    name: str, walks: dict[str, taichi_nmm.Result], terrain: Terrain, mass_kg: float
+    name: str,
+    walks: Mapping[str, taichi_nmm.Result],
+    terrain: Terrain,
+    mass_kg: float,
 ) -> str:
     """For people: how the walk of each engine ended, then a line each number and a column each."""
-    ends = [
-        f"{name}, {engine}: {ended(walk, terrain)}" for engine, walk in walks.items()
-    ]
-    columns = [["", *FIGURES]]
-    for engine, walk in walks.items():
-        values = known_numbers(walk.rows[0]) | {"mass_kg": mass_kg}
-        for field in ANGLES:
-            angle = values[field]
-            values[field] = None if angle is None else math.degrees(angle)
-        values["double_support_percent"] = 100 * (
-            values["double_support_fraction"] or 0.0
-        )
-        columns.append(
-            [engine, *(figure_text(figure, values) for figure in FIGURES.values())]
-        )
+    lines = [f"{name}, {by}: {ended(walk, terrain)}" for by, walk in walks.items()]
     wide = max(map(len, FIGURES))
-    lines = [
-        label.ljust(wide) + "".join(each.rjust(COLUMN) for each in numbers)
-        for label, *numbers in zip(*columns, strict=True)
+    lines.append(" " * wide + "".join(engine.rjust(COLUMN) for engine in walks))
+    known = [
+        known_numbers(walk.rows[0]) | {"mass_kg": mass_kg} for walk in walks.values()
     ]
-    return "\n".join([*ends, *lines])
+    for label, figure in FIGURES.items():
+        column, _, form = figure.partition(":")
+        shown = [figure_text(column, form, values[column]) for values in known]
+        lines.append(label.ljust(wide) + "".join(each.rjust(COLUMN) for each in shown))
+    return "\n".join(lines)
 
 
-def figure_text(figure: str, values: Mapping[str, float | int | None]) -> str:
-    """A number as `FIGURES` has it, "column:format"; "-" where it is unknown."""
-    column, _, form = figure.partition(":")
-    value = values[column]
-    return "-" if value is None else f"{value:{form}}"
+def figure_text(column: str, form: str, value: float | None) -> str:
+    """A number, an angle in degrees, a fraction in percent; "-" where it is unknown."""
+    if value is None:
+        return "-"
+    if column.endswith("_rad"):
+        value = math.degrees(value)
+    if column.endswith("_fraction"):
+        value *= 100
+    return f"{value:{form}}"
 
 
 def report(
@@ -299,17 +294,16 @@ def show_front(args: Namespace, experiment: Experiment) -> None:
     if not goals:
         raise InputError("front", experiment.name, "a configuration with two goals")
     store = open_store(args.store)
-    front = front_of(
-        feature_table(store, WORLDS, experiment.space, experiment.objective)
-    )
+    table = feature_table(store, WORLDS, experiment.space, experiment.objective)
+    names = ["row", *goals]
+    rows = [dict(zip(names, row, strict=True)) for row in front_of(table)]
     if args.json:
-        print(
-            json.dumps([dict(zip(["row", *goals], row, strict=True)) for row in front])
-        )
+        print(json.dumps(rows))
         return
-    print("".join(name.rjust(COLUMN) for name in ["row", *goals]))
-    for row, *means in front:
-        print(f"{row:{COLUMN}}" + "".join(f"{mean:{COLUMN}.4g}" for mean in means))
+    print("".join(name.rjust(COLUMN) for name in names))
+    for row in rows:
+        means = "".join(f"{row[goal]:{COLUMN}.4g}" for goal in goals)
+        print(f"{row['row']:{COLUMN}}{means}")
 
 
 def main(args: Namespace) -> None:
@@ -323,19 +317,48 @@ def main(args: Namespace) -> None:
         checks.number(SHORTEST_TRIAL_S, LONGEST_TRIAL_S)("duration", args.duration)
     checks.number(0.0, LONGEST_MOVIE_S)("movie-seconds", args.movie_seconds)
     experiment = read(args)
+    folder = prepared_folder(gains, experiment, args)
+    engines = [experiment.conditions.settings.engine]
+    if args.engine == BOTH_ENGINES:
+        engines = [*ENGINES]
+    walks = {
+        engine: simulate(gains, experiment.with_settings(engine=engine), args.run)
+        for engine in engines
+    }
+    result = walks[engines[0]]
+    terrain = experiment.terrain(args.run)
+    mass_kg = float(experiment.body(args.run).mass_kg.sum())
+    name = f"{gains.name} on {terrain.name}"
+    paths = write_pictures(walks, experiment, args, folder, name)
+    paths |= write_files(result.trajectories[0], gains.name, experiment, args)
+    if args.json:
+        print(json.dumps(report(gains, result, terrain, mass_kg, paths)))
+        return
+    print(summary(name, walks, terrain, mass_kg))
+    for shows, path in paths.items():
+        print(f"{shows.replace('_', ' '):<19} {path}")
+
+
+def prepared_folder(gains: NamedGains, experiment: Experiment, args: Namespace) -> Path:
+    """The folder of the pictures, once nothing is in the way of the walk and its files."""
+    is_compared = args.engine == BOTH_ENGINES
+    made = {"strip", "gait_cycle"}
     if args.movie_seconds > 0:
         find_ffmpeg()
+        made.add("movie")
+    if is_compared:
+        made.add("strips")
     require_engine(experiment.conditions.settings)
-    if args.engine == BOTH_ENGINES or args.mjcf is not None:
+    if is_compared or args.mjcf is not None:
         require_mujoco()
-    if args.out is None:
-        folder = folder_of(gains, experiment, args)
-    else:
-        folder = args.out
-        made = {"strip", "gait_cycle"}
-        made |= {"movie"} if args.movie_seconds > 0 else set()
-        made |= {"strips"} if args.engine == BOTH_ENGINES else set()
-        require_no_other(folder, made)
+    folder: Path = args.out or folder_of(gains, experiment, args)
+    others = [name for shows, name in FILES.items() if shows not in made]
+    found = [str(folder / name) for name in others if (folder / name).exists()]
+    if found and args.out is not None:
+        allowed = (
+            "a folder without it: this walk makes none, and that one may be of another"
+        )
+        raise InputError("out", found[0], allowed)
     for file in args.trajectory:
         require_trajectory_file(file)
     if args.opensim is not None:
@@ -345,50 +368,22 @@ def main(args: Namespace) -> None:
     with writable(folder):  # before the work
         folder.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=folder).close()
-    result = simulate(gains, experiment, args.run)
-    terrain, mass_kg = (
-        experiment.terrain(args.run),
-        float(experiment.body(args.run).mass_kg.sum()),
-    )
-    name = f"{gains.name} on {terrain.name}"
-    title = f"{name}: {row_text(result.rows[0])}"
-    paths = write_pictures(
-        result, experiment, args.run, folder, title, args.movie_seconds
-    )
-    walks = {experiment.conditions.settings.engine: result}
-    if args.engine == BOTH_ENGINES:
-        walks[ENGINES[1]] = simulate(
-            gains, experiment.with_settings(engine=ENGINES[1]), args.run
-        )
-        shown = [
-            strip.Shown(
-                engine, f"{engine}: {row_text(walk.rows[0])}", walk.trajectories[0]
-            )
-            for engine, walk in walks.items()
-        ]
-        figure = strip.strips_figure(
-            shown, terrain, f"{name}, run {args.run}: two engines"
-        )
-        paths["strips"] = str(style.save_png(figure, folder / FILES["strips"]))
+    return folder
+
+
+def write_files(
+    trajectory: Trajectory, name: str, experiment: Experiment, args: Namespace
+) -> dict[str, str]:
+    """Write a walk for other programs; the paths of all such files, by their kinds."""
+    paths = {}
+    world = experiment.world(args.run)
     if args.mjcf is not None:
         paths["mjcf"] = str(args.mjcf)
     for file in args.trajectory:
-        write_trajectory(
-            file, result.trajectories[0], gains.name, experiment.world(args.run)
-        )
+        write_trajectory(file, trajectory, name, world)
         paths[file.suffix.removeprefix(".")] = str(file)
     if args.opensim is not None:
-        write_opensim(
-            args.opensim,
-            result.trajectories[0],
-            experiment.body(args.run),
-            gains.name,
-            experiment.world(args.run),
-        )
+        body = experiment.body(args.run)
+        write_opensim(args.opensim, trajectory, body, name, world)
         paths["opensim"] = str(args.opensim)
-    if args.json:
-        print(json.dumps(report(gains, result, terrain, mass_kg, paths)))
-        return
-    print(summary(name, walks, terrain, mass_kg))
-    for shows, path in paths.items():
-        print(f"{shows.replace('_', ' '):<19} {path}")
+    return paths
