@@ -1,6 +1,8 @@
 """A robot: two parameters, six simulated worlds, and the truth, which is none of them."""
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,11 +49,20 @@ def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:
 
 def cost(params: dict[str, float], stiffness: float = 150.0) -> float:
     """What a trial shows, on a ground that wants this stiffness."""
-    return (
-        0.2
-        + abs(np.log(params["stiffness"] / stiffness))
-        + abs(params["damping"] - 0.9)
-    )
+    softness = abs(np.log(params["stiffness"] / stiffness))
+    return 0.2 + softness + abs(params["damping"] - 0.9)
+
+
+def tell(bench: Bench, value: float, **columns: float) -> int:
+    """Run the next trial; its number."""
+    (trial,) = bench.next()
+    bench.record(trial.number, value, columns=columns)
+    return trial.number
+
+
+def enter(bench: Bench, call: str, given: Iterable[Any], **named: Any) -> None:
+    """Make an entry, as tests/assets/bench-entries.toml has it."""
+    getattr(bench, call)(*given, **named)
 
 
 def run(bench: Bench, trials: int, stiffness: float = 150.0) -> list[dict[str, float]]:
