@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from tests.cases import ASSETS
+
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     "--no-sandbox",
@@ -39,6 +41,7 @@ def opened_page(width: int, height: int) -> Iterator[Any]:
         )
         page = browser.new_page(viewport={"width": width, "height": height})
         page.set_default_timeout(PATIENCE_MS)
+        page.add_init_script(path=ASSETS / "hands.js")
         broken: list[str] = []
         page.on("pageerror", lambda error: broken.append(str(error)))
         yield page

@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from bokeh.document import Document
 from bokeh.layouts import column
@@ -22,7 +23,6 @@ from bokeh.themes import Theme
 from storage.simulator import WALKER
 from storage.specification import require_parameters
 from storage.store import Store
-from study.experiment.gains import gains_at, gains_of_source
 from study.explore.server import NIGHT, Latest, Message, Saver, flow
 from study.explore.store_view import StoreView, file_of_selection, numbers_of
 from study.explore.trials import Trials, open_rows
@@ -32,13 +32,11 @@ from study.pictures.movie import filmable, filmed
 Page = Callable[[Executor, Executor, Document], None]
 """Takes the processes that simulate, those that make files, and the document of a tab."""
 
-FIRST_GAIT = "reference"
 BASE = "base setting"
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
 VIDEO_CSS = "video { width: 100% }"
-THEME = Theme(
-    json={"attrs": {"Widget": {"stylesheets": [NIGHT]}}}
-)  # of those without their own
+# Of widgets without a sheet of their own.
+THEME = Theme(json={"attrs": {"Widget": {"stylesheets": [NIGHT]}}})
 
 
 class RobotView:
@@ -57,8 +55,10 @@ class RobotView:
         simulator: str | None,
         robot: Any,
     ) -> None:
-        self._message, self._store = message, store
-        self._simulator, self._robot = simulator, robot
+        self._message = message
+        self._store = store
+        self._simulator = simulator
+        self._robot = robot
         self._place: int | None = None  # of the row that is shown
         self._films = Latest(document, makers, self._filmed, message.failed)
         saver = Saver(document, makers, message)
@@ -79,16 +79,21 @@ class RobotView:
         film = Button(label="film", name="film-it", disabled=simulator is None)
         film.on_click(message.safely(self._film))
         words = "" if simulator else "films: explore --simulator my_robot.py:robot"
-        above = flow(
-            self._world, self._duration, film, Div(text=words, name="no-films")
+        no_films = Div(text=words, name="no-films")
+        panel = column(
+            flow(self._world, self._duration, film, no_films),
+            self._video,
+            self._numbers,
+            sizing_mode="stretch_width",
+            name="The chosen row",
         )
-        parts = above, self._video, self._numbers
-        self.panels = [
-            column(*parts, sizing_mode="stretch_width", name="The chosen row")
-        ]
+        self.panels = [panel]
 
-    def show(self, place: int) -> None:
-        """Show a row, by its place among the store's rows."""
+    def start(self) -> None:
+        """Wait for a click on a row."""
+
+    def show_row(self, place: int, row: int) -> None:
+        """Show a row, by its place among the store's rows; its number is not asked for."""
         self._place = place
         self._world.options = list(worlds_of(self._store))
         self._numbers.text = numbers_text(self._store, place)
@@ -98,13 +103,10 @@ class RobotView:
         if self._place is None or self._robot is None:
             return
         # A store has whole numbers as floats, a choice as its number.
-        gains = zip(
-            self._store.gain_names,
-            self._store.gains()[self._place].tolist(),
-            strict=True,
-        )
+        values = self._store.gains()[self._place].tolist()
         point = {
-            name: self._robot.space[name].to_external_repr(gain) for name, gain in gains
+            name: self._robot.space[name].to_external_repr(value)
+            for name, value in zip(self._store.gain_names, values, strict=True)
         }
         seconds = float(self._duration.value.removesuffix(" s"))
         self._message.tell("filming ...")
@@ -123,12 +125,13 @@ class RobotView:
 def worlds_of(store: Store) -> dict[str, dict[str, float]]:
     """The numbers of the worlds in which a store's rows ran, by name."""
     found: dict[str, dict[str, float]] = {BASE: {}}
-    settings = {family: store.settings_of(family) for family in store.families}
-    for family, known in {BASE: store.specification, **settings}.items():
-        drawn: dict[str, list[float]] = known.get("drawn", {})
+    base = store.specification.get("drawn", {})
+    found[BASE] = {name: float(each[0]) for name, each in base.items()}
+    for family in store.families:
+        drawn = store.settings_of(family).get("drawn", {})
         for number in range(len(drawn.get("seed", ()))):
-            name = BASE if family == BASE else f"{family} {number}"
-            found[name] = {key: float(each[number]) for key, each in drawn.items()}
+            world = {name: float(each[number]) for name, each in drawn.items()}
+            found[f"{family} {number}"] = world
     return found
 
 
@@ -136,16 +139,19 @@ def numbers_text(store: Store, place: int) -> str:
     """A row's numbers as a table in HTML: parameters, and columns of the base setting and means."""
     table = store.table().slice(place, 1)
     shown = []
-    for name, kind in zip(table.column_names, table.schema.types, strict=True):
-        if not pa.types.is_fixed_size_list(kind):
-            is_number = pa.types.is_floating(kind)
-            value = (
-                numbers_of(store, name)[place] if is_number else table[name][0].as_py()
-            )
-            text = f"{value:.4g}" if is_number else html.escape(str(value))
-            text = "-" if value is None or value != value else text  # NaN: unknown
-            shown.append(f"<tr><td>{html.escape(name)}</td><td>{text}</td></tr>")
-    return f"<div style='columns: 240px; font-size: 11px'><table>{''.join(shown)}</table></div>"
+    for field in table.schema:
+        if pa.types.is_fixed_size_list(field.type):
+            continue
+        if pa.types.is_floating(field.type):
+            number = numbers_of(store, field.name)[place]
+            text = "-" if np.isnan(number) else f"{number:.4g}"
+        else:
+            value = table[field.name][0].as_py()
+            text = "-" if value is None else html.escape(str(value))
+        name = html.escape(field.name)
+        shown.append(f"<tr><td>{name}</td><td>{text}</td></tr>")
+    rows = "".join(shown)
+    return f"<div style='columns: 240px; font-size: 11px'><table>{rows}</table></div>"
 
 
 def page_of(path: Path, study: str | None = None, simulator: str | None = None) -> Page:
@@ -157,52 +163,53 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
     Raises:
         InputError: as `open_rows`, or no simulator to film.
     """
-    rows_of = open_rows(path, study)
-    robot = None if simulator is None else filmable(simulator, rows_of.gain_names)
+    rows = open_rows(path, study)
+    robot = None if simulator is None else filmable(simulator, rows.gain_names)
     if robot is not None and not isinstance(
-        rows_of, Trials
+        rows, Trials
     ):  # whose numbers have no kinds
-        require_parameters(rows_of, robot)
+        require_parameters(rows, robot)
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:
-        document.template, message = TEMPLATE, Message("message")
+        message = Message("message")
+        document.template = TEMPLATE
         document.theme = THEME
         try:
             store = open_rows(path, study)
-            of, own = store.simulator, dict[str, Any]()
-            if isinstance(store, Trials):
-                of, own = store.path.name, store.document
-            rows = f"{len(store):,} {store.ROW}{'' if len(store) == 1 else 's'}"
-            title = f"{path}: {rows}{'' if of == WALKER else f' of {of}'}"
             view: WalkView | RobotView
             if store.simulator == WALKER:
-                view = WalkView(document, walkers, makers, message, own)
+                view = WalkView(document, walkers, makers, message, store)
             else:
                 view = RobotView(document, makers, message, store, simulator, robot)
-
-            def pick(place: int, row: int) -> None:
-                if isinstance(view, WalkView):
-                    view.show(gains_at(store, place, row))
-                else:
-                    view.show(place)
-
             points = StoreView(
-                store, message, pick, partial(view.save, file_of_selection, store)
+                store,
+                message,
+                pick=view.show_row,
+                save=partial(view.save, file_of_selection, store),
             )
         except Exception as error:  # the store cannot be read any more
             message.failed(error)
             document.add_root(message.layout)
             return
-        document.title = title
-        left, right = points.panels, view.panels
-        with (
-            document.models.freeze()
-        ):  # else Bokeh walks through all models after each root
-            for root in (message.layout, left[0], right[0], left[1], *right[1:]):
+        document.title = title_of(store, path)
+        # Frozen: else Bokeh walks through all models after each root.
+        with document.models.freeze():
+            first, *later = view.panels
+            above, below = points.panels
+            for root in (message.layout, above, first, below, *later):
                 document.add_root(root)
         if isinstance(store, Trials):
             points.row.value = store.best
-        elif isinstance(view, WalkView):
-            message.safely(partial(view.show, gains_of_source(FIRST_GAIT)))()
+        else:
+            message.safely(view.start)()
 
     return fill
+
+
+def title_of(store: Store, path: Path) -> str:
+    """Of a tab: where the rows are, how many, and of what."""
+    count = len(store)
+    rows = store.ROW if count == 1 else f"{store.ROW}s"
+    of = store.path.name if isinstance(store, Trials) else store.simulator
+    title = f"{path}: {count:,} {rows}"
+    return title if of == WALKER else f"{title} of {of}"

@@ -8,9 +8,10 @@ box.
 import html
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from itertools import cycle, islice
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -49,18 +50,16 @@ def read_selection(text: str, columns: Sequence[str]) -> Ranges:
     for part in filter(str.strip, text.split(",")):
         match = RANGE.fullmatch(part)
         if match is None:
-            raise InputError(
-                "selection", part.strip(), "column low..high, column low..high, ..."
-            )
+            allowed = "column low..high, column low..high, ..."
+            raise InputError("selection", part.strip(), allowed)
         name, low, high = match.groups()
         if name not in columns:
             raise InputError("selection", name, f"one of {listed(columns, name)}")
         try:
             found[name] = (float(low), float(high))
         except ValueError:
-            raise InputError(
-                "selection", f"{low}..{high}", "a number at each end"
-            ) from None
+            allowed = "a number at each end"
+            raise InputError("selection", f"{low}..{high}", allowed) from None
     return found
 
 
@@ -76,41 +75,36 @@ def selected(
 
 
 def numbers_of(store: Store, name: str) -> Floats:
-    """The numbers of a column, [n]; NaN: unknown, as a gait's that made no step."""
-    if store.simulator != WALKER:
-        return _numbers_of_others(store, name)
-    needed = NEEDED_BY.get(name)
-    if needed is None or needed not in store.columns:
-        return np.asarray(store.table([name])[name].to_numpy(), dtype=np.float64)
-    both = store.numpy([*{name, needed}])
-    return np.where(unknown(name, both), np.nan, both[name])
+    """The numbers of a column, [n]; NaN: unknown.
 
-
-def _numbers_of_others(store: Store, name: str) -> Floats:
-    """Of another simulator: NaN where a run failed, or where a family did not run the row.
-
-    Files have zeros there, which would be the best of all that is to be small.
+    As of the walker a gait's that made no step; of another simulator where a run
+    failed, or where a family did not run the row. Files have zeros there, which would
+    be the best of all that is to be small.
     """
     values = np.asarray(store.table([name])[name].to_numpy(), dtype=np.float64)
+    if store.simulator == WALKER:
+        needed = NEEDED_BY.get(name)
+        if needed is None or needed not in store.columns:
+            return values
+        both = {name: values, needed: store.numpy([needed])[needed]}
+        return np.where(unknown(name, both), np.nan, values)
     own = [family for family in store.families if name.startswith(f"{family}_")]
     flags = [evaluated_name(family) for family in own]
-    if name in flags or name in (Store.ROW, SURVIVED, *store.gain_names):
+    if name in (*flags, Store.ROW, SURVIVED, *store.gain_names):
         return values
     if flags:
         return np.where(store.numpy(flags)[flags[0]], values, np.nan)
-    if ENDED not in store.columns:
-        return values
-    return np.where(store.numpy([ENDED])[ENDED] == FAILED, np.nan, values)
+    if ENDED in store.columns:
+        return np.where(store.numpy([ENDED])[ENDED] == FAILED, np.nan, values)
+    return values
 
 
 def file_of_selection(store: Store, ranges: Ranges) -> tuple[str, bytes]:
     """Name and content of a Parquet file: all columns of the selected rows of a store."""
-    table = store.table()
-    chosen = selected(ranges, partial(numbers_of, store), len(table))
+    chosen = selected(ranges, partial(numbers_of, store), len(store))
     content = io.BytesIO()
-    pyarrow.parquet.write_table(
-        table.filter(pa.array(chosen)), content, compression="zstd"
-    )
+    table = store.table().filter(pa.array(chosen))
+    pyarrow.parquet.write_table(table, content, compression="zstd")
     return "selection.parquet", content.getvalue()
 
 
@@ -119,14 +113,14 @@ CLOUD_PX = (600, 440)  # the height lasts, with the axes; the width is that of t
 HISTOGRAM_PX = 105
 BINS = 40
 BESIDES = "#D8DCE0"  # of bars
-CHOSEN_PX, POINTED_PX = (
-    17,
-    11,
-)  # rings about the row that walks and the row under the pointer
+RINGS_PX = (17, 11)  # about the row that walks, and about the row under the pointer
 
 
-def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
-    """A figure to drag a box over, its one image, which the script paints, and two rings."""
+def cloud() -> dict[str, Any]:
+    """A figure to drag a box over, and what the script moves on it.
+
+    That is its one image, which the script paints, two rings, and the colours' bar.
+    """
     box = BoxSelectTool(renderers=[])
     plot = figure(
         name="cloud",
@@ -140,12 +134,13 @@ def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
     )
     plot.toolbar.logo = None
     pixels = np.zeros(CLOUD_PX[::-1], np.uint32)
-    corners = {"x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}
-    image = models.ColumnDataSource({"image": [pixels], **corners})
+    image = models.ColumnDataSource(
+        {"image": [pixels], "x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}
+    )
     plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
-    nowhere = {axis: np.full(2, np.nan) for axis in "xy"}
+    nowhere = np.full(2, np.nan)
     rings = models.ColumnDataSource(
-        {**nowhere, "size": [CHOSEN_PX, POINTED_PX]}, name="rings"
+        {"x": nowhere, "y": nowhere, "size": RINGS_PX}, name="rings"
     )
     for width, colour in ((5, "white"), (2.5, style.VERMILION)):
         plot.scatter(
@@ -157,44 +152,64 @@ def cloud() -> tuple[Any, models.ColumnDataSource, models.ColumnDataSource]:
             line_width=width,
             fill_color=None,
         )
-    return plot, image, rings
+    mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
+    return {"plot": plot, "image": image, "rings": rings, "mapper": mapper}
 
 
-def histograms() -> Iterator[tuple[Any, list[models.ColumnDataSource], models.Span]]:
-    """A small figure for each column; its bars, of all rows and of those selected; and a line."""
-    for slot in range(len(ROLES)):
-        plot = figure(
-            name=f"histogram-{slot}",
-            height=HISTOGRAM_PX,
-            tools="",
-            toolbar_location=None,
-            title=" ",
-            x_range=models.Range1d(0.0, 1.0),
+class Histogram(NamedTuple):
+    """The numbers of a column.
+
+    Attributes:
+        plot: a small figure.
+        bars: of all rows, and of those selected.
+        span: a line at the row that is shown.
+    """
+
+    plot: Any
+    bars: list[models.ColumnDataSource]
+    span: models.Span
+
+
+def histogram(slot: int) -> Histogram:
+    """Of the column in this slot."""
+    plot = figure(
+        name=f"histogram-{slot}",
+        height=HISTOGRAM_PX,
+        tools="",
+        toolbar_location=None,
+        title=" ",
+        x_range=models.Range1d(0.0, 1.0),
+    )
+    plot.title.text_font_size = "10px"
+    plot.yaxis.visible = False
+    plot.xaxis.ticker.desired_num_ticks = 3
+    plot.grid.visible = False
+    plot.add_tools(BoxSelectTool(renderers=[], dimensions="width"))
+    bars = []
+    # Those selected are an overlay, which Bokeh paints anew without the axes.
+    for colour, level in ((BESIDES, "glyph"), (style.MODEL, "overlay")):
+        sides = {name: np.zeros(BINS) for name in ("left", "right", "count")}
+        source = models.ColumnDataSource(sides)
+        bars.append(source)
+        plot.quad(
+            left="left",
+            right="right",
+            bottom=0,
+            top="count",
+            source=source,
+            fill_color=colour,
+            line_color=None,
+            level=level,
         )
-        plot.title.text_font_size = "10px"
-        plot.yaxis.visible = False
-        plot.xaxis.ticker.desired_num_ticks = 3
-        plot.grid.visible = False
-        plot.add_tools(BoxSelectTool(renderers=[], dimensions="width"))
-        bars = []
-        # Those selected are an overlay, which Bokeh paints anew without the axes.
-        for colour, level in ((BESIDES, "glyph"), (style.MODEL, "overlay")):
-            sides = {name: np.zeros(BINS) for name in ("left", "right", "count")}
-            bars.append(models.ColumnDataSource(sides))
-            plot.quad(
-                left="left",
-                right="right",
-                bottom=0,
-                top="count",
-                source=bars[-1],
-                fill_color=colour,
-                line_color=None,
-                level=level,
-            )
-        span = models.Span(dimension="height", line_color=style.VERMILION, line_width=2)
-        span.update(name=f"at-{slot}", level="overlay")
-        plot.add_layout(span)
-        yield plot, bars, span
+    span = models.Span(
+        dimension="height",
+        line_color=style.VERMILION,
+        line_width=2,
+        name=f"at-{slot}",
+        level="overlay",
+    )
+    plot.add_layout(span)
+    return Histogram(plot=plot, bars=bars, span=span)
 
 
 def table(
@@ -206,13 +221,12 @@ def table(
         models.TableColumn(field="row", title=row, width=60),
         models.TableColumn(field="mark", title="", width=55),
     ]
-    columns += [
-        models.TableColumn(
-            field=f"c{slot}", title=html.escape(name), formatter=numbers
-        )  # as HTML
-        for slot, name in enumerate(words)
-        if name != row  # as of a study's trials
-    ]
+    for slot, name in enumerate(words):
+        if name != row:  # as of a study's trials
+            title = html.escape(name)
+            columns.append(
+                models.TableColumn(field=f"c{slot}", title=title, formatter=numbers)
+            )
     return models.DataTable(
         source=source,
         columns=columns,
@@ -222,13 +236,7 @@ def table(
     )
 
 
-FIRST = (
-    "mean_speed_mps",
-    "phi_printed",
-    "survived_fraction",
-    ENERGY,
-    "step_length_mean_m",
-)
+FIRST = ("mean_speed_mps", "phi_printed", SURVIVED, "step_length_mean_m")
 PALETTE = "viridis"
 MARKED = {  # by what numbers the rows: the column that decides, its usual word, a word for others
     "row": (ORIGIN, SOBOL_ROW, "bred"),
@@ -249,23 +257,22 @@ def first_columns(store: Store) -> list[str]:
     Of other simulators than the walker: the first numbers after the parameters. Of a
     study: the trial's number, its value, and its attributes.
     """
-    survived = [
-        name for name in store.columns if name.endswith("_survived_fraction_mean")
-    ]
+    end = "_survived_fraction_mean"
+    survived = [name for name in store.columns if name.endswith(end)]
     known = numeric_columns(store)
-    energy = (
-        ENERGY if ENERGY in known else OF_MUSCLES
-    )  # of a store before 0.4: as its words say
-    first = [*FIRST[:2], *(survived[:1] or FIRST[2:3]), energy, FIRST[4]]
+    # The second of a store before 0.4: as its words say.
+    energy = ENERGY if ENERGY in known else OF_MUSCLES
+    speed, score, survival, steps = FIRST
+    first = [speed, score, *(survived or [survival])[:1], energy, steps]
     if set(first) <= set(known):
         return first
-    gains = [
-        name for name in store.gain_names if name in known
-    ]  # a parameter may be a word
+    # A parameter may be a word, and so not among the numbers.
+    gains = [name for name in store.gain_names if name in known]
     own = [name for name in known if name != "row" and name not in gains]
     found = [*own[1:3], *(survived or own)[:1], *own[3:], *gains, *known]
-    different = list(dict.fromkeys(own + found if store.ROW == TRIAL else found))
-    return (different * len(FIRST))[: len(FIRST)]
+    if store.ROW == TRIAL:
+        found = own + found
+    return list(islice(cycle(dict.fromkeys(found)), len(ROLES)))
 
 
 class StoreView:
@@ -297,21 +304,19 @@ class StoreView:
         find = models.TextInput(
             title="find in the menus", placeholder="hip mean", name="find"
         )
-        search = {"columns": self._columns, "options": options}
-        find.js_on_change(
-            "value_input", models.CustomJS.from_file(SCRIPTS / "find.mjs", **search)
+        script = models.CustomJS.from_file(
+            SCRIPTS / "find.mjs", columns=self._columns, options=options
         )
+        find.js_on_change("value_input", script)
         self._hidden: Ranges = {}  # of columns that are not shown
-        deciding, usual, self._mark = MARKED[store.ROW]
+        deciding, usual, mark = MARKED[store.ROW]
         marked = np.zeros(len(store), np.uint8)
         if deciding in store.columns:
             marked[store.table([deciding])[deciding].to_numpy() != usual] = 1
-        rows = {
-            "row": self._rows,
-            "marked": marked,
-            "kept": np.ones(len(store), np.uint8),
-        }
-        self._source = models.ColumnDataSource(rows, name="rows")
+        kept = np.ones(len(store), np.uint8)
+        self._source = models.ColumnDataSource(
+            {"row": self._rows, "marked": marked, "kept": kept}, name="rows"
+        )
         self.selection = models.TextInput(
             title="selection: column low..high, ...",
             placeholder="drag a box",
@@ -322,24 +327,24 @@ class StoreView:
         self.row = models.Spinner(
             title=f"{store.ROW} shown", step=1, mode="int", name="row"
         )
-        self._cloud, self._image, self._rings = cloud()
-        self._mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
-        self._bar = models.ColorBar(color_mapper=self._mapper, height=10, padding=4)
-        self._cloud.add_layout(self._bar, "below")
-        self._histograms, self._bars, self._spans = map(
-            list, zip(*histograms(), strict=True)
+        cloud_parts = cloud()
+        self._cloud = cloud_parts["plot"]
+        self._bar = models.ColorBar(
+            color_mapper=cloud_parts["mapper"], height=10, padding=4
         )
+        self._cloud.add_layout(self._bar, "below")
+        self._histograms = [histogram(slot) for slot in range(len(ROLES))]
         fields = ("row", "mark", *(f"c{slot}" for slot in range(len(ROLES))))
         self._listed = models.ColumnDataSource(
             {name: [] for name in fields}, name="listed"
         )
-        self._count = models.Div(name="count")
+        count = models.Div(name="count")
         for slot in range(len(ROLES)):
             self._load(slot)
         self._rows_panel = column(
             self._table(), sizing_mode="stretch_width", name="Rows"
         )
-        self._script()
+        self._connect(mark=mark, count=count, **cloud_parts)
         clear = models.Button(label="all rows")
         clear.on_click(lambda: self.selection.update(value=""))
         take = models.Button(label="selection as Parquet")
@@ -349,23 +354,21 @@ class StoreView:
             self._cloud,
             flow(self.selection, clear, least_px=110),
             self._refusal.layout,
-            flow(*self._histograms, least_px=160),
-            flow(self._count, self.row, take),
+            flow(*(each.plot for each in self._histograms), least_px=160),
+            flow(count, self.row, take),
         ]
         self.selection.styles = {"flex": "4 1 260px"}
         panel = column(*points, sizing_mode="stretch_width", name="Points")
         self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
         message.watch(self.row, "value", self._picked)
-        message.watch(
-            self.row, "tags", self._picked
-        )  # a click on the row that is shown
+        message.watch(self.row, "tags", self._picked)  # the same row, clicked again
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
 
     @property
     def _names(self) -> list[str]:
-        """Of the five columns."""
+        """The five columns that are shown."""
         return [select.value for select in self._columns]
 
     def _table(self) -> models.DataTable:
@@ -382,9 +385,8 @@ class StoreView:
         try:
             ranges = self._ranges()
         finally:
-            hidden = {
-                name: ends for name, ends in ranges.items() if name not in self._names
-            }
+            shown = self._names
+            hidden = {name: ranges[name] for name in ranges if name not in shown}
             if hidden != self._hidden:
                 self._hidden = hidden
                 kept = selected(hidden, self._read, len(self._rows))
@@ -413,46 +415,48 @@ class StoreView:
         words = self._words[name].words
         self._columns[slot].description = f"{name}: {self._words[name].meaning}"
         # A name between dollars would be drawn as TeX.
-        self._histograms[slot].title.text = PlainText(words)
-        if slot < 2:
-            (self._cloud.xaxis, self._cloud.yaxis)[slot].axis_label = PlainText(words)
-        if slot == 2:
+        self._histograms[slot].plot.title.text = PlainText(words)
+        place = ROLES[slot]
+        if place == "across":
+            self._cloud.xaxis.axis_label = PlainText(words)
+        elif place == "up":
+            self._cloud.yaxis.axis_label = PlainText(words)
+        elif place == "colour":
             self._bar.title = PlainText(words)
-        self._source.data[f"c{slot}"] = self._read(
-            name
-        )  # last: it makes the script paint
+        # Last: it makes the script paint.
+        self._source.data[f"c{slot}"] = self._read(name)
 
-    def _script(self) -> None:
+    def _connect(self, **parts: Any) -> None:
+        """Let the page's script know its parts, and hear of what a person does."""
         rgba = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
         script = models.CustomJS.from_file(
             SCRIPTS / "brush.mjs",
             source=self._source,
             columns=self._columns,
             selection=self.selection,
-            image=self._image,
-            plot=self._cloud,
-            histograms=self._histograms,
-            bars=self._bars,
-            mapper=self._mapper,
+            histograms=[each.plot for each in self._histograms],
+            bars=[each.bars for each in self._histograms],
+            spans=[each.span for each in self._histograms],
             table=self._listed,
-            count=self._count,
             row=self.row,
-            rings=self._rings,
-            spans=self._spans,
             listing=self._rows_panel,
-            mark=self._mark,
             word=self._store.ROW,
             palette=rgba.view("<u4").ravel().tolist(),
+            **parts,
         )
-        for plot in (self._cloud, *self._histograms):
-            plot.js_on_event("selectiongeometry", script)
-        for event in ("tap", "mousemove", "mouseleave"):
+        for each in self._histograms:
+            each.plot.js_on_event("selectiongeometry", script)
+        for event in ("selectiongeometry", "tap", "mousemove", "mouseleave"):
             self._cloud.js_on_event(event, script)
-        self._cloud.js_on_change("inner_width", script)  # it has been laid out
-        self.row.js_on_change("value", script)
-        self._source.js_on_change("data", script)
-        self.selection.js_on_change("value", script)
-        self._listed.selected.js_on_change("indices", script)
-        for span in (self._cloud.x_range, self._cloud.y_range):
-            span.js_on_change("start", script)
-            span.js_on_change("end", script)
+        for model, attribute in (
+            (self._cloud, "inner_width"),  # it has been laid out
+            (self.row, "value"),
+            (self._source, "data"),
+            (self.selection, "value"),
+            (self._listed.selected, "indices"),
+            (self._cloud.x_range, "start"),
+            (self._cloud.x_range, "end"),
+            (self._cloud.y_range, "start"),
+            (self._cloud.y_range, "end"),
+        ):
+            model.js_on_change(attribute, script)

@@ -12,11 +12,13 @@ from bokeh.document import Document
 from bokeh.layouts import column, row
 
 from storage.inputs.errors import InputError
-from study.experiment.gains import NamedGains, gains_of_source
+from storage.store import Store
+from study.experiment.gains import NamedGains, gains_at, gains_of_source
 from study.explore import walk as walking
 from study.explore.server import NIGHT, Latest, Message, Saver, flow
 from study.explore.stage import Player
 from study.explore.strides import Cycle
+from study.explore.trials import Trials
 from study.explore.words import in_words
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS, known_numbers
@@ -26,14 +28,14 @@ WRAPS = (
     ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
 )
 STRIDE = "stride beside people"
+FIRST_GAIT = "reference"
 
 
 class WalkView:
     """Choices of a setting, the stages, the gains, and files to save.
 
-    Of processes, `walkers` simulate and `makers` make files. Of a study's experiment,
-    the document is `own`: its walks are those of the page, until another setting is
-    chosen.
+    Of processes, `walkers` simulate and `makers` make files. The walks of a study of
+    ours are as its experiment has them, until another setting is chosen.
     """
 
     def __init__(
@@ -42,9 +44,11 @@ class WalkView:
         walkers: Executor,
         makers: Executor,
         message: Message,
-        own: dict[str, Any],
+        store: Store,
     ) -> None:
-        self._message, self._own = message, own
+        self._message = message
+        self._store = store
+        self._own = store.document if isinstance(store, Trials) else {}
         self._walk: walking.Walk | None = None
         self._start: walking.Walk | None = None  # with which later ones are compared
         self._beside: walking.Walk | None = None  # of the gait that is kept
@@ -55,20 +59,18 @@ class WalkView:
         self._score = models.Div(text="", name="score", disable_math=True)
         self._others = Latest(document, walkers, self._walked_beside, message.failed)
         self._hands = Hands(message, self._again, self.show)
-        self._choices = _choices(own)
+        self._choices = _choices(self._own)
         for name, choice in self._choices.items():
-            message.watch(
-                choice, "value", self._on_ground if name == "ground" else self._chosen
-            )
+            answer = self._on_ground if name == "ground" else self._chosen
+            message.watch(choice, "value", answer)
         self._parts = {
             "gains": self._hands.layout,
             "score": self._score,
             STRIDE: None,
             "take it with you": self._taking(),
         }
-        labels = list(self._parts)
         self._part = models.RadioButtonGroup(
-            labels=labels,
+            labels=list(self._parts),
             active=0,
             stylesheets=[WRAPS],
             name="part",
@@ -79,21 +81,27 @@ class WalkView:
         keep = models.Button(label="keep it beside", name="keep")
         keep.on_click(message.safely(lambda: self._put_beside(self._walk)))
         self._player.removed.on_click(message.safely(lambda: self._put_beside(None)))
-        choices = flow(*self._choices.values(), keep)
-        self.panels = [
-            column(
-                choices,
-                self._player.layout,
-                sizing_mode="stretch_width",
-                name="The walk",
-            ),
-            column(
-                self._part,
-                self._below,
-                sizing_mode="stretch_width",
-                name="Gains, score, stride and files",
-            ),
-        ]
+        walk = column(
+            flow(*self._choices.values(), keep),
+            self._player.layout,
+            sizing_mode="stretch_width",
+            name="The walk",
+        )
+        parts = column(
+            self._part,
+            self._below,
+            sizing_mode="stretch_width",
+            name="Gains, score, stride and files",
+        )
+        self.panels = [walk, parts]
+
+    def start(self) -> None:
+        """Let the first gait walk."""
+        self.show(gains_of_source(FIRST_GAIT))
+
+    def show_row(self, place: int, row: int) -> None:
+        """Let the gains of a row walk, by its place among the store's rows and its number."""
+        self.show(gains_at(self._store, place, row))
 
     def show(self, gains: NamedGains) -> None:
         """Let gains walk in the setting of the choices."""
@@ -107,7 +115,8 @@ class WalkView:
         lasts = _lasts(self._choices["ground"].value, self._own)
         if duration.value == lasts:
             self._chosen()
-        duration.value = lasts
+        else:
+            duration.value = lasts  # which is another choice
 
     def _failed(self, error: BaseException) -> None:
         self._message.failed(error)
@@ -128,7 +137,8 @@ class WalkView:
             self._others.ask(walking.walk, self._beside.gains, setting)
 
     def _walked(self, found: walking.Walk) -> None:
-        self._walk, self._start = found, self._start or found
+        self._walk = found
+        self._start = self._start or found
         self._player.show(found)
         self._compare()
 
@@ -145,11 +155,15 @@ class WalkView:
     def _compare(self) -> None:
         """Show the numbers of both gaits, and their strides where they are looked at."""
         start = self._beside or self._start
-        if self._walk is None or start is None:
-            return
-        self._score.text = score_text(self._walk, start)
-        if self._part.labels[self._part.active] == STRIDE:
-            self._cycle.show(self._walk, self._beside)
+        if self._walk is not None and start is not None:
+            self._score.text = score_text(self._walk, start)
+            if self._looked_at == STRIDE:
+                self._cycle.show(self._walk, self._beside)
+
+    @property
+    def _looked_at(self) -> str:
+        """The part that is shown."""
+        return str(self._part.labels[self._part.active])
 
     @cached_property
     def _cycle(self) -> Cycle:
@@ -159,22 +173,23 @@ class WalkView:
     def _turn(self) -> None:
         """Show another part alone: a hidden figure never gets a size."""
         self._compare()
-        part = self._parts[self._part.labels[self._part.active]]
-        self._below.children = [part or self._cycle.layout]
+        self._below.children = [self._parts[self._looked_at] or self._cycle.layout]
 
     def _taking(self) -> Any:
         names = (*walking.NAMES, walking.FILM)
         buttons = [models.Button(label=name, name=f"save-{name}") for name in names]
         for button in buttons:
             button.on_click(self._message.safely(partial(self._take, button.label)))
-        words = models.Div(
-            text="With both files, this command draws, films and records the walk:"
+        words = "With both files, this command draws, films and records the walk:"
+        command = f"<code>{walking.COMMAND}</code>"
+        if self._own.get("run"):
+            command = f"<code>{walking.COMMAND} --run {self._own['run']}</code>"
+        return column(
+            flow(*buttons),
+            models.Div(text=words),
+            models.Div(text=command, name="command"),
+            sizing_mode="stretch_width",
         )
-        run = f" --run {self._own['run']}" if self._own.get("run") else ""
-        command = models.Div(
-            text=f"<code>{walking.COMMAND}{run}</code>", name="command"
-        )
-        return column(flow(*buttons), words, command, sizing_mode="stretch_width")
 
     def _take(self, name: str) -> None:
         if self._walk is not None:
@@ -183,20 +198,20 @@ class WalkView:
 
 def _choices(own: dict[str, Any]) -> dict[str, Any]:
     """By the names of `chosen_setting`'s arguments; first those of a study, if there is one."""
-    study = (walking.OWN,) if own else ()
-    lasts = _lasts(walking.OWN if own else "flat", own)
-    more = () if lasts in walking.DURATIONS else (lasts,)
-    menus: dict[str, tuple[str, tuple[str, ...]]] = {
-        "ground": ("ground", (*study, *walking.GROUNDS)),
-        "world": ("world", (*study, *walking.WORLDS)),
-        "disturbance": ("masses of the body", (*study, *walking.DISTURBANCES)),
-        "engine": ("engine", ENGINES),
-        "duration_s": ("at most", (*walking.DURATIONS, *more)),
+    study = [walking.OWN] if own else []
+    grounds = [*study, *walking.GROUNDS]
+    lasts = _lasts(grounds[0], own)
+    menus: dict[str, tuple[str, list[str]]] = {
+        "ground": ("ground", grounds),
+        "world": ("world", [*study, *walking.WORLDS]),
+        "disturbance": ("masses of the body", [*study, *walking.DISTURBANCES]),
+        "engine": ("engine", list(ENGINES)),
+        "duration_s": ("at most", list(dict.fromkeys([*walking.DURATIONS, lasts]))),
     }
     found: dict[str, Any] = {
         name: models.Select(
             title=title,
-            options=list(options),
+            options=options,
             value=options[0],
             name=name.removesuffix("_s"),
         )
@@ -204,8 +219,9 @@ def _choices(own: dict[str, Any]) -> dict[str, Any]:
     }
     found["duration_s"].value = lasts
     found["engine"].value = own.get("simulation", {}).get("engine", ENGINES[0])
-    found["seed"] = models.Spinner(title="seed", step=1, mode="int", name="seed")
-    found["seed"].value = own.get("seed", 1)
+    found["seed"] = models.Spinner(
+        title="seed", value=own.get("seed", 1), step=1, mode="int", name="seed"
+    )
     return found
 
 
@@ -287,11 +303,9 @@ class Hands:
             self._start(gains)
 
     def _set(self, place: int) -> None:
-        value, gain, gains = (
-            self._numbers[place].value,
-            GAINS[place],
-            self.gains.gains.copy(),
-        )
+        gain = GAINS[place]
+        value = self._numbers[place].value
+        gains = self.gains.gains.copy()
         if self._still or value == gains[place]:
             return
         if value is None or not gain.low <= value <= gain.high:
@@ -318,21 +332,23 @@ FIELDS = tuple(
 
 def score_text(walk: walking.Walk, start: walking.Walk) -> str:
     """The numbers of a walk beside those of another one on the same ground, in HTML."""
-    heads = ["start" if start is walk else start.gains.name, walk.gains.name, "change"]
-    text = "".join(
-        f"<th scope=col>{html.escape(head)}</th>" for head in ["number", *heads]
-    )
-    numbers = known_numbers(start.row), known_numbers(walk.row)
+    first = "start" if start is walk else start.gains.name
+    heads = ["number", first, walk.gains.name, "change"]
     masses = [each.experiment.body(each.run).mass_kg.sum() for each in (start, walk)]
+    numbers = known_numbers(start.row), known_numbers(walk.row)
     shown = {in_words(name)[0]: [each[name] for each in numbers] for name in FIELDS}
-    shown["mass of the whole body, which divides the energy (kg)"] = [
-        *map(float, masses)
-    ]
+    shown["mass of the whole body, which divides the energy (kg)"] = masses
+    lines = ["".join(f"<th scope=col>{html.escape(head)}</th>" for head in heads)]
     for words, (before, now) in shown.items():
         change = ""
         if before is not None and now is not None and before != now:
             change = f"{now - before:+.3g}"
-        figures = ["-" if value is None else f"{value:.4g}" for value in (before, now)]
-        cells = "<td align=right>".join(("", *figures, f"<b>{change}</b>"))
-        text += f"<tr><th scope=row align=left>{html.escape(words)}</th>{cells}</tr>"
-    return f"<table cellspacing=4>{text}</table>"
+        cells = [_figure(before), _figure(now), f"<b>{change}</b>"]
+        row = "".join(f"<td align=right>{cell}" for cell in cells)
+        head = f"<th scope=row align=left>{html.escape(words)}</th>"
+        lines.append(f"<tr>{head}{row}</tr>")
+    return f"<table cellspacing=4>{''.join(lines)}</table>"
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from tests.browser import opened_page
-from tests.study.explore.serving import MODEL, change, opened, walks
+from tests.study.explore.serving import change, opened, show_row, walks
 
 OUT, IMG = Path("out"), Path("docs/img")  # of the checkout
 BRED_ROW = 20100  # of the store
@@ -39,7 +39,7 @@ def draw(page: Any) -> None:
     with opened(page, OUT / "compare" / "risers", "--study", "risers/worlds/run-000"):
         keep(page, "study")
     with opened(page, OUT / "store-worlds"):
-        walks(page, lambda: change(page, "row", "value", BRED_ROW))
+        show_row(page, BRED_ROW)
         keep(page, "store")
         page.emulate_media(color_scheme="dark")
         keep(page, "dark")
@@ -56,7 +56,7 @@ def draw(page: Any) -> None:
         walks(page, lambda: change(page, "start", "value", "reference"))
         change(page, "ghost", "active", True)
         change(page, "part", "active", 2)
-        page.wait_for_function(f"{MODEL}('cycle-knee')?.inner_width > 100")
+        page.wait_for_function("named('cycle-knee')?.inner_width > 100")
         keep(page, "strides", page.locator(".column").last)
 
 

@@ -1,31 +1,20 @@
 """The explorer as a process, and hands on its page."""
 
-import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
 from tests.processes import ROOT, serving
 
-MODEL = "Bokeh.documents[0].get_model_by_name"
 WALKS = "window.walk_player?.shown"
 
 
 @contextmanager
 def explorer(folder: Path, *words: str, errors: IO[str] | None = None) -> Iterator[str]:
     """The address of its page; `words` are options, `errors` takes what it prints of errors."""
-    command = (
-        "-m",
-        "taichi_nmm",
-        "explore",
-        folder,
-        "--port",
-        0,
-        "--no-browser",
-        *words,
-    )
-    with serving(*command, stderr=errors, cwd=ROOT) as said:
+    command = ("-m", "taichi_nmm", "explore", folder, "--port", 0, "--no-browser")
+    with serving(*command, *words, stderr=errors, cwd=ROOT) as said:
         yield said.readline().split()[1]
 
 
@@ -41,11 +30,19 @@ def opened(page: Any, folder: Path, *words: str) -> Iterator[str]:
 
 def change(page: Any, name: str, attribute: str, value: Any) -> None:
     """What a hand on the model does."""
-    page.evaluate(f"{MODEL}('{name}').{attribute} = {json.dumps(value)}")
+    page.evaluate(
+        "([name, attribute, value]) => { named(name)[attribute] = value }",
+        [name, attribute, value],
+    )
 
 
-def walks(page: Any, act: Any) -> None:
+def walks(page: Any, act: Callable[[], Any]) -> None:
     """Do something, and wait until another walk is seen."""
     seen = page.evaluate(WALKS)
     act()
     page.wait_for_function(f"{WALKS} > {seen}")
+
+
+def show_row(page: Any, row: int) -> None:
+    """Let a row walk."""
+    walks(page, lambda: change(page, "row", "value", row))

@@ -1,9 +1,10 @@
 """The explorer as a person uses it: a headless Chromium on a store."""
 
 import json
+import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
+from shutil import copy
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from tests.browser import opened_page
 from tests.cases import ASSETS, asset, cases
 from tests.storage.fake import content
 from tests.study import fake_walker
-from tests.study.explore.serving import MODEL, change, opened, walks
+from tests.study.explore.serving import change, opened, show_row, walks
 
 pytestmark = pytest.mark.slow
 
@@ -39,17 +40,13 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def page() -> Iterator[Any]:
     """Of this file alone: it is larger than others."""
     with opened_page(1500, 1250) as page:
-        said: list[str] = []
-        page.on(
-            "console",
-            lambda line: said.append(line.text) if line.type == "error" else None,
-        )
-        asked: list[str] = []
+        errors, asked = [], []
+        page.on("console", lambda line: line.type == "error" and errors.append(line))
         page.on("request", lambda request: asked.append(request.url))
         yield page
-        assert said == []
+        assert errors == []
         assert [
-            url for url in asked if "://127.0.0.1:" not in url and url[:5] != "blob:"
+            url for url in asked if not re.match(".*://127.0.0.1:|blob:", url)
         ] == []
 
 
@@ -69,10 +66,8 @@ TEX = r"$$\href{javascript:window.ran=1}{onerror}$$"
 def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> None:
     """A store comes from anybody: what its columns are called is shown and never run."""
     store = open_store(folders / "store")
-    table, names = (
-        store.table(),
-        [f"{name}_survived_fraction_mean" for name in (SCRIPT, TEX)],
-    )
+    table = store.table()
+    names = [f"{name}_survived_fraction_mean" for name in (SCRIPT, TEX)]
     for name in names:
         table = table.append_column(name, table["mean_speed_mps"])
     specification = store.specification | {"columns": columns_of(table.schema)}
@@ -82,18 +77,14 @@ def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> N
     write_table(hostile, table, footer)
     with opened(page, hostile):
         for slot, name in enumerate((*names, *names, names[0])):
-            page.evaluate(
-                f"(name) => {{ {MODEL}('column-{slot}').value = name }}", name
-            )
-        page.wait_for_function(f"{MODEL}('column-4').value.includes('onerror')")
+            change(page, f"column-{slot}", "value", name)
+        page.wait_for_function("named('column-4').value.includes('onerror')")
         for name in (SCRIPT, TEX):
-            page.evaluate(
-                f"(text) => {{ {MODEL}('selection').value = text }}", f"{name} 0..1"
-            )
+            change(page, "selection", "value", f"{name} 0..1")
             page.get_by_text(f"selection: {repr(name)[:9]}").wait_for()  # the message
-        axes = "Bokeh.index.query((view) => view.model.type === 'LinearAxis')"
         drawn = page.evaluate(
-            f"[...{axes}].map((one) => one._axis_label_view?.model.type)"
+            "[...Bokeh.index.query((view) => view.model.type === 'LinearAxis')]"
+            ".map((one) => one._axis_label_view?.model.type)"
         )
         assert "PlainText" in drawn and "TeX" not in drawn
         headings = page.locator(".slick-column-name").all_inner_texts()
@@ -101,98 +92,78 @@ def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> N
         assert page.evaluate("window.ran") is None
 
 
-def model(page: Any, name: str, attribute: str) -> Any:
-    """What a model of the page holds."""
-    return page.evaluate(f"{MODEL}('{name}').{attribute}")
-
-
-def frame(page: Any, name: str) -> tuple[float, float, float, float]:
-    """Where the axes of a figure are on the screen: left, top, width and height, pixels."""
-    left, top, width, height = page.evaluate(f"""(() => {{
-        const [view] = Bokeh.index.query((view) => view.model.name === '{name}')
-        const canvas = view.canvas_view.el.getBoundingClientRect(), inner = view.frame.bbox
-        return [canvas.x + inner.left, canvas.y + inner.top, inner.width, inner.height]
-    }})()""")
-    return left, top, width, height
-
-
 def drag(
     page: Any, name: str, start: tuple[float, float], end: tuple[float, float]
 ) -> None:
     """Draw a box in a figure: corners as shares of what lies within its axes."""
-    left, top, width, height = frame(page, name)
+    left, top, width, height = page.evaluate("axes_of", name)
     page.mouse.move(left + start[0] * width, top + start[1] * height)
     page.mouse.down()
     page.mouse.move(left + end[0] * width, top + end[1] * height, steps=3)
     page.mouse.up()
 
 
-def at(page: Any, name: str, x: float, y: float) -> tuple[float, float]:
-    """Where on the screen a figure has these coordinates."""
-    left, top, width, height = frame(page, name)
-    ends = [
-        model(page, name, f"{axis}_range.{end}")
-        for axis in "xy"
-        for end in ("start", "end")
-    ]
-    across, up = (
-        (x - ends[0]) / (ends[1] - ends[0]),
-        (y - ends[2]) / (ends[3] - ends[2]),
-    )
-    return left + across * width, top + (1.0 - up) * height
+def click_on_point(page: Any, row: int) -> None:
+    """Click on a row where it is in the cloud; it walks."""
+    walks(page, lambda: page.mouse.click(*page.evaluate("point_of", row)))
 
 
-def point(page: Any, row: int) -> tuple[float, float]:
-    """Where on the screen a row is in the cloud."""
-    rows = f"{MODEL}('rows').data"
-    place = page.evaluate(f"{rows}.row.indexOf({row})")
-    return at(
-        page, "cloud", *page.evaluate(f"[{rows}.c0[{place}], {rows}.c1[{place}]]")
-    )
+def select(page: Any, text: str) -> None:
+    change(page, "selection", "value", text)
+
+
+SLOW = "mean_speed_mps 0..0.5"
+"""A selection of some of the rows."""
+
+
+def speeds_of(store: Path) -> Any:
+    return open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
 
 
 def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
     rows = len(open_store(store))
     assert page.evaluate("window.store_view.chosen") == rows == fake_walker.STORE_ROWS
-    assert model(page, "count", "text") == f"{rows} of {rows} rows"
-    image = f"{MODEL}('cloud').renderers[0].data_source.data.image[0]"
+    assert page.evaluate("named('count').text") == f"{rows} of {rows} rows"
+    image = "named('cloud').renderers[0].data_source.data.image[0]"
     assert page.evaluate(f"{image}.some((pixel) => pixel !== 0)")
 
 
 def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) -> None:
     drag(page, "cloud", (0.3, 0.05), (0.9, 0.95))
-    page.wait_for_function(f"{MODEL}('selection').value !== ''")
+    page.wait_for_function("named('selection').value !== ''")
     page.wait_for_function("window.store_view.chosen < window.store_view.inside.length")
     chosen = page.evaluate("window.store_view.chosen")
-    text = model(page, "selection", "value")
-    low, high = read_selection(text, ("mean_speed_mps", "phi_printed"))[
-        "mean_speed_mps"
-    ]
-    speeds = page.evaluate(f"[...{MODEL}('listed').data.c0]")
+    text = page.evaluate("named('selection').value")
+    ranges = read_selection(text, ("mean_speed_mps", "phi_printed"))
+    low, high = ranges["mean_speed_mps"]
+    speeds = page.evaluate("[...named('listed').data.c0]")
     assert 0 < len(speeds) == min(chosen, 200)
     assert all(low <= value <= high for value in speeds)
-    bars = f"{MODEL}('histogram-1').renderers[1].data_source.data.count"
+    bars = "named('histogram-1').renderers[1].data_source.data.count"
     assert page.evaluate(f"{bars}.reduce((sum, bar) => sum + bar)") == chosen
     drag(page, "histogram-1", (0.0, 0.5), (0.5, 0.5))
-    page.wait_for_function(f"{MODEL}('selection').value !== {json.dumps(text)}")
+    page.wait_for_function("(text) => named('selection').value !== text", arg=text)
     page.wait_for_function(f"window.store_view.chosen < {chosen}")
-    change(page, "selection", "value", "mean_speed_mps 0..0.5")
-    table = open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
-    page.get_by_text(f"{(table <= 0.5).sum()} of {len(table)} rows").wait_for()
-    assert page.evaluate("window.store_view.chosen") == int((table <= 0.5).sum())
+
+
+def test_a_typed_selection_filters_too(page: Any, store: Path) -> None:
+    select(page, SLOW)
+    speeds = speeds_of(store)
+    slow = speeds[speeds <= 0.5]
+    page.get_by_text(f"{len(slow)} of {len(speeds)} rows").wait_for()
+    assert page.evaluate("window.store_view.chosen") == len(slow)
     listed = page.locator(".slick-row").first.inner_text()
-    assert float(listed.split()[1]) == pytest.approx(table[table <= 0.5][0], abs=1e-4)
-    change(page, "selection", "value", "speed of light")
-    page.wait_for_function(
-        f"{MODEL}('selection-message').text.includes('column low..high')"
-    )
+    assert float(listed.split()[1]) == pytest.approx(slow[0], abs=1e-4)
+    select(page, "speed of light")
+    message = "named('selection-message').text"
+    page.wait_for_function(f"{message}.includes('column low..high')")
     assert page.evaluate("window.store_view.all")  # and nothing is selected by it
-    change(page, "selection", "value", "")
-    page.wait_for_function(f"{MODEL}('selection-message').text === ''")
+    select(page, "")
+    page.wait_for_function(f"{message} === ''")
 
 
 def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
-    walks(page, lambda: change(page, "row", "value", 17))
+    show_row(page, 17)
     page.get_by_text("store-row-17").first.wait_for()
     stage = {"x": 720, "y": 180, "width": 740, "height": 400}
     first, time = page.screenshot(clip=stage), page.evaluate("window.walk_player.time")
@@ -202,52 +173,44 @@ def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
         page.wait_for_timeout(170) or page.screenshot(clip=stage) for _ in range(8)
     )
     assert any(picture != first for picture in later)
-    walks(page, lambda: page.mouse.click(*point(page, 40)))
-    rows, row = f"{MODEL}('rows').data", model(page, "row", "value")
-    shown = [
-        page.evaluate(f"{rows}.c{slot}[{rows}.row.indexOf({row})]") for slot in range(5)
-    ]
-    assert [model(page, "rings", f"data.{axis}[0]") for axis in "xy"] == shown[:2]
-    assert (
-        row != 17
-        and [model(page, f"at-{slot}", "location") for slot in range(5)] == shown
-    )
-    assert (
-        model(page, "listed", f"data.row[{MODEL}('listed').selected.indices[0]]") == row
-    )
-    walks(page, lambda: page.mouse.click(*point(page, row)))  # again
+    click_on_point(page, 40)
+    row = page.evaluate("named('row').value")
+    shown = page.evaluate("columns_of", row)
+    assert row != 17
+    x, y = (page.evaluate(f"named('rings').data.{axis}[0]") for axis in "xy")
+    assert [x, y] == shown[:2]
+    marks = "[0, 1, 2, 3, 4].map((slot) => named(`at-${slot}`).location)"
+    assert page.evaluate(marks) == shown
+    marked = "named('listed').data.row[named('listed').selected.indices[0]]"
+    assert page.evaluate(marked) == row
+    click_on_point(page, row)  # again
     walks(page, page.locator(".slick-cell.selected").first.click)
 
 
 def test_another_column_is_drawn_and_ranges_last(page: Any, store: Path) -> None:
-    change(page, "selection", "value", "mean_speed_mps 0..0.5")
+    select(page, SLOW)
     page.wait_for_function("!window.store_view.all")
-    chosen, text = (
-        page.evaluate("window.store_view.chosen"),
-        model(page, "selection", "value"),
-    )
+    chosen = page.evaluate("window.store_view.chosen")
     labels = {"distance_m": "distance (m)", "mean_speed_mps": "mean speed (m/s)"}
-    values = open_store(store).table([*labels]).to_pydict()
+    values = open_store(store).numpy([*labels])
+    first = np.flatnonzero(values["mean_speed_mps"] <= 0.5)[0]
     for column, label in labels.items():
+        numbers = values[column].tolist()
         change(page, "column-0", "value", column)
-        page.wait_for_function(f"{MODEL}('rows').data.c0[0] === {values[column][0]!r}")
-        first = next(
-            n for n, speed in enumerate(values["mean_speed_mps"]) if speed <= 0.5
-        )
-        listed = f"{values[column][first]:.4f}".rstrip("0")
+        page.wait_for_function(f"named('rows').data.c0[0] === {numbers[0]!r}")
+        listed = f"{numbers[first]:.4f}".rstrip("0")
         page.get_by_text(listed).first.wait_for()  # in the table
-        assert model(page, "cloud", "below[0].axis_label.text") == label
-        assert page.evaluate("window.store_view.chosen") == chosen < len(values[column])
-        assert model(page, "selection", "value") == text
-    change(page, "selection", "value", "")
+        assert page.evaluate("named('cloud').below[0].axis_label.text") == label
+        assert page.evaluate("window.store_view.chosen") == chosen < len(numbers)
+        assert page.evaluate("named('selection').value") == SLOW
+    select(page, "")
 
 
 def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
     change(page, "find", "value_input", "knee swing rad")
-    page.wait_for_function(
-        f"{MODEL}('column-0').options.gait?.[0][1] === 'knee peak swing (rad)'"
-    )
-    assert model(page, "column-0", "value") == "mean_speed_mps"  # and still there
+    first = "named('column-0').options.gait?.[0][1]"
+    page.wait_for_function(f"{first} === 'knee peak swing (rad)'")
+    assert page.evaluate("named('column-0').value") == "mean_speed_mps"  # and still
     change(page, "find", "value_input", "")
 
 
@@ -255,9 +218,8 @@ def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
 def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 1250})
     page.wait_for_timeout(1000)
-    wide, apart, beside = page.evaluate(
-        (ASSETS / "edges.js").read_text(encoding="utf-8")
-    )
+    edges = (ASSETS / "edges.js").read_text(encoding="utf-8")
+    wide, apart, beside = page.evaluate(edges)
     page.set_viewport_size({"width": 1500, "height": 1250})
     assert wide <= width and apart and beside == (width > 1000)
 
@@ -269,33 +231,33 @@ def test_play_pause_and_scrub(page: Any, store: Path) -> None:
     page.wait_for_timeout(200)
     assert page.evaluate("window.walk_player.time") == 0.5
     page.keyboard.press("Space")
-    page.wait_for_function(f"{MODEL}('play').active")
+    page.wait_for_function("named('play').active")
     page.keyboard.press("Space")
     change(page, "time", "value", 0.5)
-    shown_s = float(model(page, "stage", "title.text").split(" s")[0])
+    shown_s = float(page.evaluate("named('stage').title.text").split(" s")[0])
     assert 0.5 - 1.0 / RATE_HZ - 0.01 < shown_s <= 0.5
-    walks(page, lambda: change(page, "row", "value", 60))
-    assert model(page, "time", "value") == 0.0  # where another walk begins
+    show_row(page, 60)
+    assert page.evaluate("named('time').value") == 0.0  # where another walk begins
     change(page, "play", "active", True)
     page.wait_for_function("window.walk_player.time > 0.5")
 
 
 def test_a_slider_changes_the_gait_within_its_bounds(page: Any, store: Path) -> None:
     walks(page, lambda: change(page, "start", "value", "reference"))
-    before = page.evaluate(f"[...{MODEL}('stage-frames').data.near[0]]")
+    leg = "[...named('stage-frames').data.near[0]]"
+    before = page.evaluate(leg)
     walks(page, lambda: change(page, "gain-K_SOL", "value", 12.0))
-    after = page.evaluate(f"[...{MODEL}('stage-frames').data.near[0]]")
-    assert before != after
-    assert model(page, "number-K_SOL", "value") == 12.0
+    assert page.evaluate(leg) != before
+    assert page.evaluate("named('number-K_SOL').value") == 12.0
     change(page, "part", "active", 1)
-    page.wait_for_function(f"/<b>[+-]/.test({MODEL}('score')?.text)")
+    page.wait_for_function("/<b>[+-]/.test(named('score')?.text)")
     change(page, "part", "active", 0)
-    page.wait_for_function(f"{MODEL}('number-K_SOL') !== null")
+    page.wait_for_function("named('number-K_SOL') !== null")
     change(page, "number-K_SOL", "value", 99.0)
-    page.wait_for_function(f"{MODEL}('message').text.includes('K_SOL: 99')")
-    page.wait_for_function(f"{MODEL}('number-K_SOL').value === 12")
+    page.wait_for_function("named('message').text.includes('K_SOL: 99')")
+    page.wait_for_function("named('number-K_SOL').value === 12")
     walks(page, lambda: change(page, "number-K_SOL", "value", 10.0))
-    assert model(page, "message", "text") == ""
+    assert page.evaluate("named('message').text") == ""
 
 
 @cases("out-of-bounds.toml", "field", "text", "said")
@@ -303,16 +265,15 @@ def test_out_of_bounds_is_said(
     page: Any, store: Path, field: str, text: str, said: str
 ) -> None:
     change(page, "part", "active", 0)
-    page.wait_for_function(f"{MODEL}('number-K_SOL') !== null")
-    held = model(page, field, "value") or 0
+    page.wait_for_function("named('number-K_SOL') !== null")
+    held = page.evaluate(f"named('{field}').value") or 0
     # At the keyboard: fields round and clip what a hand on a model does not.
-    view = f"Bokeh.index.query((view) => view.model.name === '{field}')"
-    box = page.evaluate_handle(f"[...{view}][0].input_el").as_element()
+    box = page.evaluate_handle(f"view_of('{field}').input_el").as_element()
     box.fill(text)
     box.press("Enter")
-    page.wait_for_function(f"{MODEL}('message').text.includes({json.dumps(said)})")
+    page.wait_for_function("(said) => named('message').text.includes(said)", arg=said)
     page.wait_for_timeout(500)
-    assert said in model(page, "message", "text")  # still
+    assert said in page.evaluate("named('message').text")  # still
     change(page, field, "value", held)
 
 
@@ -320,94 +281,81 @@ PLACES = asset("muscles-on-the-body.toml")
 LEFT_AHEAD_S, RIGHT_AHEAD_S = 3.10, 3.64  # of the gait `reference`
 
 
-def frames_until_now(page: Any) -> int:
-    """How many frames of the walk have been shown, with that which is shown now."""
-    times = page.evaluate(f"[...{MODEL}('stage-frames').data.time_s[0]]")
-    now = page.evaluate("window.walk_player.time")
-    return sum(time <= now + 1e-6 for time in times)
-
-
-def on_the_body(page: Any, side: str, muscle: str) -> tuple[float, float]:
-    """Where a muscle is in the stage's metres, now, by the bones that are drawn there."""
+def point_at(page: Any, side: str, muscle: str) -> None:
+    """Move the mouse to where a muscle is now, by the bones that are drawn there."""
     place = PLACES[muscle]
-    name = "near" if side == "left" else "far"
-    frame = frames_until_now(page)
-    points = page.evaluate(
-        f"[...{MODEL}('stage-frames').data.{name}[0].slice({10 * frame - 10}, {10 * frame})]"
-    )
-    hip, knee, ankle = np.reshape(points, (5, 2))[:3]
+    points = page.evaluate("bones_of", "near" if side == "left" else "far")
+    hip, knee, ankle, *_ = np.reshape(points, (5, 2))
     upper, lower = {"thigh": (hip, knee), "shank": (knee, ankle)}[place["bone"]]
     axis = (lower - upper) / np.hypot(*(lower - upper))
     front = np.array([-axis[1], axis[0]])
     x, z = upper + place["along_m"] * axis + place["ahead_m"] * front
-    return float(x), float(z)
-
-
-def stop_at(page: Any, moment_s: float) -> None:
-    """Show a moment of a walk that is stopped: a frame that was under way may set another first."""
-    page.wait_for_function(
-        f"""() => {{
-            if (window.walk_player.time === {moment_s}) return true
-            {MODEL}('time').value = 0
-            {MODEL}('time').value = {moment_s}
-            return false
-        }}"""
-    )
+    page.mouse.move(*page.evaluate("place_of", ["stage", float(x), float(z)]))
 
 
 @pytest.fixture(scope="module")
 def standing(page: Any, store: Path) -> None:
     """The gait `reference`."""
     change(page, "part", "active", 0)
-    page.wait_for_function(f"{MODEL}('start') !== null")
+    page.wait_for_function("named('start') !== null")
     walks(page, lambda: change(page, "start", "value", "reference"))
+
+
+@pytest.fixture(scope="module")
+def the_walk() -> Walk:
+    """What the page shows first, simulated here."""
+    level = chosen_setting(
+        ground="flat",
+        disturbance="nominal",
+        seed=1,
+        world="nominal",
+        engine="taichi",
+        duration_s=10.0,
+    )
+    return walk(gains_of_source("reference"), level)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("muscle", PLACES)
 def test_a_muscle_is_named_where_it_is(
-    page: Any, standing: None, muscle: str, side: str
+    page: Any, standing: None, the_walk: Walk, muscle: str, side: str
 ) -> None:
     """With its own activation and thickness; found by its place, not by its number."""
     change(page, "play", "active", False)
     behind = muscle == "HFL"  # seen best on the leg that is behind
     moment_s = LEFT_AHEAD_S if (side == "left") != behind else RIGHT_AHEAD_S
-    stop_at(page, moment_s)
-    page.mouse.move(*at(page, "stage", *on_the_body(page, side, muscle)))
+    page.wait_for_function("stopped_at", arg=moment_s)
+    point_at(page, side, muscle)
+    title = "named('stage').title.text"
     name = f"{side} {muscle}, {PLACES[muscle]['words']}: "
-    page.wait_for_function(f"{MODEL}('stage').title.text.includes({json.dumps(name)})")
-    told = float(model(page, "stage", "title.text").rpartition(": ")[2])
-    walk, frame = the_walk(), frames_until_now(page)
+    page.wait_for_function(f"{title}.includes({json.dumps(name)})")
+    told = float(page.evaluate(title).rpartition(": ")[2])
     number = MUSCLES.index(muscle) + len(MUSCLES) * (side == "right")
-    activation = walk.trajectory.activation[:, number]
-    seconds = walk.frames["time_s"][frame - 1]
-    expected = np.interp(seconds, walk.trajectory.time_s, activation)
+    seconds = the_walk.frames["time_s"][page.evaluate("frames_shown()") - 1]
+    trajectory = the_walk.trajectory
+    activation = trajectory.activation[:, number]
+    expected = np.interp(seconds, trajectory.time_s, activation)
     assert told == pytest.approx(expected, abs=0.02)
-    lines = f"{MODEL}('stage').renderers.at(-1).data_source.data"
+    lines = "named('stage').renderers.at(-1).data_source.data"
     metres = page.evaluate(f"{lines}.metres[{lines}.muscle.indexOf({number})]")
     assert metres == stick_figure.DRAWN[muscle]["belly_m"]
     change(page, "play", "active", True)
-
-
-@cache
-def the_walk() -> Walk:
-    """What the page shows first, simulated here."""
-    level = chosen_setting("flat", "nominal", 1, "nominal", "taichi", 10.0)
-    return walk(gains_of_source("reference"), level)
 
 
 def press(page: Any, step: str) -> int:
     """Click on words or a row, choose of a menu, or point at a muscle; these are so many clicks."""
     what, _, which = step.rpartition(": ")
     if what == "point":
-        walks(page, lambda: page.mouse.click(*point(page, int(which))))
-    elif what == "over":
-        page.mouse.move(*at(page, "stage", *on_the_body(page, *which.split())))
-    elif what:
+        click_on_point(page, int(which))
+        return 1
+    if what == "over":
+        point_at(page, *which.split())
+        return 0
+    if what:
         walks(page, lambda: page.get_by_label(what).select_option(which))
-    else:
-        page.get_by_text(step, exact=True).click()
-    return {"": 1, "point": 1, "over": 0}.get(what, 2)
+        return 2
+    page.get_by_text(step, exact=True).click()
+    return 1
 
 
 @cases("newcomer.toml", "steps", "sees")
@@ -415,11 +363,11 @@ def test_a_newcomer_finds_it_in_four_clicks(
     page: Any, store: Path, steps: list[str], sees: str
 ) -> None:
     assert sum(press(page, step) for step in steps) <= 4
-    page.wait_for_function(sees.replace("NAMED", MODEL))
+    page.wait_for_function(sees)
 
 
 def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:
-    left, top, width, height = frame(page, "cloud")
+    left, top, width, height = page.evaluate("axes_of", "cloud")
     inside = {"x": left + 3, "y": top + 3, "width": width - 6, "height": height - 6}
     by_day = page.screenshot(clip=inside)
     page.emulate_media(color_scheme="dark")
@@ -430,23 +378,23 @@ def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:
 
 
 def test_the_selection_reads_back(page: Any, store: Path) -> None:
-    change(page, "selection", "value", "mean_speed_mps 0..0.5")
+    select(page, SLOW)
     page.wait_for_timeout(300)
     with page.expect_download() as saved:
         page.get_by_text("selection as Parquet").click()
     whole, table = open_store(store).table(), pq.read_table(saved.value.path())
-    assert table.equals(whole.filter(whole["mean_speed_mps"].to_numpy() <= 0.5))
+    assert table.equals(whole.filter(speeds_of(store) <= 0.5))
     assert 0 < len(table) == page.evaluate("window.store_view.chosen") < len(whole)
-    change(page, "selection", "value", "")
+    select(page, "")
 
 
 def test_a_tab_that_is_closed_leaves_others_alone(page: Any, store: Path) -> None:
     other = page.context.browser.new_page()
     other.goto(page.url)
     other.wait_for_function("window.store_view?.refreshed > 0")
-    other.evaluate(f"{MODEL}('row').value = 3")
+    other.evaluate("Bokeh.documents[0].get_model_by_name('row').value = 3")
     other.close()
-    walks(page, lambda: change(page, "row", "value", 5))
+    show_row(page, 5)
     page.get_by_text("store-row-5").first.wait_for()
     assert page.get_by_text("store-row-3").count() == 0  # which the other tab asked for
 
@@ -457,16 +405,15 @@ def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) 
     fake_walker.write_store(whole, shard_rows=100)
     growing = tmp_path / "growing"
     growing.mkdir()
-    shards = sorted(whole.glob("part-*.parquet"))
-    assert len(shards) == 2
-    for name in ("specification.json", shards[0].name):
-        (growing / name).write_bytes((whole / name).read_bytes())
+    first, second = sorted(whole.glob("part-*.parquet"))
+    for part in (whole / "specification.json", first):
+        copy(part, growing)
     with opened(page, growing) as address:
         page.wait_for_function("window.store_view?.chosen === 100")
-        (growing / shards[1].name).write_bytes(shards[1].read_bytes())
+        copy(second, growing)
         page.goto(address)
         page.wait_for_function("window.store_view?.chosen === 150")
-        (growing / shards[1].name).write_bytes(b"damaged")
+        (growing / second.name).write_bytes(b"damaged")
         page.goto(address)
         page.get_by_text("store: ").first.wait_for()
 
@@ -477,34 +424,29 @@ def test_a_head_of_the_table_sorts_all_rows(
     """Not only those that the table lists: a store may have any number."""
     path = tmp_path / "many"
     fake_walker.write_store(path, samples=450)
-    speeds = open_store(path).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
-    first = f"[...{MODEL}('listed').data.c0].slice(0, 200)"
+    speeds = speeds_of(path)
+    listed = "[...named('listed').data.c0].slice(0, 200)"
     head = page.locator(".slick-header-column", has_text="mean speed")
     with opened(page, path):
-        assert page.evaluate(first) == speeds[:200].tolist()
-        for order, way in (
-            (np.sort(speeds), "least"),
-            (np.sort(speeds)[::-1], "largest"),
-        ):
+        assert page.evaluate(listed) == speeds[:200].tolist()
+        ways = {"least": np.sort(speeds), "largest": np.sort(speeds)[::-1]}
+        for way, order in ways.items():
             head.click()
             told = f"450 of 450 rows; the table has the first 200 by mean speed (m/s), {way}"
             page.get_by_text(told).wait_for()
-            assert page.evaluate(first) == order[:200].tolist()
+            assert page.evaluate(listed) == order[:200].tolist()
             shown = page.locator(".slick-row").first.inner_text().split()
             assert float(shown[1]) == pytest.approx(order[0], abs=1e-4)
         walks(page, page.locator(".slick-row").first.click)
-        fastest = speeds[page.evaluate(f"{MODEL}('row').value")]
-        assert fastest == speeds.max()
-        change(
-            page, "selection", "value", "mean_speed_mps 0..0.5"
-        )  # and of those selected
+        assert speeds[page.evaluate("named('row').value")] == speeds.max()
+        select(page, SLOW)  # and of those selected
         page.wait_for_function("!window.store_view.all")
-        below = np.sort(speeds[speeds <= 0.5])[::-1][:200]
-        assert page.evaluate(first) == below.tolist()
-        change(
-            page, "column-0", "value", "distance_m"
-        )  # other heads, which do not sort yet
+        slow = speeds <= 0.5
+        below = np.sort(speeds[slow])[::-1][:200]
+        assert page.evaluate(listed) == below.tolist()
+        # Other heads, which do not sort yet.
+        change(page, "column-0", "value", "distance_m")
         page.locator(".slick-header-column", has_text="distance").click()
-        distances = open_store(path).table(["distance_m"])["distance_m"].to_numpy()
-        least = np.sort(distances[speeds <= 0.5])[:200].tolist()
-        page.wait_for_function(f"{MODEL}('listed').data.c0[0] === {least[0]!r}")
+        distances = open_store(path).numpy(["distance_m"])["distance_m"][slow]
+        least = float(distances.min())
+        page.wait_for_function(f"named('listed').data.c0[0] === {least!r}")

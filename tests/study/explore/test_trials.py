@@ -25,7 +25,7 @@ from taichi_nmm import InputError
 from tests.browser import opened_page
 from tests.cases import asset
 from tests.study import fake_walker
-from tests.study.explore.serving import MODEL, opened
+from tests.study.explore.serving import change, opened
 
 
 def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> None:
@@ -39,29 +39,24 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
     }
     for number in range(4):
         trial = mine.ask(space)
-        for name, value in {"score": number, "note": "no number"}.items():
-            trial.set_user_attr(name, value)
+        trial.set_user_attr("score", number)
+        trial.set_user_attr("note", "no number")
         state = TrialState.FAIL if number == 3 else TrialState.COMPLETE
         mine.tell(trial, None if number == 3 else (number, 0.5), state)
     url, name = f"sqlite:///{tmp_path / 'mine.db'}", mine.study_name
     optuna.copy_study(from_study_name=name, from_storage=journal, to_storage=url)
     for file in ("mine.log", "mine.db"):
         rows = open_rows(tmp_path / file)
-        assert (
-            isinstance(rows, Trials)
-            and rows.simulator == f"study {name}"
-            and rows.best == 2
-        )
+        assert isinstance(rows, Trials) and rows.best == 2
+        assert rows.simulator == f"study {name}"
         named = ("trial", "state", "value", "value_1", "value_", "leg_kind", "score")
         assert rows.columns == named and rows.gain_names == named[4:6]
         assert first_columns(rows) == ["trial", "value", "value_1", "score", "value_"]
         table = rows.table()
         assert table["state"].to_pylist() == ["complete"] * 3 + ["fail"]
         np.testing.assert_equal(table["value"].to_numpy(), [0.0, 1.0, 2.0, np.nan])
-    one, document = (
-        optuna.create_study(storage=f"sqlite:///{tmp_path / 'one.db'}"),
-        Document(),
-    )
+    one = optuna.create_study(storage=f"sqlite:///{tmp_path / 'one.db'}")
+    document = Document()
     one.tell(one.ask(space), 0.5)
     page_of(tmp_path / "one.db")(Executor(), Executor(), document)
     assert document.title.endswith(f"one.db: 1 trial of {one.study_name}")
@@ -94,7 +89,13 @@ def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(
     rows = open_rows(tmp_path / "own.db")
     assert isinstance(rows, Trials)
     setting = chosen_setting(
-        OWN, OWN, experiment.seed, OWN, "taichi", 1.0, rows.document
+        ground=OWN,
+        disturbance=OWN,
+        seed=experiment.seed,
+        world=OWN,
+        engine="taichi",
+        duration_s=1.0,
+        own=rows.document,
     )
     walked = walk(gains_at(rows, 1, 1), setting)
     assert walked.gains.name == "prosthesis-random-run-001-trial-1" and walked.run == 1
@@ -104,6 +105,6 @@ def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(
     with opened_page(1280, 1100) as page, opened(page, tmp_path / "own.db"):
         for number in (rows.best, 1 - rows.best):
             page.get_by_text(f"prosthesis-random-run-001-trial-{number}").wait_for()
-            page.evaluate(f"{MODEL}('row').value = {1 - number}")
-        assert page.evaluate(f"{MODEL}('world').value") == OWN
+            change(page, "row", "value", 1 - number)
+        assert page.evaluate("named('world').value") == OWN
         assert page.locator(".slick-column-name").all_inner_texts().count("trial") == 1

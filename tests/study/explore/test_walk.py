@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,9 @@ from study.explore.walk import Walk, chosen_setting, walk
 from study.explore.walk_view import score_text
 from study.options import config_path
 from taichi_nmm import GAIN_NAMES, InputError
-from taichi_nmm.result import FELL
+from taichi_nmm.result import FELL, OF_MUSCLES
+from taichi_nmm.settings import ENGINES
+from taichi_nmm.terrain import flat
 from tests.study import synthetic_gait
 from tests.tools.running import run_tool
 
@@ -27,11 +30,8 @@ def same_robot(one: Experiment, other: Experiment) -> None:
     np.testing.assert_array_equal(one.body(0).mass_kg, other.body(0).mass_kg)
     np.testing.assert_array_equal(one.world(0).strength, other.world(0).strength)
     np.testing.assert_array_equal(one.terrain(0).height_m, other.terrain(0).height_m)
-    conditions = one.conditions, other.conditions
-    assert (
-        conditions[0].as_written()["simulation"]
-        == conditions[1].as_written()["simulation"]
-    )
+    simulations = [each.conditions.as_written()["simulation"] for each in (one, other)]
+    assert simulations[0] == simulations[1]
 
 
 def reread(experiment: Experiment, folder: Path) -> Experiment:
@@ -40,13 +40,30 @@ def reread(experiment: Experiment, folder: Path) -> Experiment:
     return read_experiment(path)
 
 
+LEVEL: dict[str, Any] = {
+    "ground": "flat",
+    "disturbance": "nominal",
+    "seed": 1,
+    "world": "nominal",
+    "engine": "taichi",
+    "duration_s": 10.0,
+}
+"""Arguments of `chosen_setting`."""
+
+
 @pytest.mark.parametrize("ground", walking.GROUNDS)
 def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> None:
     robots = zip(walking.WORLDS, [*walking.DISTURBANCES] * 2, strict=False)
     for seed, (world, disturbance) in enumerate(robots):
-        engine = ("taichi", "mujoco")[seed % 2]
-        setting = chosen_setting(ground, disturbance, seed, world, engine, 12.5)
-        assert setting.conditions.settings.engine == engine
+        setting = chosen_setting(
+            ground=ground,
+            disturbance=disturbance,
+            seed=seed,
+            world=world,
+            engine=ENGINES[seed % 2],
+            duration_s=12.5,
+        )
+        assert setting.conditions.settings.engine == ENGINES[seed % 2]
         same_robot(setting, reread(setting, tmp_path))
 
 
@@ -64,7 +81,7 @@ def test_a_seed_that_no_configuration_takes_and_tables_within_tables(
     tmp_path: Path,
 ) -> None:
     with pytest.raises(InputError, match="seed: -1"):
-        chosen_setting("flat", "nominal", -1, "nominal", "taichi", 5.0)
+        chosen_setting(**LEVEL | {"seed": -1})
     tables = {"a": {"b": {"c": 1.5}, "d": [1, 2]}, "e": "x\ty", "f": True}
     (tmp_path / "t.toml").write_text(walking.to_toml(tables))
     assert read_toml(tmp_path / "t.toml").unread == tables
@@ -74,7 +91,12 @@ def test_a_seed_that_no_configuration_takes_and_tables_within_tables(
 def fell() -> Walk:
     """The published gains on stairs, on which it falls."""
     setting = chosen_setting(
-        "stairs up, 10 cm a step", "within 15 %", 3, "nominal", "taichi", 20.0
+        ground="stairs up, 10 cm a step",
+        disturbance="within 15 %",
+        seed=3,
+        world="nominal",
+        engine="taichi",
+        duration_s=20.0,
     )
     return walk(gains_of_source("published"), setting)
 
@@ -84,15 +106,11 @@ def test_a_fall_has_frames_and_a_reason(fell: Walk) -> None:
     frames, trajectory = fell.frames, fell.trajectory
     count = len(frames["time_s"])
     assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
-    assert frames["muscles"].shape[:2] == (count, 14) and frames["forces"].shape == (
-        count,
-        2,
-        2,
-        2,
-    )
+    assert frames["muscles"].shape[:2] == (count, 14)
+    assert frames["forces"].shape == (count, 2, 2, 2)
     hip = np.interp(frames["time_s"], trajectory.time_s, trajectory.q[:, 0])
-    np.testing.assert_allclose(frames["near"][:, 0, 0], hip, atol=1e-4)
-    np.testing.assert_allclose(frames["far"][:, 0, 0], hip, atol=1e-4)
+    for leg in ("near", "far"):
+        np.testing.assert_allclose(frames[leg][:, 0, 0], hip, atol=1e-4)
     assert np.ptp(frames["ground"][:, 1]) > 0.1  # steps
     assert fell.ended.startswith("fell after ")
     pose = fell.trajectory.q[-1]
@@ -107,12 +125,9 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
     trajectory = synthetic_gait.walk(2.0, 100.0)
     q = trajectory.q.copy()
     q[50:] = np.nan
-    terrain = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 5.0).terrain(0)
-    frames = walking.frames_of(replace(trajectory, q=q), terrain)
-    assert (
-        np.isfinite(frames["near"]).all()
-        and frames["time_s"][-1] <= trajectory.time_s[50]
-    )
+    frames = walking.frames_of(replace(trajectory, q=q), flat())
+    assert np.isfinite(frames["near"]).all()
+    assert frames["time_s"][-1] <= trajectory.time_s[50]
 
 
 @pytest.mark.slow
@@ -131,24 +146,17 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     more = ("--movie-seconds", "0", "--json", "--out", "pictures")
     assert run_tool(monkeypatch, "walk", *words[2:], *more) == 0
     found = json.loads(capsys.readouterr().out)
-    for field in (
-        "duration_s",
-        "distance_m",
-        "phi_printed",
-        "cost_of_transport_jpkgpm",
-    ):
+    for field in ("duration_s", "distance_m", "phi_printed", OF_MUSCLES):
         assert found[field] == fell.row[field], field
-    assert found["gains"] == dict(
-        zip(GAIN_NAMES, fell.gains.gains.tolist(), strict=True)
-    )
+    values = fell.gains.gains.tolist()
+    assert found["gains"] == dict(zip(GAIN_NAMES, values, strict=True))
     assert Path("walk.sto").read_bytes().startswith(b"gains\n")
 
 
 def test_an_axis_that_is_cut_says_so() -> None:
     """The impact of the heel goes beyond the axis of the ground's force."""
-    level = chosen_setting("flat", "nominal", 1, "nominal", "taichi", 10.0)
-    walked, cycle = walk(gains_of_source("published"), level), Cycle()
-    cycle.show(walked, None)
+    cycle = Cycle()
+    cycle.show(walk(gains_of_source("published"), chosen_setting(**LEVEL)), None)
     plot, source, _ = cycle.plots["vertical_bw"]
     highest = max(source.data["high"].max(), source.data["right"].max())
     assert highest > plot.y_range.end == 1.6
@@ -158,15 +166,13 @@ def test_an_axis_that_is_cut_says_so() -> None:
 
 
 def test_numbers_of_a_walk_that_made_no_step_are_unknown() -> None:
-    level = chosen_setting("flat", "nominal", 1, "nominal", "taichi", 2.0)
+    level = chosen_setting(**LEVEL | {"duration_s": 2.0})
     weak = gains_of_source("reference").as_document() | {"K_VAS": 0.0}
     fallen = walk(named_gains("weak", weak), level)
     assert fallen.row["step_count"] == 0 and fallen.row["end_reason"] == FELL
     text = score_text(fallen, walk(gains_of_source("reference"), level))
     number = r"align=left>([^<]*)</th><td align=right>[^<]*<td align=right>([^<]*)"
     cells = dict(re.findall(number, text))
-    assert (
-        cells["M1 (knee flexion) mean"] == "-"
-        and cells["score phi (as printed)"] == "0"
-    )
+    assert cells["M1 (knee flexion) mean"] == "-"
+    assert cells["score phi (as printed)"] == "0"
     assert float(cells["mass of the whole body, which divides the energy (kg)"]) == 80.0
