@@ -23,7 +23,6 @@ from optuna.distributions import (
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from tests.cases import ASSETS
 
-KERNELS = ("additive", "rbf", "euclidean")
 SPACE: dict[str, distributions.BaseDistribution] = {
     "a": FloatDistribution(-1.0, 1.0),
     "b": FloatDistribution(1e-3, 1e1, log=True),
@@ -66,15 +65,12 @@ def failing(p: Proposal, number: int) -> float:
 def columns(n: int, seed: int) -> dict[str, list[Any]]:
     """Rows of the space."""
     rng = np.random.default_rng(seed)
-    a, b = (
-        np.round(rng.uniform(-1, 1, n), 6),
-        np.round(10 ** rng.uniform(-2.9, 0.9, n), 6),
-    )
-    c, d = (
-        rng.integers(1, 10, n).tolist(),
-        [("x", "y", "z")[i] for i in rng.integers(0, 3, n)],
-    )
-    return {"a": a.tolist(), "b": b.tolist(), "c": c, "d": d}
+    return {
+        "a": np.round(rng.uniform(-1, 1, n), 6).tolist(),
+        "b": np.round(10 ** rng.uniform(-2.9, 0.9, n), 6).tolist(),
+        "c": rng.integers(1, 10, n).tolist(),
+        "d": [("x", "y", "z")[i] for i in rng.integers(0, 3, n)],
+    }
 
 
 def features_of(points: np.ndarray) -> np.ndarray:
@@ -113,11 +109,10 @@ def file_table(n: int = 80) -> FeatureTable:
     """A table read from a Parquet file."""
     rows, features = featured(n, 5)
     content = rows | dict(zip(FEATURES, features.T, strict=True))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "table.parquet"
-        pq.write_table(pa.table(content), path)
-        of = {"features": FEATURES, "parameters": tuple(rows), "space": SPACE}
-        return FeatureTable.from_parquet(path, **of)
+    path = Path(tempfile.mkdtemp()) / "table.parquet"
+    pq.write_table(pa.table(content), path)
+    of = {"features": FEATURES, "parameters": tuple(rows), "space": SPACE}
+    return FeatureTable.from_parquet(path, **of)
 
 
 def proposals(
@@ -161,45 +156,6 @@ def limit_of(p: Proposal, number: int) -> float:
     return p["a"] + 0.2
 
 
-def cases() -> dict[str, Callable[[], Iterator[dict[str, Any]]]]:
-    """Cases by name; each makes its proposals when called."""
-    fks = FeatureKernelSampler
-    near: dict[str, Any] = {"feature_function": features_of, "off_grid": 50}
-    rows = columns(120, 1)
-    two_rows = tuple(
-        {name: column[row] for name, column in rows.items()} for row in (17, 44)
-    )
-    return {
-        **{
-            f"table-{kernel}": lambda k=kernel: proposals(
-                fks(table(), kernel=k, seed=1), 14
-            )
-            for kernel in KERNELS
-        },
-        "space-baseline": lambda: proposals(fks(space=SPACE, seed=2), 10),
-        "space-unknown": lambda: proposals(fks(seed=3), 8, maximise=True),
-        "space-additive": lambda: proposals(fks(features_of, space=SPACE, seed=4), 9),
-        "off-grid": lambda: proposals(fks(table(60), seed=6, **near), 12),
-        "constraints": lambda: proposals(fks(table(), seed=10), 10, limit=limit_of),
-        "constraints-space": lambda: proposals(
-            fks(space=SPACE, seed=11), 8, limit=limit_of
-        ),
-        "enqueued": lambda: proposals(fks(table(), seed=12), 8, enqueued=two_rows),
-        "gaps": lambda: proposals(fks(table(gaps=True), seed=13), 12),
-        "pending": lambda: proposals(fks(table(), seed=15), 10, pending=2),
-        "pending-space": lambda: proposals(fks(space=SPACE, seed=16), 8, pending=2),
-        "ties": lambda: proposals(fks(table(30), seed=17), 14, tied),
-        "extreme": lambda: proposals(fks(table(), seed=19), 10, extreme),
-        "failed": lambda: proposals(fks(table(), seed=21), 9, failing),
-        "one-feature": lambda: proposals(DoGSampler(table(count=1), seed=22), 12),
-        "dog": lambda: proposals(DoGSampler(table(), seed=23), 8),
-        "file": lambda: proposals(fks(file_table(), seed=24), 6),
-        "survival": lambda: proposals(fks(survival_rows(), seed=25), 8),
-        "large": lambda: proposals(fks(table(6000, 9), seed=26), 6),
-        "many-trials": lambda: proposals(fks(table(60), seed=28), 40, tied),
-    }
-
-
 def survival_rows() -> FeatureTable:
     """A table with a ranking, and a feature beside it."""
     rows = columns(70, 3)
@@ -211,17 +167,47 @@ def survival_rows() -> FeatureTable:
     )
 
 
+NEAR = {"feature_function": features_of, "off_grid": 50}
+ROWS = columns(120, 1)
+ENQUEUED = tuple({name: own[row] for name, own in ROWS.items()} for row in (17, 44))
+OURS = FeatureKernelSampler
+# What proposes, in how many trials of what study.
+CASES = {
+    "table-additive": (OURS(table(), kernel="additive", seed=1), 14, {}),
+    "table-rbf": (OURS(table(), kernel="rbf", seed=1), 14, {}),
+    "table-euclidean": (OURS(table(), kernel="euclidean", seed=1), 14, {}),
+    "space-baseline": (OURS(space=SPACE, seed=2), 10, {}),
+    "space-unknown": (OURS(seed=3), 8, {"maximise": True}),
+    "space-additive": (OURS(features_of, space=SPACE, seed=4), 9, {}),
+    "off-grid": (OURS(table(60), seed=6, **NEAR), 12, {}),
+    "constraints": (OURS(table(), seed=10), 10, {"limit": limit_of}),
+    "constraints-space": (OURS(space=SPACE, seed=11), 8, {"limit": limit_of}),
+    "enqueued": (OURS(table(), seed=12), 8, {"enqueued": ENQUEUED}),
+    "gaps": (OURS(table(gaps=True), seed=13), 12, {}),
+    "pending": (OURS(table(), seed=15), 10, {"pending": 2}),
+    "pending-space": (OURS(space=SPACE, seed=16), 8, {"pending": 2}),
+    "ties": (OURS(table(30), seed=17), 14, {"cost": tied}),
+    "extreme": (OURS(table(), seed=19), 10, {"cost": extreme}),
+    "failed": (OURS(table(), seed=21), 9, {"cost": failing}),
+    "one-feature": (DoGSampler(table(count=1), seed=22), 12, {}),
+    "dog": (DoGSampler(table(), seed=23), 8, {}),
+    "file": (OURS(file_table(), seed=24), 6, {}),
+    "survival": (OURS(survival_rows(), seed=25), 8, {}),
+    "large": (OURS(table(6000, 9), seed=26), 6, {}),
+    "many-trials": (OURS(table(60), seed=28), 40, {"cost": tied}),
+}
 GOLDEN = json.loads((ASSETS / "golden-proposals.json").read_text())
 
 
 def test_every_case_is_frozen():
-    assert set(GOLDEN) == set(cases())
+    assert set(GOLDEN) == set(CASES)
 
 
 @pytest.mark.parametrize("name", GOLDEN)
 @pytest.mark.filterwarnings("ignore")
 def test_proposals_are_those_of_0_2_0(name):
-    frozen, made = GOLDEN[name], list(cases()[name]())
+    sampler, trials, how = CASES[name]
+    frozen, made = GOLDEN[name], list(proposals(sampler, trials, **how))
     assert len(frozen) == len(made)
     for number, (was, now) in enumerate(zip(frozen, made, strict=True)):
         assert now["row"] == was["row"], number

@@ -1,13 +1,15 @@
 """Turns, rows and draws of trials, and parameters that a study suggests in its own way."""
 
 import warnings
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import optuna
 import pytest
-from optuna.distributions import FloatDistribution, IntDistribution
+from optuna.distributions import (
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 from optuna.trial import TrialState
 
 from storage.inputs.errors import InputError
@@ -117,62 +119,40 @@ COLUMNS = {
 }
 
 
-def new_table(**options: Any) -> FeatureTable:
+def new_table(**options):
     features = np.column_stack([np.log(RATE), COLUMNS["units"]])
     return FeatureTable.from_arrays(COLUMNS, features, **options)
 
 
 TABLE = new_table()
-Suggest = Callable[[optuna.Trial], Any]
-AS_THE_TABLE: dict[str, Suggest] = {
-    "rate": lambda trial: trial.suggest_float("rate", 1e-5, 1),
-    "units": lambda trial: trial.suggest_int("units", 1, 500),
-    "kind": lambda trial: trial.suggest_categorical("kind", ["relu", "tanh", "gelu"]),
-    "depth": lambda trial: trial.suggest_float("depth", 1, 10),
+AS_THE_TABLE = {
+    "rate": FloatDistribution(1e-5, 1),
+    "units": IntDistribution(1, 500),
+    "kind": CategoricalDistribution(["relu", "tanh", "gelu"]),
+    "depth": FloatDistribution(1, 10),
 }
-OTHERWISE: dict[str, tuple[str, Suggest]] = {
-    "a float on a logarithmic scale": (
-        "rate",
-        lambda trial: trial.suggest_float("rate", 1e-5, 1, log=True),
-    ),
-    "an integer on a logarithmic scale": (
-        "units",
-        lambda trial: trial.suggest_int("units", 1, 512, log=True),
-    ),
-    "integers as choices": (
-        "units",
-        lambda trial: trial.suggest_categorical("units", [8, 16, 32, 64, 128]),
-    ),
-    "integers as floats": (
-        "units",
-        lambda trial: trial.suggest_float("units", 16, 128),
-    ),
-    "floats as integers": ("depth", lambda trial: trial.suggest_int("depth", 1, 8)),
-    "floats as choices": (
-        "depth",
-        lambda trial: trial.suggest_categorical("depth", [8, 4, 2]),
-    ),
-    "another order of choices": (
-        "kind",
-        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu", "tanh"]),
-    ),
-    "more choices": (
-        "kind",
-        lambda trial: trial.suggest_categorical(
-            "kind", ["elu", "gelu", "relu", "tanh", None]
-        ),
-    ),
-    "a step": ("depth", lambda trial: trial.suggest_float("depth", 0, 8, step=0.5)),
+OTHERWISE = {
+    "a float on a logarithmic scale": ("rate", FloatDistribution(1e-5, 1, log=True)),
+    "an integer on a logarithmic scale": ("units", IntDistribution(1, 512, log=True)),
+    "integers as choices": ("units", CategoricalDistribution([8, 16, 32, 64, 128])),
+    "integers as floats": ("units", FloatDistribution(16, 128)),
+    "floats as integers": ("depth", IntDistribution(1, 8)),
+    "floats as choices": ("depth", CategoricalDistribution([8, 4, 2])),
+    "another order": ("kind", CategoricalDistribution(["gelu", "relu", "tanh"])),
+    "more choices": ("kind", CategoricalDistribution(["gelu", "relu", "tanh", None])),
+    "a step": ("depth", FloatDistribution(0, 8, step=0.5)),
 }
 
 
-def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
+def objective(name, distribution):
     """With one parameter suggested first, and otherwise than the table has it."""
 
-    def cost(trial: optuna.Trial) -> float:
-        suggest(trial)
-        others = (ask for other, ask in AS_THE_TABLE.items() if other != name)
-        return float(len(str([ask(trial) for ask in others])))
+    def cost(trial):
+        trial._suggest(name, distribution)
+        for other, own in AS_THE_TABLE.items():
+            trial._suggest(other, distribution if other == name else own)
+        others = [value for other, value in trial.params.items() if other != name]
+        return float(len(str(others)))
 
     return cost
 
@@ -180,67 +160,48 @@ def objective(name: str, suggest: Suggest) -> Callable[[optuna.Trial], float]:
 @pytest.mark.parametrize("strict", [True, False])
 @pytest.mark.parametrize("how", OTHERWISE)
 def test_what_holds_the_rows_works_also_where_it_is_resumed(how, strict):
-    name, suggest = OTHERWISE[how]
+    name, distribution = OTHERWISE[how]
+    cost = objective(name, distribution)
     study = study_of(TABLE, strict=strict)
-    without_warning(study, objective(name, suggest), 12)
+    without_warning(study, cost, 12)
     assert sorted(rows_of(study)) == list(range(12))
     for trial, row in zip(study.trials, rows_of(study), strict=True):
         assert trial.params == TABLE.rows.as_parameters(row)
-        distribution = trial.distributions[name]
-        expected = {IntDistribution: int, FloatDistribution: float}.get(
-            type(distribution)
-        )
-        assert expected is None or type(trial.params[name]) is expected
-    new_sampler = lambda: FeatureKernelSampler(TABLE, seed=1, strict=strict)  # noqa: E731
-    pieces = resumed(new_sampler, objective(name, suggest), 8, optuna.create_study())
+        if isinstance(distribution, IntDistribution | FloatDistribution):
+            is_whole = isinstance(distribution, IntDistribution)
+            assert type(trial.params[name]) is (int if is_whole else float)
+
+    def new_sampler():
+        return FeatureKernelSampler(TABLE, seed=1, strict=strict)
+
+    pieces = resumed(new_sampler, cost, 8, optuna.create_study())
     assert params_of(pieces) == params_of(study)[:8]
 
 
-MISFITS: dict[str, tuple[str, Suggest, str]] = {
-    "too narrow, logarithmic": (
-        "rate",
-        lambda trial: trial.suggest_float("rate", 0.01, 1, log=True),
-        r"rate: .*log=True.* a range that holds all rows: row 0 has 0.0001 .*space=",
-    ),
-    "floats as integers": (
-        "rate",
-        lambda trial: trial.suggest_int("rate", 0, 1),
-        r"rate: 'IntDistribution.* a range that holds all rows: row 0 has 0.0001 .*space=",
-    ),
-    "too few choices": (
-        "kind",
-        lambda trial: trial.suggest_categorical("kind", ["gelu", "relu"]),
-        r"kind: .* choices that hold all rows: row 1 has 'tanh' .*space=",
-    ),
-    "too few integers": (
-        "units",
-        lambda trial: trial.suggest_categorical("units", [16, 32, 64]),
-        r"units: .* choices that hold all rows: row 3 has 128 .*space=",
-    ),
-    "words as numbers": (
-        "kind",
-        lambda trial: trial.suggest_int("kind", 0, 2),
-        r"kind: .* row 0 has 'relu' .*space=",
-    ),
-    "a step between": (
-        "depth",
-        lambda trial: trial.suggest_float("depth", 0, 9, step=3),
-        r"depth: .* row 0 has 2.0 .*space=",
-    ),
-    "too narrow, as the table": (
-        "rate",
-        lambda trial: trial.suggest_float("rate", 0, 0.5),
-        r"rate: .* a range that holds all rows: row 11 has 1.0",
-    ),
-}
+RANGE, CHOICES = "a range that holds all rows: row", "choices that hold all rows: row"
 
 
-@pytest.mark.parametrize("how", MISFITS)
-def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning(how):
-    name, suggest, message = MISFITS[how]
-    done: list[float] = []
-    cost = objective(name, suggest)
-    with pytest.raises(InputError, match=message):
+@pytest.mark.parametrize(
+    ("name", "distribution", "message"),
+    [
+        ("rate", FloatDistribution(0.01, 1, log=True), f".*True.*{RANGE} 0 has 0.0001"),
+        ("rate", IntDistribution(0, 1), f"'IntDistr.*{RANGE} 0 has 0.0001 .*space="),
+        ("rate", FloatDistribution(0, 0.5), f".*{RANGE} 11 has 1.0"),
+        (
+            "kind",
+            CategoricalDistribution(["gelu", "relu"]),
+            f".*{CHOICES} 1 has 'tanh'",
+        ),
+        ("units", CategoricalDistribution([16, 32, 64]), f".* {CHOICES} 3 has 128 "),
+        ("kind", IntDistribution(0, 2), ".* row 0 has 'relu' .*space="),
+        ("depth", FloatDistribution(0, 9, step=3), ".* row 0 has 2.0 .*space="),
+    ],
+)
+def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning(
+    name, distribution, message
+):
+    cost, done = objective(name, distribution), []
+    with pytest.raises(InputError, match=f"^{name}: {message}"):
         study_of(TABLE, lambda trial: done.append(cost(trial)) or 0.0, 1)
     assert not done
     with warnings.catch_warnings(record=True) as said:
@@ -260,18 +221,15 @@ def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning
 )
 def test_a_logarithmic_scale_is_the_kernels_too(how, distribution):
     """As if the table had been given it."""
-    name, suggest = OTHERWISE[how]
-    tables, options = (
-        (TABLE, new_table(space={name: distribution})),
-        {"kernel": "euclidean"},
-    )
-    cost = objective(name, suggest)
-    found, expected = (study_of(table, cost, 8, seed=2, **options) for table in tables)
-    assert params_of(found) == params_of(expected)
-    plain = study_of(
-        TABLE, objective(name, AS_THE_TABLE[name]), 8, kernel="euclidean", seed=2
-    )
-    assert params_of(plain) != params_of(found)
+    name, suggested = OTHERWISE[how]
+    cost, plain = objective(name, suggested), objective(name, AS_THE_TABLE[name])
+
+    def proposed(table, objective):
+        return params_of(study_of(table, objective, 8, seed=2, kernel="euclidean"))
+
+    found = proposed(TABLE, cost)
+    assert found == proposed(new_table(space={name: distribution}), cost)
+    assert found != proposed(TABLE, plain)
 
 
 def test_points_near_the_table_are_on_the_logarithmic_scale_and_within_the_range():
