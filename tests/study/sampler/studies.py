@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,6 @@ from optuna.trial import TrialState
 
 from study import FeatureKernelSampler
 from study.sampler.acquisition import Model
-from study.sampler.gp import Kernel
-from study.sampler.transforms import Points
 from tests.tools.running import ROOT
 
 Floats = NDArray[np.float64]
@@ -25,15 +23,15 @@ Objective = Callable[[optuna.Trial], Any]
 
 
 def study_of(
-    features: Any = None,
-    objective: Objective | None = None,
-    trials: int = 0,
+    features=None,
+    objective=None,
+    trials=0,
     *,
-    enqueued: Iterable[dict[str, Any]] = (),
-    seed: int = 1,
-    direction: str = "minimize",
-    **options: Any,
-) -> optuna.Study:
+    enqueued=(),
+    seed=1,
+    direction="minimize",
+    **options,
+):
     """A study with our sampler, after some trials."""
     sampler = FeatureKernelSampler(features, seed=seed, **options)
     study = optuna.create_study(sampler=sampler, direction=direction)
@@ -44,9 +42,7 @@ def study_of(
     return study
 
 
-def model_after(
-    trials: Points, costs: Floats, kernel: Kernel, ensemble: Any = None
-) -> Model:
+def model_after(trials, costs, kernel, ensemble=None):
     """After trials [n] without limits, of two parameters."""
     return Model(
         kernel=kernel,
@@ -60,25 +56,32 @@ def model_after(
     )
 
 
-def rows_of(study: optuna.Study) -> list[int | None]:
+def told(study, space, params, value, **limits):
+    """A trial of these parameters that has ended with this value, and limits by name."""
+    study.enqueue_trial(params)
+    trial = study.ask(space)
+    for name, limit in limits.items():
+        trial.set_constraint(name, limit)
+    study.tell(trial, value)
+
+
+def rows_of(study):
     """The row that is noted in each trial."""
     return [trial.user_attrs.get("row") for trial in study.trials]
 
 
-def params_of(study: optuna.Study) -> list[dict[str, Any]]:
+def params_of(study):
     """Of the complete trials."""
     return [trial.params for trial in study.get_trials(states=(TrialState.COMPLETE,))]
 
 
-def run_code(
-    code: str, *words: str, **environment: str
-) -> subprocess.CompletedProcess[str]:
+def run_code(code, *words, **environment):
     """A program in a process of its own."""
     command, env = [sys.executable, "-c", code, *words], os.environ | environment
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=env)
 
 
-def without_warning(study: optuna.Study, objective: Objective, trials: int) -> None:
+def without_warning(study, objective, trials):
     """Run trials in which a warning is an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
@@ -86,11 +89,11 @@ def without_warning(study: optuna.Study, objective: Objective, trials: int) -> N
 
 
 def resumed(
-    new_sampler: Callable[[], Any],
-    objective: Objective,
-    trials: int,
-    study: optuna.Study,
-) -> optuna.Study:
+    new_sampler,
+    objective,
+    trials,
+    study,
+):
     """A study of which a new sampler runs each trial, as another process would."""
     for _ in range(trials):
         study.sampler = new_sampler()
@@ -98,7 +101,7 @@ def resumed(
     return study
 
 
-def kill(study: optuna.Study, number: int) -> None:
+def kill(study, number):
     """Fail a running trial and queue its repetition, as Optuna's heartbeat does."""
     trial = study.trials[number]
     study.tell(number, state=TrialState.FAIL)
@@ -107,10 +110,10 @@ def kill(study: optuna.Study, number: int) -> None:
         RetryHeartbeatStaleTrialCallback()(study, trial)
 
 
-def only_a(trial: optuna.Trial) -> float:
+def only_a(trial):
     return trial.suggest_float("a", 0, 1)
 
 
-def bowl(trial: optuna.Trial) -> float:
+def bowl(trial):
     """On a from -1 to 1 and b from 0 to 5."""
     return trial.suggest_float("a", -1, 1) ** 2 + 0.01 * trial.suggest_float("b", 0, 5)

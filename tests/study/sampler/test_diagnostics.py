@@ -1,9 +1,7 @@
 """What `sampler.worth(study)` says: its closed forms, features of known worth, and its texts."""
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import optuna
@@ -13,13 +11,12 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState, create_trial
 from scipy import stats
 
-from storage.inputs.errors import InputError
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
-from study.sampler import diagnostics, gp
-from study.sampler.acquisition import Model
+from study.sampler import gp
 from study.sampler.diagnostics import RankCorrelation, residuals, residuals_of_constant
 from study.sampler.transforms import Points
-from tests.study.sampler.studies import Floats, params_of, study_of
+from tests.study.conftest import refused
+from tests.study.sampler.studies import params_of, study_of
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:FeatureTable"
@@ -31,23 +28,23 @@ SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 KERNELS = ("additive", "rbf")
 
 
-def cost_of(a: Any, b: Any) -> Any:
+def cost_of(a, b):
     """Rough, so that likeness of the parameters says little of it."""
     return np.abs(a) + np.sin(40.0 * a) * np.cos(30.0 * b)
 
 
-def objective(trial: optuna.Trial) -> float:
+def objective(trial):
     return float(
         cost_of(trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5))
     )
 
 
-def columns() -> dict[str, Floats]:
+def columns():
     rng = np.random.default_rng(0)
     return {"a": rng.uniform(-1, 1, ROWS), "b": rng.uniform(0, 5, ROWS)}
 
 
-def good_features() -> Floats:
+def good_features():
     """The cost itself, slightly wrong and on another scale; noise; a constant."""
     rng = np.random.default_rng(1)
     cost = cost_of(**columns())
@@ -55,9 +52,7 @@ def good_features() -> Floats:
     return np.column_stack([error, rng.normal(size=ROWS), np.ones(ROWS)])
 
 
-def new_table(
-    features: Floats | None = None, names: tuple[str, ...] = NAMES
-) -> FeatureTable:
+def new_table(features=None, names=NAMES):
     made = good_features() if features is None else features
     return FeatureTable.from_arrays(columns(), made, list(names), space=SPACE)
 
@@ -67,13 +62,13 @@ with warnings.catch_warnings():
     TABLE = new_table()
 
 
-def add(study: optuna.Study, row: int, value: float) -> None:
+def add(study, row, value):
     """A finished trial of a row of the table."""
     params = TABLE.rows.as_parameters(row)
     study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=value))
 
 
-def drawn_rows(trials: int, rng: np.random.Generator | None = None) -> optuna.Study:
+def drawn_rows(trials, rng=None):
     """Rows drawn at random; without a generator the first ones, whose order is none."""
     study = optuna.create_study()
     rows = np.arange(ROWS) if rng is None else rng.permutation(ROWS)
@@ -82,13 +77,11 @@ def drawn_rows(trials: int, rng: np.random.Generator | None = None) -> optuna.St
     return study
 
 
-def worth_of(
-    study: optuna.Study, features: Any = TABLE, **options: Any
-) -> diagnostics.Worth:
+def worth_of(study, features=TABLE, **options):
     return FeatureKernelSampler(features, seed=1, **options).worth(study)
 
 
-def model_of(study: optuna.Study, **options: Any) -> Model:
+def model_of(study, **options):
     present = FeatureKernelSampler(TABLE, seed=1, **options)._policy.present(study)
     assert present is not None
     return present.model
@@ -235,12 +228,12 @@ def test_few_trials_or_those_that_cost_the_same_are_no_error(kernel, trials):
     assert (alike.verdict, alike.correlations) == (known, (None, None, None))
 
 
-def by_hand(points: Floats) -> Floats:
+def by_hand(points):
     return np.column_stack([cost_of(*points.T), points[:, 1] % 0.3])
 
 
 BY_HAND = new_table(by_hand(np.column_stack(list(columns().values()))), ("error", "b"))
-FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
+FORMS = {
     "table": lambda: FeatureKernelSampler(TABLE, seed=1),
     "dog": lambda: DoGSampler(new_table(good_features()[:, :1], ("error",)), seed=1),
     "off_grid": lambda: FeatureKernelSampler(
@@ -324,7 +317,7 @@ def test_without_features_or_with_several_objectives_there_is_no_worth(
     features, options
 ):
     sampler = FeatureKernelSampler(features, **options)
-    with pytest.raises(InputError, match=r"^kernel: 'euclidean'.*nothing to report$"):
+    with refused(r"^kernel: 'euclidean'.*nothing to report$"):
         sampler.worth(optuna.create_study())
     assert not sampler.has_features and FORMS["table"]().has_features
     with pytest.raises(ValueError, match="multi-objective"):

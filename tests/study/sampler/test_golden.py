@@ -4,7 +4,7 @@ import json
 import math
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import optuna
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from optuna import distributions
 from optuna.distributions import (
     CategoricalDistribution,
     FloatDistribution,
@@ -23,7 +22,7 @@ from optuna.distributions import (
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from tests.cases import ASSETS
 
-SPACE: dict[str, distributions.BaseDistribution] = {
+SPACE = {
     "a": FloatDistribution(-1.0, 1.0),
     "b": FloatDistribution(1e-3, 1e1, log=True),
     "c": IntDistribution(1, 9),
@@ -34,7 +33,7 @@ Proposal = dict[str, Any]
 Cost = Callable[[Proposal, int], float]
 
 
-def cost_of(p: Proposal, number: int) -> float:
+def cost_of(p, number):
     """A bowl with a shift by choice."""
     shift = {"x": 0.0, "y": 0.3, "z": -0.4}[p["d"]]
     return (
@@ -45,24 +44,24 @@ def cost_of(p: Proposal, number: int) -> float:
     )
 
 
-def extreme(p: Proposal, number: int) -> float:
+def extreme(p, number):
     """Cliffs and infinities."""
     if p["a"] > 0.5:
         return math.inf
     return 1e200 if p["c"] > 7 else 1e-9 * cost_of(p, number)
 
 
-def tied(p: Proposal, number: int) -> float:
+def tied(p, number):
     """Few distinct costs."""
     return float(round(cost_of(p, number)))
 
 
-def failing(p: Proposal, number: int) -> float:
+def failing(p, number):
     """The fourth and sixth trial end without a value."""
     return math.nan if number in (3, 5) else cost_of(p, number)
 
 
-def columns(n: int, seed: int) -> dict[str, list[Any]]:
+def columns(n, seed):
     """Rows of the space."""
     rng = np.random.default_rng(seed)
     return {
@@ -73,7 +72,7 @@ def columns(n: int, seed: int) -> dict[str, list[Any]]:
     }
 
 
-def features_of(points: np.ndarray) -> np.ndarray:
+def features_of(points):
     """Features of points [n, 4], the last a choice's index: [n, 3]."""
     a, b, c, d = np.asarray(points, dtype=np.float64).T
     return np.column_stack(
@@ -81,16 +80,14 @@ def features_of(points: np.ndarray) -> np.ndarray:
     )
 
 
-def featured(n: int, seed: int) -> tuple[dict[str, list[Any]], np.ndarray]:
+def featured(n, seed):
     """Rows of the space, and their features [n, 3]."""
     rows = columns(n, seed)
     index = [("x", "y", "z").index(d) for d in rows["d"]]
     return rows, features_of(np.column_stack([rows["a"], rows["b"], rows["c"], index]))
 
 
-def table(
-    n: int = 120, seed: int = 1, *, gaps: bool = False, count: int = 3
-) -> FeatureTable:
+def table(n=120, seed=1, *, gaps=False, count=3):
     """Rows with features; some of them unknown or infinite."""
     rows, features = featured(n, seed)
     if gaps:
@@ -105,7 +102,7 @@ def table(
         )
 
 
-def file_table(n: int = 80) -> FeatureTable:
+def file_table(n=80):
     """A table read from a Parquet file."""
     rows, features = featured(n, 5)
     content = rows | dict(zip(FEATURES, features.T, strict=True))
@@ -116,22 +113,22 @@ def file_table(n: int = 80) -> FeatureTable:
 
 
 def proposals(
-    sampler: optuna.samplers.BaseSampler,
-    trials: int,
-    cost: Cost = cost_of,
+    sampler,
+    trials,
+    cost=cost_of,
     *,
-    limit: Cost | None = None,
-    enqueued: tuple[Proposal, ...] = (),
-    pending: int = 0,
-    maximise: bool = False,
-) -> Iterator[dict[str, Any]]:
+    limit=None,
+    enqueued=(),
+    pending=0,
+    maximise=False,
+):
     """What a sampler proposes in a study, and the row that it noted."""
     study = optuna.create_study(
         sampler=sampler, direction="maximize" if maximise else "minimize"
     )
     for params in enqueued:
         study.enqueue_trial(params)
-    waiting: list[tuple[optuna.Trial, Proposal]] = []
+    waiting = []
     for _ in range(trials):
         trial = study.ask(SPACE)
         params = trial.params
@@ -151,17 +148,17 @@ def proposals(
                 study.tell(told, -value if maximise else value)
 
 
-def limit_of(p: Proposal, number: int) -> float:
+def limit_of(p, number):
     """A constraint, kept where a <= -0.2."""
     return p["a"] + 0.2
 
 
-def survival_rows() -> FeatureTable:
+def survival_rows():
     """A table with a ranking, and a feature beside it."""
     rows = columns(70, 3)
     rng = np.random.default_rng(3)
     features = rng.random((70, 2))
-    ranking: dict[str, Any] = {"outcomes": features[:, 0], "better": "higher"}
+    ranking = {"outcomes": features[:, 0], "better": "higher"}
     return FeatureTable.from_arrays(
         rows, features[:, 1], ["speed"], space=SPACE, **ranking
     )

@@ -12,11 +12,11 @@ from optuna.distributions import (
 )
 from optuna.trial import TrialState
 
-from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import history
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, generator, turn
 from study.sampler.history import OFF_TABLE, next_trial, read_history, row_of
+from tests.study.conftest import refused
 from tests.study.sampler.studies import (
     kill,
     params_of,
@@ -201,7 +201,7 @@ def test_what_does_not_hold_them_is_one_line_before_the_objective_or_one_warning
     name, distribution, message
 ):
     cost, done = objective(name, distribution), []
-    with pytest.raises(InputError, match=f"^{name}: {message}"):
+    with refused(f"^{name}: {message}"):
         study_of(TABLE, lambda trial: done.append(cost(trial)) or 0.0, 1)
     assert not done
     with warnings.catch_warnings(record=True) as said:

@@ -13,7 +13,7 @@ WORLDS = np.column_stack([(LINE - 0.12) ** 2, (LINE - 0.17) ** 2])
 OTHER = FeatureTable.from_arrays({"p": [0.0, 0.5, 1.0]}, [1.0, 2.0, 3.0])
 
 
-def two_features(params: np.ndarray) -> np.ndarray:
+def two_features(params):
     return np.column_stack([params.sum(axis=1), params.max(axis=1)])
 
 

@@ -1,7 +1,5 @@
 """First trials, turns that are left to the parameters, and one thread of BLAS."""
 
-from typing import Any
-
 import numpy as np
 import optuna
 import pytest
@@ -15,16 +13,16 @@ from study.sampler import acquisition
 from study.sampler.acquisition import Model
 from study.sampler.gp import ADDITIVE, NEARNESS
 from study.sampler.transforms import PATIENCE, is_doubtful
-from tests.study.sampler.studies import Floats, bowl, rows_of, run_code, study_of
+from tests.study.sampler.studies import bowl, rows_of, run_code, study_of
 
 ROWS = 70
 
 
-def only_x(trial: optuna.Trial) -> float:
+def only_x(trial):
     return trial.suggest_float("x", 0, 1)
 
 
-def drawn(seed: int) -> Floats:
+def drawn(seed):
     """Three features with a common part, heavy-tailed, of different units, [70, 3]."""
     rng = np.random.default_rng(seed)
     common = rng.standard_normal(ROWS)
@@ -32,22 +30,22 @@ def drawn(seed: int) -> Floats:
     return np.exp(0.8 * common[:, None] + 0.4 * own) * [1.0, 1e3, 1e-3]
 
 
-def table_of(features: Floats, **known: Any) -> FeatureTable:
+def table_of(features, **known):
     return FeatureTable.from_arrays({"x": np.linspace(0, 1, ROWS)}, features, **known)
 
 
 def first_rows(
-    features: Floats,
-    trials: int,
+    features,
+    trials,
     *,
-    seed: int = 0,
-    kernel: str | None = None,
-    **known: Any,
-) -> list[Any]:
+    seed=0,
+    kernel=None,
+    **known,
+):
     """Rows of the first trials, whose costs have nothing to do with them."""
     costs = np.random.default_rng(seed).uniform(size=ROWS)
 
-    def cost(trial: optuna.Trial) -> float:
+    def cost(trial):
         return float(costs[trial.number] + 0 * only_x(trial))
 
     return rows_of(
@@ -114,7 +112,7 @@ def test_trials_that_can_be_learned_from_count_among_them(ranked):
     assert not ranked or rows_of(study)[2] == features[:, 0].argmax()
 
 
-def ends_first(params: Floats) -> Floats:
+def ends_first(params):
     return np.column_stack([np.exp(9.0 * params[:, 0]), params[:, 0] ** 3])
 
 
@@ -141,18 +139,18 @@ X, Y = np.random.default_rng(0).uniform(size=(2, 60))
 XY, FEATURES = {"x": X, "y": Y}, np.column_stack([X + Y, X - Y])
 
 
-def without_success(trial: optuna.Trial) -> float:
+def without_success(trial):
     """The second trial is the best, and no other is better."""
     trial.suggest_float("x", 0, 1), trial.suggest_float("y", 0, 1)
     return 0.0 if trial.number == 1 else 1.0 + 0.01 * trial.number
 
 
-def kernels_asked(study: optuna.Study, objective: Any, trials: int) -> dict[int, Any]:
+def kernels_asked(study, objective, trials):
     """Kernel of the model of each trial, by its number."""
-    asked: dict[int, Any] = {}
+    asked = {}
     made = Model.__init__
 
-    def spied(model: Model, *given: Any, **named: Any) -> None:
+    def spied(model, *given, **named):
         made(model, *given, **named)
         asked[len(model.costs)] = model.kernel
 
@@ -203,17 +201,17 @@ DIMENSION, TRIALS = 4, 24
 SEEDS = range(12)  # chosen before the first run
 
 
-def round_bowl(unit: Floats) -> Floats:
+def round_bowl(unit):
     return np.asarray(((unit - 0.65) ** 2).sum(axis=1))
 
 
-def misleading(unit: Floats, rng: np.random.Generator) -> Floats:
+def misleading(unit, rng):
     """The cost, folded at its best tenth: the best rows look like mediocre ones."""
     cost = round_bowl(unit)
     return np.abs(cost - np.quantile(cost, 0.1))
 
 
-def useless(unit: Floats, rng: np.random.Generator) -> Floats:
+def useless(unit, rng):
     return rng.standard_cauchy(len(unit))
 
 
@@ -250,7 +248,7 @@ def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feat
 GIVEN = 2
 
 
-def blas_threads() -> set[int]:
+def blas_threads():
     return {
         pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"
     }
@@ -261,7 +259,7 @@ def watch(monkeypatch):
     """Has a function note the threads that BLAS has where it is called."""
 
     def watch(owner, name):
-        seen: list[set[int]] = []
+        seen = []
         function = getattr(owner, name)
 
         def watched(*arguments, **options):

@@ -5,10 +5,8 @@ import pickle
 import re
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -35,48 +33,55 @@ from tests.study.sampler.test_goals import studied
 
 Floats = NDArray[np.float64]
 
+BOUNDS = {"a": (-1, 1), "b": (0, 5)}
 SPACE = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 
-def features(params: Floats) -> Floats:
+def features(params):
     return np.column_stack([np.abs(params[:, 0]), params[:, 1] - 2.0])
 
 
-def small_table() -> FeatureTable:
+def small_table():
     rng = np.random.default_rng(0)
     columns = {"a": rng.uniform(-1, 1, 80), "b": rng.uniform(0, 5, 80)}
     values = features(np.column_stack(list(columns.values())))
-    bounds = {"a": (-1, 1), "b": (0, 5)}
-    return FeatureTable.from_arrays(columns, values, ["size", "side"], bounds=bounds)
+    return FeatureTable.from_arrays(columns, values, ["size", "side"], bounds=BOUNDS)
 
 
-FORMS: dict[str, Callable[[], FeatureKernelSampler]] = {
-    "table": lambda: FeatureKernelSampler(small_table(), seed=1),
-    "off_grid": lambda: FeatureKernelSampler(
-        small_table(), seed=1, off_grid=30, feature_function=features
-    ),
-    "paper": lambda: FeatureKernelSampler(small_table(), seed=1, kernel="rbf"),
-    "callable": lambda: FeatureKernelSampler(features, seed=1),
-    "plain": lambda: FeatureKernelSampler(seed=1),
+TABLE = small_table()
+FORMS = {
+    "table": (TABLE, {}),
+    "off_grid": (TABLE, {"off_grid": 30, "feature_function": features}),
+    "paper": (TABLE, {"kernel": "rbf"}),
+    "callable": (features, {}),
+    "plain": (None, {}),
 }
 
 
-def run(form: str, trials: int = 9) -> list[dict[str, Any]]:
-    study = optuna.create_study(sampler=FORMS[form]())
-    study.optimize(bowl, n_trials=trials)
-    return params_of(study)
+def new_sampler(form):
+    given, options = FORMS[form]
+    return FeatureKernelSampler(given, seed=1, **options)
+
+
+def run(form):
+    given, options = FORMS[form]
+    return params_of(study_of(given, bowl, 9, **options))
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_the_state_is_in_the_trials_also_after_reseeding(form):
-    study, pieces = optuna.create_study(sampler=FORMS[form]()), optuna.create_study()
+    study = optuna.create_study(sampler=new_sampler(form))
     study.sampler.reseed_rng()
     study.optimize(bowl, n_trials=9)
-    resumed(lambda: pickle.loads(pickle.dumps(FORMS[form]())), bowl, 9, pieces)
+
+    def travelled():
+        return pickle.loads(pickle.dumps(new_sampler(form)))
+
+    pieces = resumed(travelled, bowl, 9, optuna.create_study())
     assert params_of(study) == params_of(pieces) == run(form)
 
 
-def proposals() -> dict[str, Any]:
+def proposals():
     """Of all forms, and of a study with two goals."""
     return {form: run(form) for form in FORMS} | {
         "goals": params_of(studied("worlds", 6))
@@ -101,7 +106,7 @@ def test_another_process_proposes_the_same():
 @pytest.mark.parametrize(("direction", "sign"), [("minimize", 1.0), ("maximize", -1.0)])
 def test_every_kernel_finds_good_rows(kernel, direction, sign):
     options = {"seed": 3, "kernel": kernel, "direction": direction}
-    study = study_of(small_table(), lambda trial: sign * bowl(trial), 16, **options)
+    study = study_of(TABLE, lambda trial: sign * bowl(trial), 16, **options)
     assert sign * study.best_value < 0.04
 
 
@@ -114,11 +119,11 @@ def test_points_of_a_space_become_good(given):
 
 
 def test_points_off_the_table_beat_its_best_row():
-    table = small_table()
+    table = TABLE
     best_row = (
         table.rows.parameters[:, 0] ** 2 + 0.01 * table.rows.parameters[:, 1]
     ).min()
-    calls: list[int] = []
+    calls = []
 
     def counted(params):
         calls.append(len(params))
@@ -139,7 +144,7 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such(monkeyp
             [np.where(params[:, 0] < 0.5, -np.inf, 1.0), params[:, 1]]
         )
 
-    learned: list[Any] = []
+    learned = []
     looked_at = Model._looked_at
 
     def spied(model, *rest):
@@ -173,9 +178,7 @@ def test_a_trial_off_the_table_may_have_gaps_and_none_near_it_is_tried_twice(gap
         return np.where((params[:, 0] < -0.5)[:, None], gaps, features(params))
 
     options = {"seed": 0, "feature_function": function}
-    study = study_of(
-        small_table(), bowl, 6, enqueued=[{"a": -0.77, "b": 1.0}], **options
-    )
+    study = study_of(TABLE, bowl, 6, enqueued=[{"a": -0.77, "b": 1.0}], **options)
     assert len({trial.user_attrs.get("row") for trial in study.trials}) == 6
     table = FeatureTable.from_arrays({"n": [1, 3, 9]}, [1.0, 3.0, 9.0])
     options = {"seed": 0, "off_grid": 50, "feature_function": lambda p: p}
@@ -184,7 +187,7 @@ def test_a_trial_off_the_table_may_have_gaps_and_none_near_it_is_tried_twice(gap
 
 
 def test_a_ranking_that_is_wrong_is_left():
-    table, size = small_table(), np.sort(small_table().rows.features[:, 0])
+    table, size = TABLE, np.sort(TABLE.rows.features[:, 0])
     rows = replace(table.rows, worlds=Worlds.of(table.rows.features[:, 0], "lower"))
     study = study_of(FeatureTable(rows), lambda trial: -bowl(trial), 40, seed=0)
     assert max(abs(trial.params["a"]) for trial in study.trials) >= size[-3]
@@ -199,13 +202,8 @@ def test_rows_left_out_change_no_choice(kernel):
     values[100:] = np.nan
 
     def proposed(rows):
-        columns, bounds = (
-            dict(zip("ab", params[:rows].T, strict=True)),
-            {"a": (-1, 1), "b": (0, 5)},
-        )
-        table = FeatureTable.from_arrays(
-            columns, values[:rows], ["size", "side"], bounds=bounds
-        )
+        columns = dict(zip("ab", params[:rows].T, strict=True))
+        table = FeatureTable.from_arrays(columns, values[:rows], bounds=BOUNDS)
         return params_of(study_of(table, bowl, 12, seed=3, kernel=kernel))
 
     assert proposed(300) == proposed(100)
@@ -217,15 +215,12 @@ def test_a_thousand_trials_are_no_trouble():
         {"a": rng.uniform(size=3000)}, rng.normal(size=(3000, 3))
     )
     study = study_of(table, seed=0)
-    space = {"a": FloatDistribution(0, 1)}
-    for row in range(1000):
-        params = table.rows.as_parameters(row)
-        value = float(table.rows.features[row].sum())
-        study.add_trial(
-            optuna.create_trial(params=params, distributions=space, value=value)
-        )
+    space = table.rows.space.as_dict()
+    for row, value in enumerate(table.rows.features[:1000].sum(axis=1).tolist()):
+        known = {"params": table.rows.as_parameters(row), "distributions": space}
+        study.add_trial(optuna.create_trial(value=value, **known))
     start = time.perf_counter()
-    study.ask(table.rows.space.as_dict())
+    study.ask(space)
     assert time.perf_counter() - start < 5.0  # a second on an idle machine
 
 
@@ -347,43 +342,34 @@ def test_failed_and_pruned_trials_teach_nothing_nor_do_their_limits(table, state
 
 
 def test_ties_are_broken_by_the_seed():
-    tied = FeatureTable.from_arrays(
-        {"a": np.linspace(0, 1, 50), "b": np.ones(50)}, np.zeros(50)
-    )
-    seen = {
-        rows_of(study_of(tied, bowl, 4, seed=seed, kernel="rbf"))[3]
-        for seed in range(12)
-    }
-    assert len(seen) > 6
+    columns = {"a": np.linspace(0, 1, 50), "b": np.ones(50)}
+    tied = FeatureTable.from_arrays(columns, np.zeros(50))
+    studies = [study_of(tied, bowl, 4, seed=seed, kernel="rbf") for seed in range(12)]
+    assert len({rows_of(each)[3] for each in studies}) > 6
 
 
 def test_an_informative_score_beats_random_search():
     rng = np.random.default_rng(5)
     unit = rng.uniform(size=(3000, 8))
     depth = ((unit - 0.6) ** 2).sum(axis=1)
-    score = np.maximum(
-        0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000)
-    )  # most are zero
+    # Most scores are zero.
+    score = np.maximum(0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000))
     columns = {f"x{i}": unit[:, i] for i in range(8)}
-    table = FeatureTable.from_arrays(
-        columns, score, bounds=dict.fromkeys(columns, (0.0, 1.0))
-    )
+    bounds = dict.fromkeys(columns, (0.0, 1.0))
+    table = FeatureTable.from_arrays(columns, score, bounds=bounds)
 
     def objective(trial):
         x = np.array([trial.suggest_float(name, 0, 1) for name in columns])
         return float(1.0 - np.exp(-8.0 * ((x - 0.6) ** 2).sum()))
 
-    def mean_best(new_sampler):
-        studies = [
-            optuna.create_study(sampler=new_sampler(seed=seed)) for seed in range(6)
-        ]
-        for each in studies:
-            each.optimize(objective, n_trials=20)
-        return np.mean([each.best_value for each in studies])
+    def best(sampler):
+        study = optuna.create_study(sampler=sampler)
+        study.optimize(objective, n_trials=20)
+        return study.best_value
 
-    dog = mean_best(lambda seed: DoGSampler(table, seed=seed))
-    assert dog < mean_best(RandomSampler) - 0.1
-    assert dog < np.quantile(1.0 - np.exp(-8.0 * depth), 0.01)
+    ours = np.mean([best(DoGSampler(table, seed=seed)) for seed in range(6)])
+    assert ours < np.mean([best(RandomSampler(seed=seed)) for seed in range(6)]) - 0.1
+    assert ours < np.quantile(1.0 - np.exp(-8.0 * depth), 0.01)
 
 
 # Extreme numbers.
@@ -433,46 +419,38 @@ def test_extreme_features_tell_rows_apart(kernel):
 SIXTEEN = {f"x{i}": np.linspace(0, 1, 600) for i in range(16)}
 SIX = np.random.default_rng(0).random((600, 6))
 SHOWN = FeatureTable.from_arrays(SIXTEEN, SIX, ["survival", *"bcdef"])
-TABLE = "FeatureTable(600 rows, 16 parameters, 6 features: survival, b, c, ...)"
+SIZE = "FeatureTable(600 rows, 16 parameters, 6 features: survival, b, c, ...)"
+UNIT = FloatDistribution(0, 1)
+OTHER = {"independent_sampler": RandomSampler(), "extra_parameters": ["n"]}
 
 
 @pytest.mark.parametrize(
-    ("made", "shown"),
+    ("given", "options", "shown"),
     [
+        (SHOWN, {}, f"{SIZE}, seed=3"),
         (
-            lambda: FeatureKernelSampler(SHOWN, seed=3),
-            f"FeatureKernelSampler({TABLE}, seed=3)",
+            SHOWN,
+            {"kernel": "rbf", "strict": True, "success": 0.1},
+            f"{SIZE}, seed=3, kernel='rbf', success=0.1",
         ),
         (
-            lambda: FeatureKernelSampler(
-                SHOWN, kernel="rbf", strict=True, success=0.1, seed=3
-            ),
-            f"FeatureKernelSampler({TABLE}, seed=3, kernel='rbf', success=0.1)",
+            features,
+            OTHER,
+            "features, seed=3, extra_parameters=('n',), independent_sampler=RandomSampler",
         ),
-        (
-            lambda: FeatureKernelSampler(
-                features,
-                seed=3,
-                independent_sampler=RandomSampler(),
-                extra_parameters=["n"],
-            ),
-            "FeatureKernelSampler(features, seed=3, extra_parameters=('n',), "
-            "independent_sampler=RandomSampler)",
-        ),
-        (
-            lambda: FeatureKernelSampler(seed=0, space={"x": FloatDistribution(0, 1)}),
-            "FeatureKernelSampler(seed=0, space={'x': FloatDistribution("
-            "high=1.0, log=False, low=0.0, step=None)})",
-        ),
+        (None, {"space": {"x": UNIT}}, f"seed=3, space={{'x': {UNIT!r}}}"),
     ],
 )
-def test_a_sampler_shows_its_seed_and_what_was_chosen_wherever_it_travels(made, shown):
-    sampler = made()
-    assert repr(sampler) == shown == repr(pickle.loads(pickle.dumps(sampler)))
+def test_a_sampler_shows_its_seed_and_what_was_chosen_wherever_it_travels(
+    given, options, shown
+):
+    sampler = FeatureKernelSampler(given, seed=3, **options)
+    there = pickle.loads(pickle.dumps(sampler))
+    assert repr(sampler) == f"FeatureKernelSampler({shown})" == repr(there)
 
 
 def test_presets_go_by_their_own_names_and_a_seed_that_was_drawn_is_shown():
-    assert repr(DoGSampler(SHOWN, seed=1)).startswith(f"DoGSampler({TABLE}, seed=1")
+    assert repr(DoGSampler(SHOWN, seed=1)).startswith(f"DoGSampler({SIZE}, seed=1")
     found = re.fullmatch(
         r"FeatureKernelSampler\(seed=(\d+)\)", repr(FeatureKernelSampler())
     )

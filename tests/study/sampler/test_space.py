@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from optuna import distributions
 from optuna.distributions import (
     CategoricalDistribution,
     FloatDistribution,
@@ -20,7 +19,7 @@ from study.sampler.space import (
     not_near,
 )
 
-DISTRIBUTIONS: dict[str, distributions.BaseDistribution] = {
+DISTRIBUTIONS = {
     "plain": FloatDistribution(-2.0, 3.0),
     "log": FloatDistribution(1e-5, 10.0, log=True),
     "step": FloatDistribution(-1.0, 1.0, step=0.25),
@@ -33,7 +32,7 @@ DISTRIBUTIONS: dict[str, distributions.BaseDistribution] = {
 SPACE = Space.of(DISTRIBUTIONS)
 
 
-def inside(points: np.ndarray) -> bool:
+def inside(points):
     return all(
         distribution._contains(distribution.to_internal_repr(SPACE.values(point)[name]))
         for point in points
@@ -165,4 +164,4 @@ def test_the_unit_cube_has_ranges_of_one_choices_one_apart_and_edges():
     )
     rows = np.array([[5.5, 1e3, 9.0, 4.0], [0.5, 1e-2, 12.0, 5.0]])
     edges = [[1.0, 1.0, 6.5 / 7, 0.0], [0.5, 0.5, 6.5 / 7, 0.0]]
-    np.testing.assert_allclose(space.unit(rows), edges)
+    assert_allclose(space.unit(rows), edges)

@@ -1,11 +1,8 @@
 """Costs and features on the scales of the model, against SciPy; tables larger than memory."""
 
-from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
-import optuna
 import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import norm, rankdata
@@ -15,7 +12,6 @@ from study.sampler import transforms
 from study.sampler.transforms import LARGEST, NormalScores, Standard, log_excess
 from tests.cases import cases
 from tests.study.sampler import studies
-from tests.study.sampler.studies import Floats
 
 NAN, INF = np.nan, np.inf
 CLIFF = np.array([-1.0, 0.0, 2.0, 1e6, 2.0])
@@ -56,7 +52,7 @@ def test_a_limit_keeps_its_side_in_any_unit(factor):
 
 
 # Scales of features.
-def blom(rows: Floats, values: Floats) -> Floats:
+def blom(rows, values):
     """Normal scores of values among rows, by SciPy: of each alone, put in among the rows."""
     known = rows[~np.isnan(rows)]
     ranks = []
@@ -72,7 +68,7 @@ def blom(rows: Floats, values: Floats) -> Floats:
     return np.where(np.isnan(values), 0.0, scores)
 
 
-def drawn(seed: int) -> Floats:
+def drawn(seed):
     """A column with ties, infinities of both signs, gaps, and a heavy tail, [60]."""
     rng = np.random.default_rng(seed)
     values = np.round(rng.standard_cauchy(60), 1)
@@ -155,11 +151,11 @@ A, B = np.random.default_rng(4).uniform(size=(2, 50))
 FEATURES = np.column_stack([np.abs(A - 0.4), B, A + B])
 
 
-def proposed(features: Floats) -> list[Any]:
+def proposed(features):
     """Rows of 14 trials of a study over a table with these features."""
     table = FeatureTable.from_arrays({"a": A, "b": B}, features)
 
-    def cost(t: optuna.Trial) -> float:
+    def cost(t):
         return (t.suggest_float("a", 0, 1) - 0.4) ** 2 + 0.1 * t.suggest_float(
             "b", 0, 1
         )
@@ -168,11 +164,11 @@ def proposed(features: Floats) -> list[Any]:
 
 
 @cache
-def unchanged() -> list[Any]:
+def unchanged():
     return proposed(FEATURES)
 
 
-CHANGES: dict[str, Callable[[Floats], Floats]] = {
+CHANGES = {
     "cubed and moved": lambda column: 1e3 * (column - 0.3) ** 3 - 50.0,
     "heavy-tailed, to 1e6": lambda column: np.expm1(
         (column / column.max()) ** 9 * np.log(1e6)

@@ -3,12 +3,11 @@
 import multiprocessing
 import time
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import optuna
 import pytest
-from optuna.storages import BaseStorage, JournalStorage
+from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
@@ -22,7 +21,7 @@ TRIALS = 200
 ROWS = 215  # hardly more than trials: the end of the table is fought for
 
 
-def small_table() -> FeatureTable:
+def small_table():
     rng = np.random.default_rng(0)
     columns = {"a": rng.uniform(size=ROWS), "b": rng.uniform(size=ROWS)}
     return FeatureTable.from_arrays(
@@ -30,17 +29,17 @@ def small_table() -> FeatureTable:
     )  # ten scores: many ties
 
 
-def open_storage(kind: str, folder: Path) -> BaseStorage:
+def open_storage(kind, folder):
     if kind == "journal":
         return JournalStorage(JournalFileBackend(str(folder / "journal.log")))
     return open_studies(f"sqlite:///{folder / 'studies.db'}")  # WAL
 
 
-def cost(trial: optuna.Trial) -> float:
+def cost(trial):
     return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 1)
 
 
-def work(kind: str, folder: Path, trials: int) -> None:
+def work(kind, folder, trials):
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     sampler = DoGSampler(small_table(), seed=1)
     study = optuna.load_study(

@@ -14,18 +14,19 @@ from optuna.distributions import (
 )
 from scipy.stats import multivariate_normal, norm
 
-from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import table_policy
 from study.sampler.gp import WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
+from tests.study.conftest import refused
 from tests.study.sampler.studies import (
     model_after,
     params_of,
     resumed,
     rows_of,
     study_of,
+    told,
 )
 
 SPACE = {"x": FloatDistribution(0.0, 1.0), "y": FloatDistribution(1.0, 100.0, log=True)}
@@ -69,11 +70,6 @@ def turned(trial):
 
 def values_of(study):
     return [trial.values[0] for trial in study.trials]
-
-
-def told(study, *values):
-    for value in values:
-        study.tell(study.ask(SPACE), value)
 
 
 # The model.
@@ -271,14 +267,14 @@ GAPS = np.where(np.arange(180).reshape(60, 3) % 3 == 1, np.nan, 1.0)
     ],
 )
 def test_outcomes_that_are_refused(outcomes, better, message):
-    with pytest.raises(InputError, match=rf"^table\.{message}"):
+    with refused(rf"^table\.{message}"):
         table(outcomes, better=better)
 
 
 def test_outcomes_that_do_not_fit_the_features_are_refused():
-    with pytest.raises(InputError, match=r"^table.better: .* none without outcomes"):
+    with refused(r"^table.better: .* none without outcomes"):
         table(None, COSTS, better="higher")
-    with pytest.raises(InputError, match=r"^table.outcomes: '60 rows' .* 59 rows, as"):
+    with refused(r"^table.outcomes: '60 rows' .* 59 rows, as"):
         FeatureTable.from_arrays({"x": ROWS[:59, 0]}, ROWS[:59], outcomes=COSTS)
 
 
@@ -297,7 +293,7 @@ def test_outcomes_that_do_not_fit_the_features_are_refused():
 )
 def test_options_that_are_refused(features, options, message):
     (name,) = options
-    with pytest.raises(InputError, match=f"^{name}: {message}"):
+    with refused(f"^{name}: {message}"):
         FeatureKernelSampler(features, **options)
 
 
@@ -356,9 +352,9 @@ def test_what_is_predicted_is_the_posterior_and_before_a_trial_the_spread_of_wor
     upwards = study_of(table(-COSTS), turned, 12, direction="maximize", success=-0.3)
     other = upwards.sampler.predict(upwards)
     assert_allclose([-other.high, -other.low], [found.low, found.high])
-    with pytest.raises(InputError, match=r"^params\[0\]: .*'z'"):
+    with refused(r"^params\[0\]: .*'z'"):
         sampler.predict(study, [{"z": 1.0}])
-    with pytest.raises(InputError, match=r"^features: 'no table'"):
+    with refused(r"^features: 'no table'"):
         FeatureKernelSampler().predict(study)
 
 
@@ -394,17 +390,14 @@ def test_the_best_trial_keeps_its_limits_and_pools_its_repeats():
     for sign, direction in DIRECTIONS.items():
         study = study_of(table(sign * COSTS), direction=direction)
         for row in (*range(6), 2, 2):  # three of the cheapest, which is over the limit
-            study.enqueue_trial(rows.as_parameters(row))
-            trial = study.ask(SPACE)
-            trial.set_constraint("left", 1.0 if row == 4 else -1.0)
-            study.tell(trial, sign * (0.3 + 0.1 * abs(row - 4)))
+            value, left = 0.3 + 0.1 * abs(row - 4), 1.0 if row == 4 else -1.0
+            told(study, SPACE, rows.as_parameters(row), sign * value, left=left)
         found.append(study.sampler.best(study))
     down, up = found
     assert down.row == up.row and down.row in (3, 5)
     assert down.value == pytest.approx(-up.value)
     assert down.low == pytest.approx(-up.high)
-    study.enqueue_trial(rows.as_parameters(down.row))
-    told(study, -0.1)
+    told(study, SPACE, rows.as_parameters(down.row), -0.1)
     again = study.sampler.best(study)
     assert again.trials == 2
     assert str(again).startswith(f"Trial {again.number}, row {again.row}: -")
@@ -412,7 +405,7 @@ def test_the_best_trial_keeps_its_limits_and_pools_its_repeats():
 
 def test_before_any_trial_no_world_is_named_and_no_trial_is_best():
     study = study_of(table())
-    with pytest.raises(InputError, match=r"^study: .* a finished trial of these param"):
+    with refused(r"^study: .* a finished trial of these param"):
         study.sampler.best(study)
     worth = study.sampler.worth(study)
     assert worth.trials == 0 and "No trial" in str(worth)
@@ -422,7 +415,8 @@ def test_before_any_trial_no_world_is_named_and_no_trial_is_best():
 @pytest.mark.parametrize("sign", DIRECTIONS)
 def test_huge_values_leave_the_best_trial_finite(direction, sign):
     study = study_of(table(sign * COSTS), direction=direction)
-    told(study, 1e300, -1e300, 0.0)
+    for value in (1e300, -1e300, 0.0):
+        study.tell(study.ask(SPACE), value)
     best = study.sampler.best(study)
     assert np.isfinite([best.value, best.low, best.high]).all()
     assert study.ask(SPACE).params != best.params
