@@ -37,9 +37,8 @@ FAR_BELOW, FAR_ABOVE = -1e3, 1e1  # standard deviations
 # A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two
 # nodes.
 NODES_A_LENGTH = 100
-WORK = (
-    1e10  # multiplications for the variance of all candidates; beyond, a part of them
-)
+# Multiplications for the variance of all candidates; beyond, a part of them.
+WORK = 1e10
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
@@ -257,14 +256,12 @@ class Model:
         count = len(self.costs) + len(self.running)
         most = max(int(WORK / count**2), LEAST_CANDIDATES)
         if self.kernel.by_order:
-            most = min(
-                most, MOST_CANDIDATES if self.ensemble is None else MOST_IN_WORLDS
-            )
+            candidates = MOST_CANDIDATES if self.ensemble is None else MOST_IN_WORLDS
+            most = min(most, candidates)
         free = np.flatnonzero(offered)
         if len(points) <= most and len(free) > len(points) // 2:
-            return np.arange(
-                len(points)
-            )  # leaving out a few would cost a copy of the others
+            # Leaving out a few would cost a copy of the others.
+            return np.arange(len(points))
         if len(free) <= most:
             return free
         if not self.kernel.of_features:
@@ -276,11 +273,9 @@ class Model:
 
     def _merit(self, points: Points) -> Floats:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
-        seen, residual = self.trials.features, self.posterior.y
-        residual = residual[
-            : len(seen)
-        ]  # less what running trials are believed to show
+        seen = self.trials.features
         n, k = seen.shape
+        residual = self.posterior.y[:n]  # less what running trials are believed to show
         if k <= n:
             slopes = np.linalg.solve(seen.T @ seen + np.eye(k), seen.T @ residual)
         else:  # the same by fewer equations
@@ -295,10 +290,8 @@ class Model:
         for posterior in self.limit_posteriors:
             kept += log_kept(*posterior.predict(visible))
         feasible = self.feasible
-        if (
-            not feasible.any()
-        ):  # nothing to improve on: first find a candidate that holds
-            return kept
+        if not feasible.any():
+            return kept  # nothing to improve on: first find a candidate that holds
         mean, variance = self.posterior.predict(visible)
         cost = self.cost()
         mean += self.expected(points, cost)
@@ -323,11 +316,9 @@ def along_feature(
     nodes are fewer, at evenly spaced nodes, between which it is all but straight.
     """
     values, place = points.distinct
-    nodes, span = values, float(values[-1] - values[0])
-    count = (
-        int(min(np.ceil(span / posterior.shortest_scale * NODES_A_LENGTH), len(values)))
-        + 1
-    )
+    nodes = values
+    lengths = float(values[-1] - values[0]) / posterior.shortest_scale
+    count = int(min(np.ceil(lengths * NODES_A_LENGTH), len(values))) + 1
     if posterior.precision is np.float32 and count < len(values):
         nodes = np.linspace(values[0], values[-1], count)
     found = computed(Points(nodes[:, None], np.empty((len(nodes), 0))))

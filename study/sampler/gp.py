@@ -76,10 +76,8 @@ NEGLIGIBLE = -80.0  # exp of it is 1e-35
 JITTER = 1e-10  # variance added to the noise, so that equal rows do no harm
 LIKELIHOOD_TRIALS = 120  # at most; constants are few, and the cost grows with the cube
 ITERATIONS = 40
-NOISE_STARTS = (
-    0.0,
-    3.0,
-)  # added to the log noise: the likelihood has a mode that is all noise
+# Added to the log noise: the likelihood has a mode that is all noise.
+NOISE_STARTS = (0.0, 3.0)
 SECOND_START_TRIALS = 30  # up to so many: with more, the modes are rarely two
 BLOCK = 512  # candidates at a time, so that a block stays in the cache
 LARGEST_RATIO = 5e2  # of prior variance to noise, for which 32 bits keep within 1e-4
@@ -153,9 +151,8 @@ PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
 WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)  # a^2
 SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)  # c^2
 BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2
-BEYOND_SCALE = Constant(
-    log(0.8), 0.7, PARAMETER_SCALE_BOUNDS
-)  # L, in ranges of the parameters
+# L, in ranges of the parameters.
+BEYOND_SCALE = Constant(log(0.8), 0.7, PARAMETER_SCALE_BOUNDS)
 WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 
 
@@ -205,8 +202,9 @@ class Covariance:
     @cached_property
     def start(self) -> Floats:
         """Theta before any trial, [t]: the likeliest values within the bounds."""
-        ends = ((exp(constant.mode), *constant.bounds) for constant in self.constants)
-        return np.log([min(max(likeliest, low), high) for likeliest, low, high in ends])
+        likeliest = [exp(constant.mode) for constant in self.constants]
+        low, high = zip(*(constant.bounds for constant in self.constants), strict=True)
+        return np.asarray(np.log(np.clip(likeliest, low, high)))
 
     @cached_property
     def bounds(self) -> Floats:
@@ -262,9 +260,7 @@ class Covariance:
         Distances are taken in 64 bits always; what is of size [n, m] after that may be
         in 32.
         """
-        weights = np.zeros(
-            a.shape[1]
-        )  # of the columns of linear terms, which are one product
+        weights = np.zeros(a.shape[1])  # of linear terms, which are one product
         curved = []
         for term, variance, scales in self.valued(theta):
             if len(scales):
@@ -511,10 +507,7 @@ class Posterior:
     def shortest_scale(self) -> float:
         """The smallest length scale, in standard units; infinite without any."""
         values = self.covariance.valued(self.theta)
-        return min(
-            (float(scales.min()) for _, _, scales in values if len(scales)),
-            default=np.inf,
-        )
+        return float(min(scales.min(initial=np.inf) for _, _, scales in values))
 
     def gram(self) -> Floats:
         """K without noise, [n, n]."""

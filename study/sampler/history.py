@@ -242,10 +242,11 @@ def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
     As `transforms.by_side` has what `trial.set_constraint` was told.
     """
     keys = sorted({key for trial in trials for key in trial.constraints})
-    limits = [[trial.constraints.get(key, np.nan) for key in keys] for trial in trials]
-    columns = np.array(limits, dtype=np.float64).reshape(len(trials), len(keys)).T
-    found = [by_side(column) for column in columns]
-    return np.array(found).reshape(len(keys), len(trials)).T
+    limits = np.empty((len(trials), len(keys)))
+    for key, column in zip(keys, limits.T, strict=True):
+        told = [trial.constraints.get(key, np.nan) for trial in trials]
+        column[:] = by_side(np.array(told, dtype=np.float64))
+    return limits
 
 
 # What a study suggests, and whether a table fits it.
@@ -269,13 +270,14 @@ def suggested_so_far(
     Within a study Optuna holds a parameter to one kind of distribution, one scale, and,
     of a categorical, one list of choices.
     """
-    missing, found = set(names), dict[str, BaseDistribution]()
+    found: dict[str, BaseDistribution] = {}
+    missing = set(names)
     for trial in reversed(study.get_trials(deepcopy=False)):
         if not missing:
             break
         for name in missing & trial.distributions.keys():
             found[name] = trial.distributions[name]
-            missing.discard(name)
+        missing -= found.keys()
     return found
 
 
@@ -286,23 +288,24 @@ def as_suggested_rows(rows: Rows, suggested: Mapping[str, BaseDistribution]) -> 
     A scale or step that the table was given stays. Rows that the study does not hold
     stay as they are, too.
     """
-    distributions = list(rows.space.distributions)
-    for column, name in enumerate(rows.names):
-        own, theirs = distributions[column], suggested.get(name)
-        if not isinstance(own, Number) or own.log:
+    distributions = rows.space.as_dict()
+    for column, (name, own) in enumerate(rows.space.as_dict().items()):
+        theirs = suggested.get(name)
+        if not isinstance(own, Number) or not isinstance(theirs, Number):
             continue
-        if not isinstance(theirs, Number) or not theirs.log:
+        whole = isinstance(own, IntDistribution)
+        has_step = own.step != (1 if whole else None)
+        if own.log or has_step or not theirs.log:
             continue
-        if own.step not in (None, 1) or rows.outside(column, theirs) is not None:
+        if rows.outside(column, theirs) is not None:
             continue
         low, high = max(own.low, theirs.low), min(own.high, theirs.high)
-        if isinstance(own, IntDistribution):
-            distributions[column] = IntDistribution(
-                math.ceil(low), math.floor(high), log=True
-            )
-        elif own.step is None:
-            distributions[column] = FloatDistribution(low, high, log=True)
-    return replace(rows, space=Space(rows.names, tuple(distributions)))
+        if whole:
+            low, high = math.ceil(low), math.floor(high)
+            distributions[name] = IntDistribution(int(low), int(high), log=True)
+        else:
+            distributions[name] = FloatDistribution(low, high, log=True)
+    return replace(rows, space=Space.of(distributions))
 
 
 def shown_misfit(
@@ -314,13 +317,10 @@ def shown_misfit(
     finished one may have suggested some of them only.
     """
     for column, name in enumerate(rows.names):
-        error = (
-            distribution_misfit(rows, column, suggested[name])
-            if name in suggested
-            else None
-        )
-        if error is not None:
-            return error
+        if name in suggested:
+            error = distribution_misfit(rows, column, suggested[name])
+            if error is not None:
+                return error
     trial = _latest(study)
     if trial is None or not any(name in trial.params for name in rows.names):
         return None

@@ -84,11 +84,9 @@ class Rows:
     def unit(self) -> Floats:
         """Rows that may be proposed in the unit cube, [m, e]."""
         chosen = self._chosen(self.parameters)
-        blocks = (
-            chosen[first : first + BLOCK]
-            for first in range(0, max(len(chosen), 1), BLOCK)
-        )
-        return np.vstack([self.space.unit(block) for block in blocks])
+        starts = range(0, max(len(chosen), 1), BLOCK)
+        blocks = [self.space.unit(chosen[start : start + BLOCK]) for start in starts]
+        return np.vstack(blocks)
 
     @cached_property
     def _lengths(self) -> Floats:
@@ -202,10 +200,8 @@ class Rows:
         for column, name in enumerate(self.names):
             if name not in values:
                 continue
-            number, distribution = (
-                self.space.number(column, values[name]),
-                distributions[column],
-            )
+            number = self.space.number(column, values[name])
+            distribution = distributions[column]
             if number is None:
                 return np.zeros(len(self), dtype=bool)
             own = self.parameters[:, column]

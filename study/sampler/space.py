@@ -73,10 +73,8 @@ class Space:
         """A trial's values as one row [d]; None where one is missing, or of no use here."""
         row = np.empty(len(self))
         for column, name in enumerate(self.names):
-            if (
-                name not in values
-                or (number := self.number(column, values[name])) is None
-            ):
+            number = self.number(column, values[name]) if name in values else None
+            if number is None:
                 return None
             row[column] = number
         return row
@@ -100,9 +98,12 @@ class Space:
 
     def pinned(self, values: Mapping[str, Any]) -> "Space":
         """The space, with these values of some parameters in all new points."""
-        named = [(c, name) for c, name in enumerate(self.names) if name in values]
-        pins = [(column, self.number(column, values[name])) for column, name in named]
-        return replace(self, pins=tuple((c, n) for c, n in pins if n is not None))
+        pins = []
+        for column, name in enumerate(self.names):
+            number = self.number(column, values[name]) if name in values else None
+            if number is not None:
+                pins.append((column, number))
+        return replace(self, pins=tuple(pins))
 
     def values(self, row: Floats) -> dict[str, Any]:
         """One row [d] as values, numbers of Python's own types."""
@@ -205,11 +206,11 @@ def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
 
 def printed_tolerance(value: float) -> float:
     """How far a number may be from one that is printed like it, with eight digits or more."""
+    if not value:
+        return 0.0
     shown = Decimal(repr(value)).normalize()
     digits = max(len(shown.as_tuple().digits), PRINTED_DIGITS)
-    return (
-        0.5 * (1.0 + 1e-6) * 10.0 ** (shown.adjusted() + 1 - digits) if value else 0.0
-    )
+    return 0.5 * (1.0 + 1e-6) * 10.0 ** (shown.adjusted() + 1 - digits)
 
 
 def standing_for(
@@ -352,6 +353,6 @@ def _ends(distribution: Number) -> tuple[float, float]:
     """Where the unit interval begins and ends: half a step outside, for steps and integers."""
     half = 0.5 * (distribution.step or 0.0)
     low, high = distribution.low - half, distribution.high + half
-    return (
-        (float(np.log(low)), float(np.log(high))) if distribution.log else (low, high)
-    )
+    if distribution.log:
+        return float(np.log(low)), float(np.log(high))
+    return low, high

@@ -168,7 +168,7 @@ def stand_ins(values: Floats, known: Floats = NOTHING) -> tuple[float, float]:
     return low - reach, high + reach
 
 
-def without_infinities(values: Floats, ends: tuple[float, float]) -> Floats:
+def without_infinities(values: Floats, ends: tuple[float, float] | Floats) -> Floats:
     """The values, those that are infinite replaced by two `stand_ins`."""
     low, high = ends
     return np.where(values == np.inf, high, np.where(values == -np.inf, low, values))
@@ -181,8 +181,8 @@ def clip_infinities(values: Floats) -> Floats:
     else: what is infinitely bad must not be as good as the worst number.
     """
     finite = values[np.isfinite(values)]
-    low, high = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
-    return without_infinities(values, (low, high))
+    ends = (finite.min(), finite.max()) if len(finite) else (0.0, 0.0)
+    return without_infinities(values, ends)
 
 
 def by_side(limit: Floats) -> Floats:
@@ -254,10 +254,7 @@ class Standard:
 
 def _finite(features: Floats, ends: Floats) -> Floats:
     """Features [n, k], infinite ones replaced by the ends [k, 2] of their columns; NaN stays."""
-    low, high = ends.T
-    return squarable(
-        np.where(features == np.inf, high, np.where(features == -np.inf, low, features))
-    )
+    return squarable(without_infinities(features, ends.T))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState, create_trial
 from scipy import stats
 
-from study import DoGSampler, FeatureKernelSampler, FeatureTable
+from study import FeatureKernelSampler, FeatureTable
 from study.sampler import gp
 from study.sampler.diagnostics import RankCorrelation, residuals, residuals_of_constant
 from study.sampler.transforms import Points
@@ -34,9 +34,8 @@ def cost_of(a, b):
 
 
 def objective(trial):
-    return float(
-        cost_of(trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5))
-    )
+    a, b = trial.suggest_float("a", -1, 1), trial.suggest_float("b", 0, 5)
+    return float(cost_of(a, b))
 
 
 def columns():
@@ -57,8 +56,7 @@ def new_table(features=None, names=NAMES):
     return FeatureTable.from_arrays(columns(), made, list(names), space=SPACE)
 
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", UserWarning)  # one feature is constant
+with warnings.catch_warnings(action="ignore"):  # one feature is constant
     TABLE = new_table()
 
 
@@ -83,7 +81,6 @@ def worth_of(study, features=TABLE, **options):
 
 def model_of(study, **options):
     present = FeatureKernelSampler(TABLE, seed=1, **options)._policy.present(study)
-    assert present is not None
     return present.model
 
 
@@ -93,7 +90,6 @@ def test_the_correlation_is_spearmans_with_its_interval(n):
     rng = np.random.default_rng(n)
     feature, cost = rng.integers(0, 6, n).astype(float), rng.normal(size=n)
     found = RankCorrelation.of(feature, cost)
-    assert found is not None
     r = stats.spearmanr(feature, cost).statistic
     assert found.value == pytest.approx(r)
     error = np.sqrt((1 + r**2 / 2) / (n - 3))
@@ -116,9 +112,8 @@ def test_the_interval_holds_the_correlation_as_often_as_it_says():
 def test_infinite_features_are_extreme_missing_ones_left_out_and_few_trials_not_certain():
     feature = np.array([1.0, np.inf, 2.0, np.nan, -np.inf, 3.0])
     found = RankCorrelation.of(feature, np.array([1.0, 4.0, 2.0, -9.0, 0.0, 3.0]))
-    assert found is not None and found.value == 1.0
+    assert found.value == 1.0
     few, many = (RankCorrelation.of(np.arange(n), -np.arange(n)) for n in (4.0, 40.0))
-    assert few is not None and many is not None
     assert few.value == many.value == few.low == many.low == -1.0
     assert few.high > 0.5 and many.high < -0.95
 
@@ -158,10 +153,10 @@ def test_leaving_out_is_that_of_refits_with_the_same_constants(kernel, monkeypat
 def test_a_feature_that_tells_the_cost_is_worth_something(kernel):
     worth = worth_of(drawn_rows(30), kernel=kernel)
     good, useless, constant = worth.correlations
-    assert good is not None and good.low > 0.8
-    assert useless is not None and useless.low < 0.0 < useless.high
+    assert good.low > 0.8
+    assert useless.low < 0.0 < useless.high
     assert constant is None
-    assert worth.errors is not None and worth.errors.model < 0.6
+    assert worth.errors.model < 0.6
     assert (worth.errors.without is None) == (kernel != "additive")
     assert worth.verdict.startswith("The features explain part of the costs")
 
@@ -197,7 +192,7 @@ def test_missing_and_infinite_features_do_no_harm(kernel):
     features[::5, 0] = np.inf
     features[::7, 0] = np.nan
     worth = worth_of(drawn_rows(20), new_table(features), kernel=kernel)
-    assert worth.errors is not None and np.isfinite(worth.errors.model)
+    assert np.isfinite(worth.errors.model)
     assert "nan" not in str(worth)
 
 
@@ -206,7 +201,7 @@ def test_the_gain_is_over_the_parameters_where_they_are_better_than_a_constant()
     for row in range(20):
         add(study, row, TABLE.rows.as_parameters(row)["a"] ** 2)
     errors, model = worth_of(study).errors, model_of(study)
-    assert errors is not None and errors.without is not None and errors.without < 1.0
+    assert errors.without is not None and errors.without < 1.0
     alike = Points(np.zeros_like(model.trials.features), model.trials.coordinates)
     blind = residuals(replace(model, trials=alike).posterior)
     less = np.abs(blind) - np.abs(residuals(model.posterior))
@@ -234,14 +229,12 @@ def by_hand(points):
 
 BY_HAND = new_table(by_hand(np.column_stack(list(columns().values()))), ("error", "b"))
 FORMS = {
-    "table": lambda: FeatureKernelSampler(TABLE, seed=1),
-    "dog": lambda: DoGSampler(new_table(good_features()[:, :1], ("error",)), seed=1),
-    "off_grid": lambda: FeatureKernelSampler(
-        BY_HAND, seed=1, feature_function=by_hand, off_grid=20
-    ),
-    "function": lambda: FeatureKernelSampler(by_hand, seed=1, space=SPACE),
-    "function, found": lambda: FeatureKernelSampler(by_hand, seed=1),
-    "function, rbf": lambda: FeatureKernelSampler(by_hand, seed=1, kernel="rbf"),
+    "table": (TABLE, {}),
+    "dog": (new_table(good_features()[:, :1], ("error",)), {"kernel": "rbf"}),
+    "off_grid": (BY_HAND, {"feature_function": by_hand, "off_grid": 20}),
+    "function": (by_hand, {"space": SPACE}),
+    "function, found": (by_hand, {}),
+    "function, rbf": (by_hand, {"kernel": "rbf"}),
 }
 
 
@@ -249,7 +242,8 @@ FORMS = {
 def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_proposed(
     form,
 ):
-    study, not_looked = (optuna.create_study(sampler=FORMS[form]()) for _ in range(2))
+    features, options = FORMS[form]
+    study, not_looked = (study_of(features, **options) for _ in range(2))
     sampler = study.sampler
     for _ in range(9):
         study.optimize(objective, n_trials=1)
@@ -260,9 +254,9 @@ def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_propos
     before = study.get_trials()
     worth = sampler.worth(study)
     assert worth.trials == 9
-    assert worth.errors is not None and np.isfinite(worth.errors.model)
-    assert worth.correlations[0] is not None and worth.correlations[0].value > 0.5
-    assert FORMS[form]().worth(study) == worth == sampler.worth(study)
+    assert np.isfinite(worth.errors.model)
+    assert worth.correlations[0].value > 0.5
+    assert worth_of(study, features, **options) == worth == sampler.worth(study)
     assert study.get_trials() == before
     assert not study.user_attrs and not study._storage.get_study_system_attrs(
         study._study_id
@@ -274,9 +268,7 @@ def test_every_form_tells_the_same_twice_and_leaves_the_study_and_what_is_propos
 @pytest.mark.parametrize("trials", [0, 1, 4])
 @pytest.mark.parametrize("space", [None, SPACE])
 def test_a_function_with_few_trials_is_no_error(trials, space):
-    worth = worth_of(
-        study_of(by_hand, objective, trials, space=space), by_hand, space=space
-    )
+    worth = worth_of(study_of(by_hand, objective, trials), by_hand, space=space)
     assert worth.verdict == f"too few trials: {trials} of 5"
     assert worth.names == (("feature_0", "feature_1") if trials else ())
     assert str(worth) and worth.markdown()
@@ -299,15 +291,13 @@ def test_trials_off_the_table_are_not_counted_and_infinite_costs_are():
     study.optimize(objective, n_trials=1)
     assert worth_of(study).trials == 6
     first = worth_of(drawn_rows(20), by_hand, space=SPACE).correlations[0]
-    assert (
-        first is not None and first.value == 1.0
-    )  # without a note, the function is called
+    assert first.value == 1.0  # without a note, the function is called
     study = drawn_rows(10)
     add(study, 50, np.inf)
     add(study, 51, -np.inf)
     worth = worth_of(study)
     assert worth.trials == 12
-    assert worth.errors is not None and np.isfinite(worth.errors.model)
+    assert np.isfinite(worth.errors.model)
 
 
 @pytest.mark.parametrize(
@@ -319,7 +309,7 @@ def test_without_features_or_with_several_objectives_there_is_no_worth(
     sampler = FeatureKernelSampler(features, **options)
     with refused(r"^kernel: 'euclidean'.*nothing to report$"):
         sampler.worth(optuna.create_study())
-    assert not sampler.has_features and FORMS["table"]().has_features
+    assert not sampler.has_features and FeatureKernelSampler(TABLE).has_features
     with pytest.raises(ValueError, match="multi-objective"):
         worth_of(optuna.create_study(directions=["minimize", "maximize"]))
 

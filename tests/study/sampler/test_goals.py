@@ -6,6 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 from optuna.distributions import FloatDistribution
 from optuna.samplers import RandomSampler
+from optuna.study import StudyDirection
 from optuna.trial import TrialState
 
 from study import FeatureKernelSampler, FeatureTable
@@ -31,18 +32,18 @@ def table(**known):
 
 WORLDS = np.stack([goals_of(ROWS, bend) for bend in (-0.1, 0.0, 0.1)], axis=1)
 FORMS = {
-    "worlds": lambda: table(outcomes=WORLDS),
-    "worlds, second maximised": lambda: table(outcomes={"all": WORLDS * MAXIMISED}),
-    "features": lambda: table(features=goals_of(ROWS)),
-    "function": lambda: goals_of,
-    "none": lambda: None,
+    "worlds": table(outcomes=WORLDS),
+    "worlds, second maximised": table(outcomes={"all": WORLDS * MAXIMISED}),
+    "features": table(features=goals_of(ROWS)),
+    "function": goals_of,
+    "none": None,
 }
 
 
 def studied(form, trials, sampler=None, seed=3):
     signs = MAXIMISED if "maximised" in form else np.ones(2)
     directions = ["minimize" if sign > 0 else "maximize" for sign in signs]
-    sampler = sampler or FeatureKernelSampler(FORMS[form](), seed=seed)
+    sampler = sampler or FeatureKernelSampler(FORMS[form], seed=seed)
     study = optuna.create_study(directions=directions, sampler=sampler)
 
     def objective(trial):
@@ -55,15 +56,14 @@ def studied(form, trials, sampler=None, seed=3):
 
 def volume(study):
     """The area that the trials dominate, up to a cost of 2 each."""
-    signs = [
-        1.0 if d is optuna.study.StudyDirection.MINIMIZE else -1.0
-        for d in study.directions
-    ]
-    costs = np.array([np.multiply(signs, trial.values) for trial in study.trials])
-    front, area, reach = costs[np.lexsort(costs.T[::-1])], 0.0, 2.0
-    for first, second in front:
+    minimised = [each is StudyDirection.MINIMIZE for each in study.directions]
+    costs = np.array([trial.values for trial in study.trials])
+    costs = np.where(minimised, costs, -costs)
+    area, reach = 0.0, 2.0
+    for first, second in costs[np.lexsort(costs.T[::-1])]:
         if second < reach and first < 2.0:
-            area, reach = area + (2.0 - first) * (reach - second), second
+            area += (2.0 - first) * (reach - second)
+            reach = second
     return area
 
 
@@ -107,24 +107,23 @@ def test_a_trial_of_worlds_begins_at_the_front():
 
 
 @pytest.mark.parametrize(
-    ("given", "goals", "message"),
+    ("outcomes", "goals", "message"),
     [
-        ({"outcomes": WORLDS}, 1, "table.outcomes: 'costs of 2' .* 1 goals"),
-        ({"outcomes": WORLDS}, 3, "table.outcomes: 'costs of 2' .* 3 goals"),
-        ({"outcomes": WORLDS[..., 0]}, 2, "table.outcomes: 'costs of 1' .* 2 goals"),
+        (WORLDS, 1, "table.outcomes: 'costs of 2' .* 1 goals"),
+        (WORLDS, 3, "table.outcomes: 'costs of 2' .* 3 goals"),
+        (WORLDS[..., 0], 2, "table.outcomes: 'costs of 1' .* 2 goals"),
     ],
 )
-def test_worlds_have_as_many_goals_as_the_study(given, goals, message):
-    study = optuna.create_study(
-        directions=["minimize"] * goals,
-        sampler=FeatureKernelSampler(table(**given), seed=1),
-    )
+def test_worlds_have_as_many_goals_as_the_study(outcomes, goals, message):
+    def ask(strict):
+        sampler = FeatureKernelSampler(table(outcomes=outcomes), seed=1, strict=strict)
+        directions = ["minimize"] * goals
+        return optuna.create_study(directions=directions, sampler=sampler).ask(SPACE)
+
     with refused(message):
-        study.ask(SPACE)
-    lenient = FeatureKernelSampler(table(**given), seed=1, strict=False)
-    study = optuna.create_study(directions=["minimize"] * goals, sampler=lenient)
+        ask(strict=True)
     with pytest.warns(UserWarning, match="the independent sampler takes over"):
-        assert study.ask(SPACE).params
+        assert ask(strict=False).params
 
 
 def test_what_needs_one_goal_is_refused():

@@ -6,7 +6,7 @@ import pytest
 from optuna.distributions import FloatDistribution
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from study import FeatureKernelSampler, FeatureTable
+from study import FeatureTable
 from study.experiment.arms import find_arm
 from study.experiment.one_study import OneStudy
 from study.sampler import acquisition
@@ -184,19 +184,6 @@ def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
     assert [turn for turn, kernel in asked.items() if kernel is NEARNESS] == [7, 9]
 
 
-@pytest.mark.parametrize("number", [5, 6])
-def test_it_proposes_the_same_whatever_the_features_are(number):
-    """Of the same finished trials, trial 5 is doubtful, trial 6 is not."""
-    enqueued = [{"x": X[row], "y": Y[row]} for row in (3, 8, 20, 31, 44, 50)[:number]]
-    chosen = set()
-    for seed in range(8):
-        features = np.random.default_rng(seed).standard_normal((60, 2))
-        table = FeatureTable.from_arrays(XY, features)
-        study = study_of(table, without_success, number + 1, enqueued=enqueued)
-        chosen.add(rows_of(study)[number])
-    assert (len(chosen) == 1) is (number == 5)
-
-
 DIMENSION, TRIALS = 4, 24
 SEEDS = range(12)  # chosen before the first run
 
@@ -227,9 +214,8 @@ def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feat
     names = [f"p{i}" for i in range(DIMENSION)]
 
     def bowl_of(trial):
-        return float(
-            round_bowl(np.array([[trial.suggest_float(n, 0, 1) for n in names]]))[0]
-        )
+        point = [trial.suggest_float(name, 0, 1) for name in names]
+        return float(round_bowl(np.array([point]))[0])
 
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
@@ -275,11 +261,8 @@ def watch(monkeypatch):
 @pytest.mark.parametrize("tabled", [True, False])
 def test_a_sampler_computes_on_one_thread_of_blas(tabled, table, watch):
     seen = watch(acquisition, "learn")
-    sampler = (
-        FeatureKernelSampler(table, seed=1) if tabled else FeatureKernelSampler(seed=1)
-    )
     with threadpool_limits(GIVEN, user_api="blas"):
-        optuna.create_study(sampler=sampler).optimize(bowl, n_trials=6)
+        study_of(table if tabled else None, bowl, 6)
         assert blas_threads() == {GIVEN}
     assert seen and all(threads == {1} for threads in seen)
 

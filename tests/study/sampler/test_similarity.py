@@ -5,13 +5,14 @@ import optuna
 import pytest
 import scipy
 from numpy.testing import assert_allclose, assert_array_equal
+from optuna.distributions import CategoricalDistribution
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.gp import SIMILARITY
 from study.sampler.similarity import Alike, factor_of_gram, factor_of_graph
 from study.sampler.transforms import Points, log_excess
 from tests.study.conftest import refused
-from tests.study.sampler.studies import model_after
+from tests.study.sampler.studies import model_after, told
 
 PLACES = np.random.default_rng(3).random((300, 2))
 APART = ((PLACES[:, None] - PLACES[None]) ** 2).sum(axis=2)
@@ -87,26 +88,17 @@ def test_rows_may_have_names_and_a_study_is_examined():
     words = [f"molecule {row}" for row in range(300)]
     table = FeatureTable.from_kernel(GRAM, {"name": words})
     sampler = FeatureKernelSampler(table, seed=1)
-    study = optuna.create_study(sampler=sampler)
-    study.add_trial(
-        optuna.create_trial(  # of no row: it has no likeness
-            params={"name": "other"},
-            value=0.0,
-            distributions={
-                "name": optuna.distributions.CategoricalDistribution([*words, "other"])
-            },
-        )
-    )
-    choices = [*words, "other"]
+    study, choices = optuna.create_study(sampler=sampler), [*words, "other"]
+    space = {"name": CategoricalDistribution(choices)}
+    told(study, space, {"name": "other"}, 0.0)  # of no row: it has no likeness
     with pytest.warns(UserWarning, match="no row of the table are ignored"):
         study.optimize(
             lambda t: COST[words.index(t.suggest_categorical("name", choices))],
             n_trials=20,
         )
-    assert "worth" in str(sampler.worth(study)) or "explain" in str(
-        sampler.worth(study)
-    )
-    assert sampler.best(study).row == words.index(sampler.best(study).params["name"])
+    worth, best = str(sampler.worth(study)), sampler.best(study)
+    assert "worth" in worth or "explain" in worth
+    assert best.row == words.index(best.params["name"])
 
 
 GRAPH, KERNEL = FeatureTable.from_graph, FeatureTable.from_kernel

@@ -76,9 +76,8 @@ def test_a_data_frame_gives_named_columns():
 def test_any_parquet_file_or_folder_will_do(tmp_path):
     frame = pd.DataFrame(MIXED | {"p": [1.0, 2.0, 4.0]})
     for part in range(2):
-        frame.assign(units=frame.units + 3 * part).to_parquet(
-            tmp_path / f"part-{part}.parquet"
-        )
+        own = frame.assign(units=frame.units + 3 * part)
+        own.to_parquet(tmp_path / f"part-{part}.parquet")
     whole = FeatureTable.from_parquet(tmp_path, features=["p"], parameters=list(MIXED))
     assert whole.rows.parameters[:, 1].tolist() == [3, 1, 2, 6, 4, 5]
     given = {"features": ["p"], "parameters": ["rate"], "bounds": {"rate": (0, 2)}}
@@ -167,8 +166,6 @@ def test_features_of_any_scale():
         ({"a": [0.0]}, [1.0, 2.0], {}, "table.a.shape"),
         ({"a": [[0.0]]}, [1.0], {}, "table.a.shape"),
         ({"a": []}, [1.0], {}, "table.a.shape"),
-        ({"a": [float("nan")]}, [1.0], {}, r"table.a\[0\]"),
-        ({"a": [0.0, None]}, [1.0, 2.0], {}, r"table.a\[1\]"),
         ({"a": [0.0]}, [], {}, "table.features.shape"),
         ({"a": [0.0]}, [[[1.0]]], {}, "table.features.shape"),
         (
@@ -205,18 +202,6 @@ def test_features_of_any_scale():
             [1, 3],
             {"space": {"a": FloatDistribution(0.5, 1)}},
             r"table.a\[0\]: 0.0 .* 0.5 to 1",
-        ),
-        (
-            TWO,
-            [1, 3],
-            {"space": {"a": FloatDistribution(0, 0.9, step=0.3)}},
-            r"table.a\[1\]: 1.0",
-        ),
-        (
-            TWO,
-            [1, 3],
-            {"space": {"a": CategoricalDistribution([0.0, 2.0])}},
-            r"table.a\[1\]: 1.0",
         ),
     ],
 )

@@ -12,7 +12,6 @@ from optuna.trial import TrialState
 
 from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import Model
 from study.sampler.history import read_history, row_of
 from tests.study.conftest import refused
 from tests.study.sampler.studies import kill, only_a, resumed, rows_of, study_of
@@ -96,39 +95,36 @@ def test_no_row_has_all_of_them():
         )
 
 
-@pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
-def test_where_the_table_need_not_fit_the_rest_is_drawn_and_learned_by_a_function_only(
-    monkeypatch,
-):
-    learned, made = [], Model.__init__
+def learned(study):
+    """Features of the trials that the next one is learned from, in standard units [n, 2]."""
+    return study.sampler._policy.present(study).model.trials.features
 
-    def spied(model, *given, **named):
-        made(model, *given, **named)
-        learned.append(
-            model.trials.features
-        )  # of the finished trials, in standard units [n, 2]
 
-    monkeypatch.setattr(Model, "__init__", spied)
+def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned():
     study = study_of(TABLE, both, 4, strict=False)
     study.enqueue_trial({"a": 0.25})
-    with pytest.warns(
-        UserWarning, match=r"a: 0.25 .* independent sampler takes over"
-    ) as said:
+    message = r"a: 0.25 .* independent sampler takes over"
+    with pytest.warns(UserWarning, match=message) as said:
         study.optimize(both, n_trials=1)
     assert len(said) == 1
     assert study.trials[-1].params["a"] == 0.25
     assert study.trials[-1].user_attrs == {}
     run_quietly(study, 3)
     assert_rows_were_run(study)
-    study.ask(SPACE)
-    assert len(learned[-1]) == 7
+    assert len(learned(study)) == 7
+
+
+def test_a_function_lets_a_point_off_the_table_be_learned():
     study = study_of(TABLE, enqueued=[{"a": 0.25}], feature_function=compute)
     with pytest.warns(UserWarning, match="a: 0.25"):
         study.optimize(both, n_trials=1)
     study.optimize(both, n_trials=3)
-    study.ask(SPACE)
     own = compute(np.array([list(study.trials[0].params.values())]))
-    assert learned[-1][0] == pytest.approx(ROWS.scores.standard(own)[0])
+    assert learned(study)[0] == pytest.approx(ROWS.scores.standard(own)[0])
+
+
+@pytest.mark.filterwarnings("ignore:PartialFixedSampler is experimental")
+def test_a_fixed_parameter_is_drawn_around_where_the_table_need_not_fit():
     sampler = FeatureKernelSampler(TABLE, seed=1, strict=False)
     study = optuna.create_study(sampler=PartialFixedSampler({"a": 0.25}, sampler))
     run_quietly(study, 5)
