@@ -110,8 +110,16 @@ def kill(study, number):
         RetryHeartbeatStaleTrialCallback()(study, trial)
 
 
-def only_a(trial):
-    return trial.suggest_float("a", 0, 1)
+def summed(**ranges):
+    """An objective: the sum of these parameters, each a float with two ends."""
+
+    def objective(trial):
+        return sum(trial.suggest_float(name, *ends) for name, ends in ranges.items())
+
+    return objective
+
+
+only_a = summed(a=(0, 1))
 
 
 def bowl(trial):

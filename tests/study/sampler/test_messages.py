@@ -17,7 +17,14 @@ from optuna.trial import TrialState
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.table_policy import TableExhaustedError
 from tests.study.conftest import refused
-from tests.study.sampler.studies import bowl, only_a, params_of, rows_of, study_of
+from tests.study.sampler.studies import (
+    bowl,
+    only_a,
+    params_of,
+    rows_of,
+    study_of,
+    summed,
+)
 
 PAGE = Path(__file__).parents[3] / "docs" / "sampler-messages.md"
 EXPLAINED = re.findall(r"^\| (?:warning )?`([^`]+)`", PAGE.read_text(), re.M)
@@ -250,7 +257,7 @@ def test_other_names_are_one_warning_where_the_table_need_not_fit(table):
     message = "none of the table's parameters: a, b.* independent sampler takes over"
     with pytest.warns(UserWarning, match=message) as said:
         other = {"strict": False}
-        study = study_of(table, lambda t: t.suggest_float("A", -1, 1), 5, **other)
+        study = study_of(table, summed(A=(-1, 1)), 5, **other)
     assert [trial.state for trial in study.trials] == [TrialState.COMPLETE] * 5
     assert len(said) == 1
 

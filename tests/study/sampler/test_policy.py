@@ -13,13 +13,12 @@ from study.sampler import acquisition
 from study.sampler.acquisition import Model
 from study.sampler.gp import ADDITIVE, NEARNESS
 from study.sampler.transforms import PATIENCE, is_doubtful
-from tests.study.sampler.studies import bowl, rows_of, run_code, study_of
+from tests.study.sampler.studies import bowl, rows_of, run_code, study_of, summed
 
 ROWS = 70
 
 
-def only_x(trial):
-    return trial.suggest_float("x", 0, 1)
+only_x = summed(x=(0, 1))
 
 
 def drawn(seed):
@@ -290,7 +289,7 @@ def watched(*arguments):
 acquisition.learn = watched
 x = np.linspace(0.0, 1.0, 9)
 sampler = FeatureKernelSampler(FeatureTable.from_arrays({"x": x}, x**2), seed=1)
-optuna.create_study(sampler=sampler).optimize(lambda t: t.suggest_float("x", 0.0, 1.0), 3)
+optuna.create_study(sampler=sampler).optimize(summed(x=(0.0, 1.0)), 3)
 """
 
 

@@ -13,7 +13,7 @@ from optuna.distributions import (
 
 from study import FeatureKernelSampler, FeatureTable
 from tests.study.conftest import refused
-from tests.study.sampler.studies import rows_of, study_of, without_warning
+from tests.study.sampler.studies import rows_of, study_of, summed, without_warning
 
 
 def rows_like(columns, **options):
@@ -71,9 +71,7 @@ def test_an_enqueued_decimal_is_learned_from_and_not_proposed_again():
 def test_a_fixed_decimal_gets_the_rest_of_a_row_that_has_it():
     table = FeatureTable.from_arrays(GRID, np.column_stack([X, Y]))
     study = study_of(table, enqueued=[{"x": 0.3}] * 11)
-    without_warning(
-        study, lambda t: t.suggest_float("x", 0, 1) + t.suggest_float("y", 0, 1), 11
-    )
+    without_warning(study, summed(x=(0, 1), y=(0, 1)), 11)
     rows = rows_of(study)
     assert sorted(rows) == np.flatnonzero(np.isclose(X, 0.3)).tolist()
     assert {trial.params["x"] for trial in study.trials} == {0.3}
@@ -138,10 +136,10 @@ def test_a_printed_number_at_the_end_of_a_range_is_its_row():
     assert rows.find({"x": 1.959621}) == 1
     table = FeatureTable.from_arrays({"x": [0.5, 1.95962098]}, [1.0, 2.0])
     study = study_of(table)
-    without_warning(study, lambda trial: trial.suggest_float("x", 0.5, 1.959621), 2)
+    without_warning(study, summed(x=(0.5, 1.959621)), 2)
     assert sorted(rows_of(study)) == [0, 1]
     narrower = study_of(FeatureTable.from_arrays({"x": [0.5, 1.95962102]}, [1.0, 2.0]))
-    without_warning(narrower, lambda trial: trial.suggest_float("x", 0.5, 1.959621), 2)
+    without_warning(narrower, summed(x=(0.5, 1.959621)), 2)
     assert max(trial.params["x"] for trial in narrower.trials) == 1.959621
 
 
@@ -157,7 +155,7 @@ def test_rows_that_are_nearer_than_the_tolerance_stay_apart():
     assert [mixed.find({"x": 0.3, "y": y}) for y in (5.0, 7.0)] == [0, 1]
     assert mixed.having({"x": 0.3}).tolist() == [True, False]
     study = study_of(FeatureTable.from_arrays({"x": near}, near))
-    without_warning(study, lambda trial: trial.suggest_float("x", 1, 2), 4)
+    without_warning(study, summed(x=(1, 2)), 4)
     assert sorted(rows_of(study)) == [0, 1, 2, 3]
 
 
@@ -243,7 +241,7 @@ def test_decimals_are_numbers():
     table = FeatureTable.from_arrays({"x": column}, [1.0, 2.0, 3.0])
     sampler = FeatureKernelSampler(table, seed=1)
     study = optuna.create_study(storage="sqlite://", sampler=sampler)
-    study.optimize(lambda trial: trial.suggest_float("x", 1, 2), n_trials=3)
+    study.optimize(summed(x=(1, 2)), n_trials=3)
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ from tests.study.sampler.studies import (
     rows_of,
     run_code,
     study_of,
+    summed,
 )
 from tests.study.sampler.test_goals import studied
 
@@ -145,9 +146,7 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such():
     columns = {"a": [0.1, 0.9, 0.2], "b": [0.0, 0.5, 1.0]}
     table = FeatureTable.from_arrays(columns, np.eye(3)[:, :2])
     study = study_of(table, seed=0, off_grid=30, feature_function=function)
-    study.optimize(
-        lambda t: t.suggest_float("a", 0.1, 0.9) + t.suggest_float("b", 0, 1), 8
-    )
+    study.optimize(summed(a=(0.1, 0.9), b=(0, 1)), 8)
     a = np.array([trial.params["a"] for trial in study.trials])
     off = (np.array(rows_of(study)) == -1) & (a < 0.5)
     learned = study.sampler._policy.present(study).model.trials.features
@@ -259,7 +258,7 @@ from study import FeatureKernelSampler, FeatureTable
 x = numpy.linspace(0.0, 1.0, 9)
 table = FeatureTable.from_arrays({"x": x}, x**2)
 study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
-study.optimize(lambda trial: trial.suggest_float("x", 0.0, 1.0), n_trials=9)
+study.optimize(summed(x=(0.0, 1.0)), n_trials=9)
 print(study.best_value)
 """
 
@@ -290,9 +289,7 @@ def test_where_no_row_is_left_points_off_the_table_are(kernel, unknown):
         study.enqueue_trial(table.rows.as_parameters(row))
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        study.optimize(
-            lambda t: sum(t.suggest_float(name, 0.1, 0.4) for name in columns), 9
-        )
+        study.optimize(summed(a=(0.1, 0.4), b=(0.1, 0.4)), n_trials=9)
     assert [trial.user_attrs["row"] for trial in study.trials[6:]] == [-1, -1, -1]
 
 
@@ -394,9 +391,7 @@ def test_extreme_costs_and_constraints_are_learned_from(costs, limit, kernel):
 def test_extreme_features_tell_rows_apart(kernel):
     features = np.where(np.arange(30) % 2, LARGEST, -LARGEST) * LINE
     table = FeatureTable.from_arrays({"x": LINE}, features)
-    study = study_of(
-        table, lambda t: t.suggest_float("x", 0, 1), 6, seed=1, kernel=kernel
-    )
+    study = study_of(table, summed(x=(0, 1)), 6, seed=1, kernel=kernel)
     assert len({trial.params["x"] for trial in study.trials}) == 6
 
 

@@ -14,7 +14,7 @@ from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.history import read_history, row_of
 from tests.study.conftest import refused
-from tests.study.sampler.studies import kill, only_a, resumed, rows_of, study_of
+from tests.study.sampler.studies import kill, only_a, resumed, rows_of, study_of, summed
 
 A = np.repeat([0.0, 0.5, 1.0], 6)
 B = np.tile(np.arange(6.0), 3)
@@ -33,8 +33,7 @@ def compute(params):
     return np.column_stack([params[:, 0] + params[:, 1], params[:, 0] - params[:, 1]])
 
 
-def both(trial):
-    return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 5)
+both = summed(a=(0, 1), b=(0, 5))
 
 
 def run_quietly(study, trials, objective=both):
@@ -90,9 +89,7 @@ def test_no_row_has_all_of_them():
         FeatureTable.from_arrays(columns, [1, 2]), enqueued=[{"a": 0.0, "b": 5.0}]
     )
     with refused(r"^a, b: \(0.0, 5.0\) cannot be used"):
-        study.optimize(
-            lambda trial: both(trial) + trial.suggest_float("c", 0, 5), n_trials=1
-        )
+        study.optimize(summed(a=(0, 1), b=(0, 5), c=(0, 5)), n_trials=1)
 
 
 def learned(study):
@@ -268,23 +265,16 @@ def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run():
 def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back():
     """A range of one value: Optuna asks no sampler."""
 
-    def pinned(value):
-        return lambda trial: (
-            trial.suggest_float("b", 0, 5) + trial.suggest_float("a", value, value)
-        )
-
     study = study_of(TABLE)
     with refused(r"a: .*low=0.25.* a range that holds all rows"):
-        study.optimize(pinned(0.25), n_trials=1)
+        study.optimize(summed(b=(0, 5), a=(0.25, 0.25)), n_trials=1)
     assert study.trials[0].user_attrs == {"row": -1, "features": None}
     study = study_of(TABLE, strict=False)
-    run_quietly(study, 3, pinned(0.5))
+    run_quietly(study, 3, summed(b=(0, 5), a=(0.5, 0.5)))
     assert {trial.params["a"] for trial in study.trials} == {0.5}
     assert_rows_were_run(study)
 
-    def half(trial):  # first, as if it were fixed
-        return trial.suggest_float("a", 0.5, 0.5) + trial.suggest_float("b", 0, 5)
-
+    half = summed(a=(0.5, 0.5), b=(0, 5))  # first, as if it were fixed
     study = study_of(TABLE, half, 6)
     assert sorted(rows_of(study)) == list(range(6, 12))
     with refused(r"a: 0.5 .* a row that has not been tried"):
@@ -312,15 +302,11 @@ def test_features_of_a_point_that_was_not_run_are_taken_back():
         ONE, both, 18, enqueued=map(row, range(18)), strict=False, **options
     )
     with pytest.warns(UserWarning, match="a: .* a range that holds all rows"):
-        study.optimize(
-            lambda t: t.suggest_float("b", 0, 5) + t.suggest_float("a", 2, 3), 1
-        )
+        study.optimize(summed(b=(0, 5), a=(2, 3)), 1)
     assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
     study = study_of(compute, both, 4, space=SPACE, strict=False)
     with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
-        study.optimize(
-            lambda trial: only_a(trial) + trial.suggest_float("b", 4.99, 5), 1
-        )
+        study.optimize(summed(a=(0, 1), b=(4.99, 5)), 1)
     assert study.trials[-1].user_attrs["features"] is None
     study.optimize(both, n_trials=2)
 
@@ -375,7 +361,7 @@ def test_a_trial_that_ends_early_says_nothing_and_one_that_is_refused_keeps_no_r
     assert len(set(rows_of(study))) == 2
     study = study_of(TABLE)
     with pytest.raises(InputError):
-        study.optimize(lambda trial: trial.suggest_float("a", 0, 1e-9), n_trials=1)
+        study.optimize(summed(a=(0, 1e-9)), n_trials=1)
     study.optimize(both, n_trials=18)
     assert set(rows_of(study)[1:]) == set(range(18))
 
@@ -384,11 +370,9 @@ def test_an_earlier_study_may_have_suggested_otherwise():
     """Another scale and narrower ranges: Optuna's own samplers fail on the first."""
     rate = np.geomspace(1e-3, 1, 30)
     given = FeatureTable.from_arrays({"rate": rate}, np.log(rate))
-    before = study_of(
-        given, lambda trial: trial.suggest_float("rate", 1e-3, 1), 3, seed=2
-    )
+    before = study_of(given, summed(rate=(1e-3, 1)), 3, seed=2)
     before.enqueue_trial({"rate": float(rate[25])})
-    before.optimize(lambda trial: trial.suggest_float("rate", 0.3, 0.5), n_trials=1)
+    before.optimize(summed(rate=(0.3, 0.5)), n_trials=1)
     study = study_of(given)
     study.add_trials(before.trials)
     study.optimize(

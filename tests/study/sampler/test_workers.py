@@ -14,6 +14,7 @@ from optuna.trial import TrialState
 from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.gp import Posterior
+from tests.study.sampler.studies import summed
 
 pytestmark = pytest.mark.slow
 
@@ -35,8 +36,7 @@ def open_storage(kind, folder):
     return open_studies(f"sqlite:///{folder / 'studies.db'}")  # WAL
 
 
-def cost(trial):
-    return trial.suggest_float("a", 0, 1) + trial.suggest_float("b", 0, 1)
+cost = summed(a=(0, 1), b=(0, 1))
 
 
 def work(kind, folder, trials):
