@@ -185,17 +185,6 @@ def test_a_constant_feature_has_no_worth():
     assert "not (yet) worth anything" in worth.verdict
 
 
-@pytest.mark.parametrize("kernel", KERNELS)
-def test_missing_and_infinite_features_do_no_harm(kernel):
-    features = good_features()
-    features[::3, 1] = np.nan
-    features[::5, 0] = np.inf
-    features[::7, 0] = np.nan
-    worth = worth_of(drawn_rows(20), new_table(features), kernel=kernel)
-    assert np.isfinite(worth.errors.model)
-    assert "nan" not in str(worth)
-
-
 def test_the_gain_is_over_the_parameters_where_they_are_better_than_a_constant():
     study = drawn_rows(0)
     for row in range(20):

@@ -246,6 +246,7 @@ def test_others_are_said(message):
 def test_nothing_is_said_of_what_fits_and_strictness_changes_nothing(table):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        FeatureTable.from_arrays(PARAMETERS, FEATURES)
         study = study_of(table, bowl, 6, strict=False)
         assert rows_of(study) == rows_of(study_of(table, bowl, 6))
 

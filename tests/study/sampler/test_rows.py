@@ -77,14 +77,6 @@ def test_a_fixed_decimal_gets_the_rest_of_a_row_that_has_it():
     assert {trial.params["x"] for trial in study.trials} == {0.3}
 
 
-def test_of_workers_one_alone_has_the_row_of_a_fixed_decimal():
-    table = FeatureTable.from_arrays({"x": TENTHS}, TENTHS)
-    study = study_of(table, enqueued=[{"x": 0.3}])
-    space = {"x": FloatDistribution(0.0, 1.0)}
-    asked = [study.ask(space).params["x"] for _ in range(11)]
-    assert asked[0] == 0.3 and len({round(x, 9) for x in asked}) == 11
-
-
 @pytest.mark.parametrize(
     "suggested",
     [

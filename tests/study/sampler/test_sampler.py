@@ -330,30 +330,6 @@ def test_ties_are_broken_by_the_seed():
     assert len({rows_of(each)[3] for each in studies}) > 6
 
 
-def test_an_informative_score_beats_random_search():
-    rng = np.random.default_rng(5)
-    unit = rng.uniform(size=(3000, 8))
-    depth = ((unit - 0.6) ** 2).sum(axis=1)
-    # Most scores are zero.
-    score = np.maximum(0.0, 20.0 - 40.0 * depth + rng.normal(0, 3, 3000))
-    columns = {f"x{i}": unit[:, i] for i in range(8)}
-    bounds = dict.fromkeys(columns, (0.0, 1.0))
-    table = FeatureTable.from_arrays(columns, score, bounds=bounds)
-
-    def objective(trial):
-        x = np.array([trial.suggest_float(name, 0, 1) for name in columns])
-        return float(1.0 - np.exp(-8.0 * ((x - 0.6) ** 2).sum()))
-
-    def best(sampler):
-        study = optuna.create_study(sampler=sampler)
-        study.optimize(objective, n_trials=20)
-        return study.best_value
-
-    ours = np.mean([best(DoGSampler(table, seed=seed)) for seed in range(6)])
-    assert ours < np.mean([best(RandomSampler(seed=seed)) for seed in range(6)]) - 0.1
-    assert ours < np.quantile(1.0 - np.exp(-8.0 * depth), 0.01)
-
-
 # Extreme numbers.
 LARGEST = np.finfo(np.float64).max
 LINE = np.linspace(0.0, 1.0, 30)

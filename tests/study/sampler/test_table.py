@@ -134,14 +134,6 @@ def test_a_feature_without_information_weighs_nothing_and_half_of_the_others_off
     assert table.rows.offered.tolist() == [True, True, False, True]
 
 
-@pytest.mark.filterwarnings("error")
-def test_infinity_is_a_value_and_no_gap_and_a_sound_table_makes_no_noise():
-    FeatureTable.from_arrays(MIXED, [1, 2, 3])
-    rows = FeatureTable.from_arrays({"a": np.arange(3.0)}, [np.inf, 0.0, -np.inf]).rows
-    assert rows.offered.all()
-    assert np.argsort(rows.scores.standard(rows.features)[:, 0]).tolist() == [2, 1, 0]
-
-
 def test_repeated_rows_count_once():
     with pytest.warns(UserWarning, match="2 rows repeat the parameters of another"):
         table = FeatureTable.from_arrays({"a": [0.0, 1.0, 0.0, -0.0]}, [1, 2, 3, 4])

@@ -178,16 +178,6 @@ def test_proposals_depend_on_the_trials_and_the_seed_alone():
     assert repr(table()) == "FeatureTable(60 rows, 2 parameters, 4 worlds)"
 
 
-def test_features_beside_worlds_are_learned_from():
-    place = (0.3, 0.9)  # what no world knows: this robot is like none of them
-    best = []
-    for features in ((ROWS - place) ** 2, np.random.default_rng(0).random((60, 2))):
-        known = table(features=features)
-        study = study_of(known, lambda trial: robot(trial, place), 8, off_grid=0)
-        best.append(study.best_value)
-    assert best[0] == pytest.approx(cost(ROWS, place).min()) and best[1] >= best[0]
-
-
 def test_trials_that_run_elsewhere_are_not_proposed_again_and_infinite_costs_are_told():
     study = study_of(table())
     asked = [study.ask(SPACE) for _ in range(3)]
