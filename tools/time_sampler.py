@@ -8,10 +8,9 @@ Each figure comes from a fresh process on one thread. Run it on an idle machine.
 
 import time
 import warnings
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from statistics import median
 
 from checkout import guarded_imports, run_command
 
@@ -71,7 +70,7 @@ class Case:
     rows: int
     features: int
     observations: int
-    bars: tuple[tuple[str, float], ...] = ()
+    bars: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -119,25 +118,18 @@ def main() -> None:
 
 def cases(rows: int) -> list[Case]:
     """What is measured."""
-    base = Case("ours", rows, 1, FINISHED)
-    few, some, many = ((("median_cpu_ms", most),) for most in (6.0, 10.0, 15.0))
-    fewer, alike = (
-        min(rows, ALIKE_ROWS),
-        (("median_cpu_ms", 30.0), ("peak_mib", 4e9 / 2**20)),
-    )
-    memory, first = ("peak_mib", 200e6 / 2**20), ("first_cpu_ms", 500.0)  # 200 MB
+    base = Case(sampler="ours", rows=rows, features=1, observations=FINISHED)
+    many = replace(base, features=MOST_FEATURES)
+    worlds = replace(base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS)
+    alike = replace(many, sampler="similarity", rows=min(rows, ALIKE_ROWS))
     return [
-        replace(base, bars=few),
-        replace(base, features=MOST_FEATURES, bars=(*many, memory)),
-        replace(base, sampler="rbf", bars=some),
-        replace(
-            base, sampler="worlds", rows=ROWS_IN_WORLDS, features=WORLDS, bars=many
-        ),
-        replace(
-            base, sampler="similarity", rows=fewer, features=MOST_FEATURES, bars=alike
-        ),
-        replace(base, observations=MOST_FINISHED, bars=(("median_ms", 1000.0),)),
-        replace(base, rows=LARGE * rows, features=MOST_FEATURES, bars=(first,)),
+        replace(base, bars={"median_cpu_ms": 6.0}),
+        replace(many, bars={"median_cpu_ms": 15.0, "peak_mib": 200e6 / 2**20}),
+        replace(base, sampler="rbf", bars={"median_cpu_ms": 10.0}),
+        replace(worlds, bars={"median_cpu_ms": 15.0}),
+        replace(alike, bars={"median_cpu_ms": 30.0, "peak_mib": 4e9 / 2**20}),
+        replace(base, observations=MOST_FINISHED, bars={"median_ms": 1000.0}),
+        replace(many, rows=LARGE * rows, bars={"first_cpu_ms": 500.0}),
     ]
 
 
@@ -150,16 +142,27 @@ def figures(measured: Sequence[Measured]) -> list[str]:
     ]
     bars = ["", "## Bars", "", "| what | measured | holds |", "|---|---|---|"]
     for each in measured:
-        (sampler, *sizes, allowed), *values = astuple(each)
-        cells = " | ".join(f"{number:,.0f}" for number in (*sizes, REPEATS, *values))
-        lines.append(f"| {LABELS[sampler]} | {cells} |")
-        size = "{:,} rows x {}, {:,} trials".format(*sizes)
-        for name, most in allowed:
-            value, what = getattr(each, name), f"{LABELS[sampler]}, {size}: {name}"
+        case, label = each.case, LABELS[each.case.sampler]
+        numbers = (
+            case.rows,
+            case.features,
+            case.observations,
+            REPEATS,
+            each.median_ms,
+            each.fastest_ms,
+            each.slowest_ms,
+            each.median_cpu_ms,
+            each.first_cpu_ms,
+            each.kept_mib,
+            each.peak_mib,
+        )
+        lines.append(f"| {label} | {' | '.join(f'{n:,.0f}' for n in numbers)} |")
+        size = f"{case.rows:,} rows x {case.features:,}, {case.observations:,} trials"
+        for name, most in case.bars.items():
+            value, words = getattr(each, name), name.replace("_", " ")
             holds = "yes" if value <= most else "**no**"
-            bars.append(
-                f"| {what.replace('_', ' ')} | {value:.0f}, at most {most:.0f} | {holds} |"
-            )
+            what = f"{label}, {size}: {words} | {value:.0f}, at most {most:.0f}"
+            bars.append(f"| {what} | {holds} |")
     return [*lines, *bars]
 
 
@@ -177,11 +180,17 @@ def measure_case(case: Case) -> Measured:
     _propose(_prepare(small), case.features)  # loads the libraries
     before_mib = memory_mib("VmRSS")
     study = _prepare(case)
-    (_, first), *later = (_propose(study, case.features) for _ in range(1 + REPEATS))
-    ms, cpu_ms = zip(*later, strict=True)
-    kept, peak = memory_mib("VmRSS") - before_mib, memory_mib("VmHWM") - before_mib
+    first_cpu_ms = _propose(study, case.features)[1]
+    ms, cpu_ms = np.transpose([_propose(study, case.features) for _ in range(REPEATS)])
     return Measured(
-        case, median(ms), min(ms), max(ms), median(cpu_ms), first, kept, peak
+        case=case,
+        median_ms=float(np.median(ms)),
+        fastest_ms=ms.min(),
+        slowest_ms=ms.max(),
+        median_cpu_ms=float(np.median(cpu_ms)),
+        first_cpu_ms=first_cpu_ms,
+        kept_mib=memory_mib("VmRSS") - before_mib,
+        peak_mib=memory_mib("VmHWM") - before_mib,
     )
 
 
@@ -237,22 +246,18 @@ def _propose(study: optuna.Study, features: int) -> tuple[float, float]:
     """
     began, cpu_began = time.perf_counter(), time.process_time()
     trial = study.ask(SPACE)
-    spent = (
-        1e3 * (time.perf_counter() - began),
-        1e3 * (time.process_time() - cpu_began),
-    )
+    spent, cpu_spent = time.perf_counter() - began, time.process_time() - cpu_began
     point = [trial.params[name] for name in SPACE]
     study.tell(trial, float(_features(np.array([point]), features).sum()))
-    return spent
+    return 1e3 * spent, 1e3 * cpu_spent
 
 
-def memory_mib(field: str) -> float:
+def memory_mib(field_name: str) -> float:
     """Resident memory of this process (VmRSS) or the most it ever was (VmHWM); NaN but on Linux."""
     status = Path("/proc/self/status")
-    for line in (
-        status.read_text(encoding="ascii").splitlines() if status.exists() else ()
-    ):
-        if line.startswith(f"{field}:"):
+    lines = status.read_text(encoding="ascii").splitlines() if status.exists() else []
+    for line in lines:
+        if line.startswith(f"{field_name}:"):
             return int(line.split()[1]) / 1024
     return float("nan")
 

@@ -94,19 +94,20 @@ class Kernel:
         parameter_scales: the same for the parameters; None: they do not count.
         by_order: whether features count by their order, and costs by their logarithm;
             else both count as they are.
-        worlds: whether costs in simulated worlds are expected.
+        related: whether what is known of rows beside features counts: their costs in
+            simulated worlds, or their similarity.
     """
 
     slopes: bool
     feature_scales: str | None
     parameter_scales: str | None
     by_order: bool
-    worlds: bool = False
+    related: bool = False
 
     @cached_property
     def of_features(self) -> bool:
         """Whether features count."""
-        return self.slopes or self.feature_scales is not None or self.worlds
+        return self.slopes or self.feature_scales is not None or self.related
 
     @cached_property
     def of_parameters(self) -> bool:
@@ -118,8 +119,8 @@ ADDITIVE = Kernel(
     slopes=True, feature_scales="each", parameter_scales="shared", by_order=True
 )
 NEARNESS = replace(ADDITIVE, slopes=False, feature_scales=None)
-WORLDS = replace(ADDITIVE, worlds=True)
-SIMILARITY = replace(NEARNESS, parameter_scales=None, worlds=True)
+WITH_WORLDS = replace(ADDITIVE, related=True)
+SIMILARITY = replace(NEARNESS, parameter_scales=None, related=True)
 RBF = Kernel(
     slopes=False, feature_scales="shared", parameter_scales=None, by_order=False
 )
@@ -305,10 +306,10 @@ def new_covariance(
         parameters: d, their number; its prior length scales grow with it.
         standardised: see `Covariance`.
     """
-    if kernel.worlds and not kernel.of_parameters:
+    if kernel.related and not kernel.of_parameters:
         return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
     terms = []
-    if kernel.worlds:
+    if kernel.related:
         terms = [Term(columns.worlds, WORLD), Term(columns.mean, SLOPE)]
         if not standardised:
             terms.append(Term(columns.one, SHIFT))
@@ -319,7 +320,7 @@ def new_covariance(
         scale = Constant(log(sqrt(len(own))), 1.0, FEATURE_SCALE_BOUNDS)
         count = len(own) if kernel.feature_scales == "each" else 1
         terms.append(Term(own, SIGNAL, (scale,) * count))
-    if kernel.worlds:
+    if kernel.related:
         terms.append(Term(columns.coordinates, BEYOND, (BEYOND_SCALE,)))
         return Covariance(tuple(terms), WORLD_NOISE, standardised)
     if kernel.parameter_scales is not None:

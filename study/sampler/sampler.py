@@ -17,7 +17,7 @@ from storage.inputs.errors import InputError
 from study.sampler.arrays import Mask
 from study.sampler.diagnostics import Likeness, Worth, likeness_of, worth_of
 from study.sampler.draws import ReproducibleRandomSampler
-from study.sampler.gp import KERNELS, SIMILARITY, WORLDS
+from study.sampler.gp import KERNELS, SIMILARITY, WITH_WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.prediction import Best, Prediction, best_of
 from study.sampler.space_policy import SpacePolicy
@@ -163,8 +163,8 @@ class FeatureKernelSampler(BaseSampler):
             if features.rows.alike is not None:
                 chosen = SIMILARITY
             elif features.rows.worlds is not None:
-                chosen = WORLDS
-        near = OFF_GRID if chosen == WORLDS and allowed is None else 0
+                chosen = WITH_WORLDS
+        near = OFF_GRID if chosen == WITH_WORLDS and allowed is None else 0
         options = Options(
             kernel=chosen,
             off_grid=near if off_grid is None else off_grid,
@@ -362,7 +362,7 @@ def _require_sense_of_table(
     table: FeatureTable, function: Features | None, options: Options, kernel: str
 ) -> None:
     """Refuse options that do not go together with a table."""
-    rows, worlds, off_grid = len(table), options.kernel.worlds, options.off_grid
+    rows, worlds, off_grid = len(table), options.kernel.related, options.off_grid
     if worlds and function is not None:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
         raise InputError("feature_function", "given", allowed)

@@ -21,7 +21,7 @@ from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
-from study.sampler.gp import WORLDS
+from study.sampler.gp import WITH_WORLDS
 from study.sampler.history import (
     NOTES,
     OFF_TABLE,
@@ -96,7 +96,7 @@ class TablePolicy(Policy):
         self._table = table
         self._suggested: Rows | None = None
         self._looked_up: LookedUp = {}
-        worlds = self.own_rows.worlds if options.kernel == WORLDS else None
+        worlds = self.own_rows.worlds if options.kernel == WITH_WORLDS else None
         # Costs in worlds are a model before any trial. What only ranks tells no cost.
         self._in_costs = worlds is not None and worlds.better is None
         if worlds is not None:
@@ -341,7 +341,7 @@ class TablePolicy(Policy):
             compared=compared,
         )
         known = None
-        if worlds is not None and self.options.kernel.worlds:
+        if worlds is not None and self.options.kernel.related:
             if worlds.goals != goals:
                 allowed = (
                     f"those of {goals} goals, as many as the study has: [n, w, {goals}]"
@@ -358,7 +358,7 @@ class TablePolicy(Policy):
 
     def _ensemble(self, history: History) -> Relation | None:
         """The worlds, with costs that are minimised; None where they do not count."""
-        if not self.options.kernel.worlds:
+        if not self.options.kernel.related:
             return None
         return self.rows.ensemble(history.signs, history.goals)
 

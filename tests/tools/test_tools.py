@@ -159,7 +159,7 @@ def test_every_case_is_measured(tmp_path: Path) -> None:
 def fake(
     ms: float, sampler: str = "ours", observations: int = 100, **bars: float
 ) -> Any:
-    case = TIMES.Case(sampler, 100_000, 1, observations, tuple(bars.items()))
+    case = TIMES.Case(sampler, 100_000, 1, observations, bars)
     return TIMES.Measured(case, ms, ms - 1, ms + 1, ms / 2, 3 * ms, 50.0, 150.0)
 
 

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from study import FeatureTable
 from study.sampler import acquisition
 from study.sampler.acquisition import argmax_random_tie, log_expected_improvement
-from study.sampler.gp import KERNELS, WORLDS
+from study.sampler.gp import KERNELS, WITH_WORLDS
 from study.sampler.history import read_limits
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
@@ -87,7 +87,7 @@ def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
     many = Points(ensemble.columns, rng.uniform(size=(len(outcomes), 2)))
     seen = many.take(np.arange(12))
     cost = np.exp(ensemble.mean[:12] + 0.01 * rng.standard_normal(12))
-    model = model_after(seen, cost, WORLDS, ensemble)
+    model = model_after(seen, cost, WITH_WORLDS, ensemble)
     looked_at = model._looked_at(many, np.ones(len(many), dtype=bool), rng)
     assert len(looked_at) == acquisition.MOST_IN_WORLDS
     best = np.argsort(ensemble.mean)[

@@ -289,7 +289,7 @@ def watched(*arguments):
 acquisition.learn = watched
 x = np.linspace(0.0, 1.0, 9)
 sampler = FeatureKernelSampler(FeatureTable.from_arrays({"x": x}, x**2), seed=1)
-optuna.create_study(sampler=sampler).optimize(summed(x=(0.0, 1.0)), 3)
+optuna.create_study(sampler=sampler).optimize(lambda t: t.suggest_float("x", 0.0, 1.0), 3)
 """
 
 

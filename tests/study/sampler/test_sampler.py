@@ -258,7 +258,7 @@ from study import FeatureKernelSampler, FeatureTable
 x = numpy.linspace(0.0, 1.0, 9)
 table = FeatureTable.from_arrays({"x": x}, x**2)
 study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
-study.optimize(summed(x=(0.0, 1.0)), n_trials=9)
+study.optimize(lambda trial: trial.suggest_float("x", 0.0, 1.0), n_trials=9)
 print(study.best_value)
 """
 

@@ -16,7 +16,7 @@ from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import table_policy
-from study.sampler.gp import WORLDS
+from study.sampler.gp import WITH_WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
 from tests.study.conftest import refused
@@ -93,7 +93,7 @@ def after_nine_trials(phi=ROWS[:, :0]):
     ensemble = of_all(COSTS)
     points = Points(np.hstack([phi, ensemble.columns]), ROWS)
     costs = COSTS[:9, 2] + 0.2
-    model = model_after(points.take(np.arange(9)), costs, WORLDS, ensemble)
+    model = model_after(points.take(np.arange(9)), costs, WITH_WORLDS, ensemble)
     return ensemble, points, model
 
 
