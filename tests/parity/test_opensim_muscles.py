@@ -69,6 +69,16 @@ OWN_WORLD = {
     },
     "exoskeleton": {"motion": "hip_extension", "side": "left"},
 }
+JOINTS = [
+    f"/jointset/{joint}_{side}/{coordinate}_{side}"
+    for side in "lr"
+    for joint, coordinate in (
+        ("hip", "hip_flexion"),
+        ("knee", "knee_angle"),
+        ("ankle", "ankle_angle"),
+    )
+]
+COORDINATES = [path.rpartition("/")[2] for path in JOINTS]
 MISSING = {"glut_max_l", "soleus_r", "tib_ant_r", "gastroc_r"}
 
 
@@ -91,9 +101,7 @@ class Case(NamedTuple):
 
     def force(self, name: str) -> Array:
         """The walker's own, by OpenSim's name."""
-        muscle, _, side = name.rpartition("_")
-        column = MUSCLES.index(OURS[muscle]) + len(MUSCLES) * "lr".index(side)
-        return self.trajectory.muscle_force_n[:, column]
+        return self.trajectory.muscle_force_n[:, NAMES.index(name)]
 
 
 MUSCLE = "Millard2012EquilibriumMuscle"
@@ -179,6 +187,17 @@ def coordinates(case: Case, muscle: Element, kind: str) -> list[Array]:
     ]
 
 
+def moment_arms(case: Case, muscle: Element) -> dict[int, Array]:
+    """By the numbers of `JOINTS`, in the states of the file."""
+    paths = muscle.findtext(".//coordinate_paths", "").split()
+    functions = muscle.findall(".//moment_arm_functions/*")
+    values = coordinates(case, muscle, "value")
+    return {
+        JOINTS.index(path): computed(function, values)
+        for path, function in zip(paths, functions, strict=True)
+    }
+
+
 def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(
     case: Case,
 ) -> None:
@@ -201,9 +220,7 @@ def test_the_fibres_of_the_file_are_the_walkers_but_for_tendon_and_step(
     """What is between them: two curves of a tendon, and how far the path goes in a physics step."""
     states = case.table(STATES)
     for name, element in case.muscles.items():
-        muscle, _, side = name.rpartition("_")
-        column = MUSCLES.index(OURS[muscle]) + len(MUSCLES) * "lr".index(side)
-        own = case.trajectory.fibre_length_m[:, column]
+        own = case.trajectory.fibre_length_m[:, NAMES.index(name)]
         away_m = np.abs(states[f"/forceset/{name}/fiber_length"] - own)
         pose = [
             *coordinates(case, element, "value"),
@@ -230,18 +247,15 @@ def test_opensim_itself_computes_the_walkers_forces(
     muscles = [model.getMuscles().get(n) for n in range(model.getMuscles().getSize())]
     assert {muscle.getName() for muscle in muscles} == set(case.muscles)
     forces, errors = {each.getName(): list[float]() for each in muscles}, list[float]()
-    names = [
-        f"{joint}_{side}"
-        for side in "lr"
-        for joint in ("hip_flexion", "knee_angle", "ankle_angle")
-    ]
-    arms = {each.getName(): [list[float]() for _ in names] for each in muscles}
+    arms = {each.getName(): [list[float]() for _ in JOINTS] for each in muscles}
     for sample in range(0, states.getSize(), 20):
         state = states.get(sample)
         model.realizeDynamics(state)
         for muscle in muscles:
             forces[muscle.getName()].append(muscle.getActuation(state))
-            for coordinate, values in zip(names, arms[muscle.getName()], strict=True):
+            for coordinate, values in zip(
+                COORDINATES, arms[muscle.getName()], strict=True
+            ):
                 joint = model.getCoordinateSet().get(coordinate)
                 values.append(muscle.computeMomentArm(state, joint))
     for name, force in forces.items():
@@ -251,12 +265,8 @@ def test_opensim_itself_computes_the_walkers_forces(
         )
         errors.append(error)
         element = case.muscles[name]
-        paths = element.findtext(".//coordinate_paths", "").split()
-        functions = element.findall(".//moment_arm_functions/*")
-        for path, function in zip(paths, functions, strict=True):
-            ours = computed(function, coordinates(case, element, "value"))[::20]
-            theirs = arms[name][names.index(path.rpartition("/")[2])]
-            np.testing.assert_allclose(theirs, ours, atol=1e-9)
+        for joint, ours in moment_arms(case, element).items():
+            np.testing.assert_allclose(arms[name][joint], ours[::20], atol=1e-9)
     assert max(errors) < 0.001  # wanted: 0.05
     assert model.getTotalMass(state) == pytest.approx(80.0)
 
@@ -266,27 +276,13 @@ def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(
 ) -> None:
     """At the middles of the intervals, of which motors and the walker's torques are the means."""
     walk, torques = case.trajectory, np.zeros_like(case.trajectory.joint_torque_nm)
-    joints = [
-        f"/jointset/{joint}_{side}/{coordinate}_{side}"
-        for side in "lr"
-        for joint, coordinate in (
-            ("hip", "hip_flexion"),
-            ("knee", "knee_angle"),
-            ("ankle", "ankle_angle"),
-        )
-    ]
     for name, muscle in case.muscles.items():
-        paths = muscle.findtext(".//coordinate_paths", "").split()
-        for path, arm in zip(
-            paths, muscle.findall(".//moment_arm_functions/*"), strict=True
-        ):
-            arms = computed(arm, coordinates(case, muscle, "value"))
-            torques[:, joints.index(path)] += arms * case.force(name)
+        for joint, arm in moment_arms(case, muscle).items():
+            torques[:, joint] += arm * case.force(name)
     controls, states = case.table(CONTROLS), case.table(STATES)
-    short = [path.rpartition("/")[2] for path in joints]
     for spring in case.model.iter("SpringGeneralizedForce"):
-        joint = short.index(spring.findtext("coordinate", ""))
-        angle, rate = (states[f"{joints[joint]}/{kind}"] for kind in ("value", "speed"))
+        joint = COORDINATES.index(spring.findtext("coordinate", ""))
+        angle, rate = (states[f"{JOINTS[joint]}/{kind}"] for kind in ("value", "speed"))
         stretch = angle - number(spring, "rest_length")
         torques[:, joint] -= number(spring, "stiffness") * stretch
         torques[:, joint] -= number(spring, "viscosity") * rate
@@ -296,10 +292,10 @@ def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(
     }
     assert set(actuators) == set(controls) - {"time"} and set(
         actuators.values()
-    ) == set(short)
+    ) == set(COORDINATES)
     torques[1:] = 0.5 * (torques[1:] + torques[:-1])
     for name, coordinate in actuators.items():
-        torques[:, short.index(coordinate)] += controls[name]
+        torques[:, COORDINATES.index(coordinate)] += controls[name]
     peak = np.abs(walk.joint_torque_nm).max()
     np.testing.assert_allclose(torques, -walk.joint_torque_nm, atol=1e-6 * peak)
     # A motor has what its name says, and no torque of a muscle: in stance nothing, but

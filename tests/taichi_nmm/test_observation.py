@@ -16,19 +16,13 @@ def two_bodies() -> Observation:
 
 def bad_values() -> list[tuple[str, object]]:
     bad: list[tuple[str, object]] = []
-    for name, width in WIDTHS.items():
-        good = np.zeros((2, width) if width else 2)
-        spoilt = [good.copy(), good.copy()]
-        spoilt[0].flat[-1], spoilt[1].flat[0] = np.nan, np.inf
-        bad += [
-            (name, value)
-            for value in (*spoilt, good[:1], good[None], 0.0, "much", None)
-        ]
-        bad += [
-            (name, good.astype(str)),
-            (name, good.astype(complex)),
-            (name, [[1.0], [1.0, 2.0]]),
-        ]
+    for name, values in vars(two_bodies()).items():
+        nan, infinite = values.copy(), values.copy()
+        nan.flat[-1], infinite.flat[0] = np.nan, np.inf
+        of_other_shapes = values[:1], values[None], 0.0, [[1.0], [1.0, 2.0]]
+        no_numbers = values.astype(str), values.astype(complex), "much", None
+        for value in (nan, infinite, *of_other_shapes, *no_numbers):
+            bad.append((name, value))
     return bad
 
 

@@ -129,45 +129,31 @@ def gains_text(**changes: object) -> str:
     )
 
 
-@pytest.mark.parametrize(
-    ("load", "text", "message"),
-    [
-        *(
-            (
-                load_gains,
-                row.get("text") or gains_text(**row["changes"]),
-                row["message"],
-            )
-            for row in asset("bad-gains.toml").values()
-        ),
-        (load_gains, gains_text(C_d=None), r"gains\.C_d: None"),
-        (load_gains, gains_text(K_SOL=10**400), r"gains\.K_SOL: 10.*0 to 24"),
-        (load_gains, "", r"gains: 'nobody'.*one of published.*or a JSON file"),
-        (
-            load_all_gains,
-            gains_text(theta_ref=2),
-            r"^gains\.theta_ref: 2 cannot.*: -0\.174533 to 0\.523599$",
-        ),
-        (
-            load_all_gains,
-            gains_text(theta_ref="much"),
-            r"gains\.theta_ref: 'much' .*0\.523599",
-        ),
-        (
-            load_all_gains,
-            gains_text(theta=0.1),
-            r"gains: 'theta'.*only the names theta_ref, .* more",
-        ),
-        (load_all_gains, gains_text(K_SOL=99), r"gains\.K_SOL: 99"),
-    ],
-)
+@pytest.mark.parametrize("case", asset("bad-gains.toml").values())
 def test_files_and_names_of_no_gains_are_refused(
-    load: Any, text: str, message: str, tmp_path: Path
+    case: dict[str, Any], tmp_path: Path
 ) -> None:
     path = tmp_path / "bad.json"
-    path.write_text(text)
+    path.write_text(case.get("text") or gains_text(**case["changes"]))
+    load = load_all_gains if case.get("low_level") else load_gains
+    with pytest.raises(InputError, match=case["message"]):
+        load(case.get("source", str(path)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"C_d": None}, r"gains\.C_d: None"),
+        ({"K_SOL": 10**400}, r"gains\.K_SOL: 10.*0 to 24"),
+    ],
+)
+def test_values_of_gains_that_no_table_has_are_refused(
+    changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text(gains_text(**changes))
     with pytest.raises(InputError, match=message):
-        load(str(path) if text else "nobody")
+        load_gains(str(path))
 
 
 DEFAULTS = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])

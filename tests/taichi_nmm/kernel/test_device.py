@@ -90,47 +90,42 @@ def test_it_helps_one_motion_of_a_side_with_no_more_than_its_power(
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
-def test_at_the_hip_it_takes_work_from_the_muscles_there(engine: str) -> None:
-    """Torque and power as recorded; extensors of the hip do less beside one that extends it."""
-    settings, device = taichi_nmm.Settings(arch="cpu", engine=engine), len(FIXED)
-    worlds = taichi_nmm.WorldRanges(
-        exoskeleton=taichi_nmm.Exoskeleton("hip_extension", "both", 30.0)
-    )
+@pytest.mark.parametrize(
+    ("motion", "curve", "power_w", "muscles"),
+    [
+        ("hip_extension", (15.0, 0.15, 0.1, 0.2), 30.0, ("ham", "glu")),
+        ("plantarflexion", (TORQUE, PEAK, RISE, FALL), 1e6, ("sol", "gas")),
+    ],
+)
+def test_it_takes_work_from_the_muscles_that_do_the_same(
+    engine: str,
+    motion: str,
+    curve: tuple[float, ...],
+    power_w: float,
+    muscles: tuple[str, ...],
+) -> None:
+    """Torque and power are as recorded, and a walker's muscles do less beside them."""
+    worn = taichi_nmm.Exoskeleton(motion, "both", power_w)
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (2, 1))
-    low_level[1, device : device + len(DEVICE)] = 15.0, 0.15, 0.1, 0.2
+    low_level[1, len(FIXED) : len(FIXED) + len(DEVICE)] = curve
     result = taichi_nmm.simulate(
         np.tile(load_gains("reference"), (2, 1)),
         duration_s=8.0,
         low_level_gains=low_level,
-        worlds=worlds.draw([1]),
-        settings=settings,
+        worlds=taichi_nmm.WorldRanges(exoskeleton=worn).draw([1]),
+        settings=taichi_nmm.Settings(arch="cpu", engine=engine),
         record=[1],
         record_rate_hz=1000,
     )
-    alone, helped = result["activation_ham_mean"] + result["activation_glu_mean"]
-    walk = result.trajectories[0]
-    assert helped < 0.98 * alone and (result["survived_fraction"] == 1.0).all()
-    torque, rate = walk.device_torque_nm[:, 0], walk.qdot[:, 3] - walk.qdot[:, 2]
-    assert (
-        torque.max() == pytest.approx(15.0, abs=0.1)
-        and not walk.device_torque_nm[:, 1:3].any()
-    )
-    assert np.max(torque[1:] * rate[:-1]) == pytest.approx(30.0, rel=1e-3)
-
-
-@pytest.mark.parametrize("engine", ["taichi", "mujoco"])
-def test_the_plantarflexors_of_a_walker_do_less_beside_it(engine: str) -> None:
-    settings = taichi_nmm.Settings(arch="cpu", engine=engine)
-    low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (2, 1))
-    low_level[1, len(FIXED) : len(FIXED) + len(DEVICE)] = TORQUE, PEAK, RISE, FALL
-    gains = np.tile(load_gains("reference"), (2, 1))
-    rows = taichi_nmm.simulate(
-        gains, duration_s=8.0, low_level_gains=low_level, settings=settings
-    ).rows
-    assert (rows["survived_fraction"] == 1.0).all()
-    for name in ("activation_sol_mean", "activation_gas_mean"):
-        alone, helped = rows[name]
-        assert 0.5 * alone < helped < 0.98 * alone
+    assert (result["survived_fraction"] == 1.0).all()
+    alone, helped = sum(result[f"activation_{name}_mean"] for name in muscles)
+    assert 0.5 * alone < helped < 0.98 * alone
+    walk, joint = result.trajectories[0], 0 if motion == "hip_extension" else 2
+    torque = walk.device_torque_nm[:, joint]
+    assert torque.max() == pytest.approx(curve[0], abs=0.1)
+    assert not np.delete(walk.device_torque_nm, [joint, joint + 3], axis=1).any()
+    rate = walk.qdot[:, 3 + joint] - walk.qdot[:, 2 + joint]
+    assert np.max(torque[1:] * rate[:-1]) < 1.001 * power_w
 
 
 def work_of_a_cycle(stiffness: float, damping: float) -> float:

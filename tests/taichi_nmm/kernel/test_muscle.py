@@ -177,22 +177,6 @@ def test_quick_release_moves_at_inverse_force_velocity(
     )
 
 
-def test_tension_and_its_derivatives(muscle: Any) -> None:
-    """A tendon that goes slack and a buffer that lets go within the range."""
-    v = np.linspace(-1.0, 3.0, 2001)
-    lines = (0.1, 0.08, 0.02, 0.04)
-    force, half_fall, bend = muscle.tension(v, *lines)
-    assert (np.diff(force) <= 0).all() and (half_fall >= 0).all()
-    assert np.isclose(force[0], 0.18**2 + 0.06**2) and force[-1] == 0.0
-    step = v[1] - v[0]
-    assert np.allclose(
-        2 * half_fall[1:-1], (force[:-2] - force[2:]) / (2 * step), atol=1e-4
-    )
-    smooth = np.abs(v[:, None] - [0.5, 1.25]).min(axis=1) > 2 * step
-    second = (force[2:] - 2 * force[1:-1] + force[:-2]) / step**2
-    assert np.allclose(2 * bend[1:-1][smooth[1:-1]], second[smooth[1:-1]], atol=1e-6)
-
-
 def walking_states(ticks: int) -> Problem:
     """Arguments of `speed_range` met in `ticks` on flat ground, of all muscles that are up."""
     walker = interpreted_walker()
