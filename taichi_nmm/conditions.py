@@ -5,11 +5,12 @@ from typing import Any
 
 from storage.inputs.config import Table
 from taichi_nmm.body import Build, read_body
-from taichi_nmm.settings import ENGINES, MujocoSettings, Settings
+from taichi_nmm.settings import ENGINES, OWN_ENGINE, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, read_ground
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
 
-SHORTEST_TRIAL_S, LONGEST_TRIAL_S = 0.1, 1000.0
+SHORTEST_TRIAL_S = 0.1
+LONGEST_TRIAL_S = 1000.0
 TRIAL_S = 100.0  # where a configuration names none
 
 
@@ -70,23 +71,15 @@ def read_conditions(table: Table, arch: str | None = None) -> Conditions:
 
 def read_settings(table: Table, arch: str | None = None) -> Settings:
     """`Settings` from the table [simulation], less its other keys; `arch` overrides the file's."""
-    configured, default = table.text("arch", "auto"), Settings()
-    own: dict[str, Any] = {}
+    default = Settings()
+    configured = table.text("arch", default.arch)
     engine = table.text("engine", default.engine, ENGINES)
-    if engine == "mujoco":
-        mujoco = table.table("mujoco")
-        own["mujoco"] = MujocoSettings(
-            time_constant_s=mujoco.number(
-                "time_constant_s", default.mujoco.time_constant_s
-            ),
-            damping_ratio=mujoco.number("damping_ratio", default.mujoco.damping_ratio),
-            limits=mujoco.text("limits", default.mujoco.limits),
-        )
-        mujoco.done()
+    own: dict[str, Any] = {}
+    if engine == OWN_ENGINE:
+        name = "contact_relaxation_speed_mps"
+        own[name] = table.number(name, getattr(default, name))
     else:
-        own["contact_relaxation_speed_mps"] = table.number(
-            "contact_relaxation_speed_mps", default.contact_relaxation_speed_mps
-        )
+        own["mujoco"] = _read_mujoco(table.table("mujoco"))
     return Settings(
         physics_step_s=table.number("physics_step_s", default.physics_step_s),
         precision=table.text("precision", default.precision),
@@ -94,3 +87,14 @@ def read_settings(table: Table, arch: str | None = None) -> Settings:
         arch=arch or configured,
         **own,
     )
+
+
+def _read_mujoco(table: Table) -> MujocoSettings:
+    default = MujocoSettings()
+    settings = MujocoSettings(
+        time_constant_s=table.number("time_constant_s", default.time_constant_s),
+        damping_ratio=table.number("damping_ratio", default.damping_ratio),
+        limits=table.text("limits", default.limits),
+    )
+    table.done()
+    return settings

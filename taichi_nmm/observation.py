@@ -64,7 +64,8 @@ class Observation:
         checks.whole(0)("count", count)
         arrays = {}
         for name, width in WIDTHS.items():
-            field, shape = f"observation.{name}", (count, width) if width else (count,)
+            field = f"observation.{name}"
+            shape = (count, width) if width else (count,)
             array = arrays[name] = checks.numbers(field, getattr(self, name))
             if array.shape != shape:
                 raise InputError(f"{field}.shape", array.shape, f"{list(shape)}")

@@ -240,7 +240,8 @@ def _joint_torques(
 
     `prosthesis` is the walker's own of `Worlds`, [2, 3].
     """
-    links, step_s = [[2, 3, 4, 5], [2, 6, 7, 8]], settings.physics_step_s
+    links = [[2, 3, 4, 5], [2, 6, 7, 8]]
+    step_s = settings.physics_step_s
     rates = state.qdot.T
     angle = np.diff((state.q.T - step_s * rates)[:, links])  # [t, leg, 3]
     rate = np.diff(rates[:, links])

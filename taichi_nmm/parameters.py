@@ -70,20 +70,23 @@ GAINS: tuple[Parameter, ...] = _group("searched")
 
 DEVICE: tuple[Parameter, ...] = _group("device")  # exoskeleton: `kernel.device`
 
-ASYMMETRIES: tuple[Parameter, ...] = tuple(
-    Parameter(
-        f"{gain.name}_asymmetry",
-        "1",
-        -reach,
-        reach,
-        0.0,
-        f"(left - right) / (left + right) of {gain.name}, which is the mean of both",
-        "ours",
-    )
-    for gain in GAINS
+
+def _asymmetry(gain: Parameter) -> Parameter:
     # Half of what would take one leg from the middle of the gain's range to its end.
-    for reach in [0.5 * (gain.high - gain.low) / (gain.high + gain.low)]
-)
+    reach = 0.5 * (gain.high - gain.low) / (gain.high + gain.low)
+    mean = f"{gain.name}, which is the mean of both"
+    return Parameter(
+        name=f"{gain.name}_asymmetry",
+        unit="1",
+        low=-reach,
+        high=reach,
+        default=0.0,
+        meaning=f"(left - right) / (left + right) of {mean}",
+        source="ours",
+    )
+
+
+ASYMMETRIES: tuple[Parameter, ...] = tuple(map(_asymmetry, GAINS))
 """How far each gain differs by side: the left leg has K (1 + a), the right one K (1 - a)."""
 
 # Not searched by the paper, but of the same form, so that a later study can search

@@ -160,7 +160,8 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
     """The kernel with everything that stays the same from launch to launch."""
     real = backend.real_dtype()
     heights = np.array([terrain.height_m for terrain in batch.terrains], dtype=real)
-    step_s, rough = settings.physics_step_s, int(heights.any())
+    step_s = settings.physics_step_s
+    rough = int(heights.any())
     muscles = muscle_table(step_s).astype(real)
 
     bound: tuple[NDArray[Any], backend.BoundKernel] | None = None

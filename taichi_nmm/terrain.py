@@ -322,8 +322,8 @@ class Ground:
     options: Mapping[str, float | str | list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        kind, options = checks.word(*KINDS), checks.by_name(checks.anything)
-        checks.check_fields(self, "terrain.", kind=kind, options=options)
+        options = checks.by_name(checks.anything)
+        checks.check_fields(self, "terrain.", kind=checks.word(*KINDS), options=options)
 
     def __hash__(self) -> int:
         pairs = {k: tuple(v) for k, v in self.options.items() if isinstance(v, list)}
@@ -361,7 +361,8 @@ def read_ground(table: Table) -> Ground:
         InputError: an unknown kind or option, a wrong type or a value out of range.
     """
     kind = table.text("kind", "flat", tuple(KINDS))
-    make, written = KINDS[kind], table.unread
+    make = KINDS[kind]
+    written = table.unread
     hints = get_type_hints(make, include_extras=True)
     for name, parameter in signature(make).parameters.items():
         default: Any = (

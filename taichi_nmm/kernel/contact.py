@@ -8,7 +8,7 @@ damper, capped by one Coulomb coefficient. Both enter the step linearly implicit
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
 from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.dynamics import point_velocity
-from taichi_nmm.kernel.elementary import larger, smaller
+from taichi_nmm.kernel.elementary import larger, latch, smaller
 from taichi_nmm.kernel.layout import CONTACTS, LEGS
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
@@ -87,12 +87,8 @@ def gaps(lane, state: Rows, work: Rows):
         work.normal_z[c, lane] = cosine
         touching = ti.select(gap > 0.0, 1.0, 0.0)
         fresh = touching > state.touching[c, lane]
-        state.anchor_x[c, lane] = ti.select(
-            fresh, work.point_x[c, lane], state.anchor_x[c, lane]
-        )
-        state.anchor_z[c, lane] = ti.select(
-            fresh, work.point_z[c, lane], state.anchor_z[c, lane]
-        )
+        latch(state.anchor_x[c], lane, fresh, work.point_x[c, lane])
+        latch(state.anchor_z[c], lane, fresh, work.point_z[c, lane])
         state.touching[c, lane] = touching
 
 
@@ -134,8 +130,8 @@ def drag_anchors(lane, step_s, state: Rows, const: Rows, work: Rows):
         new_x = work.point_x[c, lane] + step_s * speed_x + tangent_x * hold
         new_z = work.point_z[c, lane] + step_s * speed_z + tangent_z * hold
         slips = (work.slip[c, lane] != 0.0) | (work.normal_on[c, lane] == 0.0)
-        state.anchor_x[c, lane] = ti.select(slips, new_x, state.anchor_x[c, lane])
-        state.anchor_z[c, lane] = ti.select(slips, new_z, state.anchor_z[c, lane])
+        latch(state.anchor_x[c], lane, slips, new_x)
+        latch(state.anchor_z[c], lane, slips, new_z)
 
 
 @ti.func

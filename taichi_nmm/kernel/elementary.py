@@ -7,7 +7,7 @@ Library functions are calls, and a call stops LLVM's loop vectoriser. Accurate t
 from math import factorial, log
 
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.backend import Static, ti
+from taichi_nmm.kernel.backend import Rows, Static, ti
 
 TWO_OVER_PI = 0.6366197723675814
 # pi/2 in two parts (Cody & Waite): the first has few bits, so that k times it is exact.
@@ -60,6 +60,12 @@ def larger(x, y):
 def smaller(x, y):
     """The smaller of both, and x where y is NaN."""
     return ti.select(y < x, y, x)
+
+
+@ti.func
+def latch(row: Rows, lane, condition, value):
+    """Remember `value` in a row where `condition` holds."""
+    row[lane] = ti.select(condition, value, row[lane])
 
 
 @ti.func

@@ -11,7 +11,7 @@ import math
 
 from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.contact import ground_at_ankle, on_ground
-from taichi_nmm.kernel.elementary import larger
+from taichi_nmm.kernel.elementary import larger, latch
 from taichi_nmm.kernel.layout import (
     LEGS,
     MUSCLE_COUNT,
@@ -23,12 +23,6 @@ DEBOUNCE_TICKS = 100.0  # 0.1 s
 KNEE_FLEXION_LOW_RAD = math.radians(35.0)
 KNEE_FLEXION_HIGH_RAD = math.radians(95.0)
 TICKS_PER_SECOND = 1000.0
-
-
-@ti.func
-def latch(row: Rows, lane, condition, value):
-    """Remember `value` in a row where `condition` holds."""
-    row[lane] = ti.select(condition, value, row[lane])
 
 
 @ti.func

@@ -37,7 +37,8 @@ NEIGHBOUR = (
 ELF_HEADER = (
     "<40xQ10xHH"  # where sections are described, bytes of a description, how many
 )
-SECTION, SYMBOL_TABLE = "<4xI16xQQI", 2  # kind, start, length, section of names; a kind
+SECTION = "<4xI16xQQI"  # kind, start, length, section of names
+SYMBOL_TABLE = 2  # a kind of section
 SYMBOL = struct.Struct("<I4xQQ")  # where its name is, address, length
 REMARK = b"remark: <unknown>:0:0: loop not vectorized"
 

@@ -19,7 +19,7 @@ from taichi_nmm.kernel import (
     swing,
 )
 from taichi_nmm.kernel.backend import Rows, Static, ti
-from taichi_nmm.kernel.elementary import larger
+from taichi_nmm.kernel.elementary import larger, latch
 from taichi_nmm.kernel.layout import (
     COORDINATES,
     LEGS,
@@ -284,10 +284,8 @@ def end_walk(lane, tick, state: Rows, work: Rows):
     ends = active & (diverged | (upright == False))  # noqa: E712
     reason = ti.select(diverged, DIVERGED, FELL)
     moves = active & (diverged == False)  # noqa: E712
-    state.end_reason[lane] = ti.select(ends, reason, state.end_reason[lane])
-    state.end_tick[lane] = ti.select(
-        active, ti.cast(tick + 1, float), state.end_tick[lane]
-    )
-    state.end_x[lane] = ti.select(moves, state.q[0, lane], state.end_x[lane])
-    state.end_z[lane] = ti.select(moves, state.q[1, lane], state.end_z[lane])
-    state.active[lane] = ti.select(ends, 0.0, state.active[lane])
+    latch(state.end_reason, lane, ends, reason)
+    latch(state.end_tick, lane, active, ti.cast(tick + 1, float))
+    latch(state.end_x, lane, moves, state.q[0, lane])
+    latch(state.end_z, lane, moves, state.q[1, lane])
+    latch(state.active, lane, ends, 0.0)

@@ -72,8 +72,15 @@ def walking_batch(count: int) -> Batch:
         terrain.ramp(increment=0.1, segment_m=0.5, direction="down"),
         terrain.stairs(rise_m=0.03, run_m=0.3, flat_start_m=0.2),
     ]
-    ranges = (0.5, 3.0), (0.5, 3.0), (0.5, 1.0), (0.8, 1.1), (0.0, 0.01), (0.0, 0.01)
-    healthy = WorldRanges(*ranges, catch_ns=(0.0, 5.0))
+    healthy = WorldRanges(
+        contact_stiffness=(0.5, 3.0),
+        relaxation_speed=(0.5, 3.0),
+        friction=(0.5, 1.0),
+        strength=(0.8, 1.1),
+        nerve_lag_s=(0.0, 0.01),
+        sensing_noise=(0.0, 0.01),
+        catch_ns=(0.0, 5.0),
+    )
     own = {name: tuple(rng.uniform(0.9, 1.1, 14)) for name in MUSCLE_LIMITS}
     amputees = replace(healthy, prosthesis=Prosthesis("right", 400.0, 1.0, 0.05), **own)
     each_world = Worlds.stacked(

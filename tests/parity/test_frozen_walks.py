@@ -8,6 +8,7 @@ second source.
 Another processor may round otherwise in the last places, which contacts enlarge.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +28,17 @@ FROZEN = Path(__file__).resolve().parents[1] / "assets"
 DURATION_S = 4.0
 TOLERANCE = 1e-6
 WALKERS = {"taichi": 25, "mujoco": 10}
+SHARED = WorldRanges(
+    friction=(0.8, 1.0),
+    strength=(0.9, 1.1),
+    nerve_lag_s=(0, 0.005),
+    sensing_noise=(0, 0.005),
+)
 WORLDS = {  # MuJoCo's contact is its own
-    "taichi": WorldRanges(
-        (0.5, 1.5), (0.8, 1.5), (0.8, 1.0), (0.9, 1.1), (0, 0.005), (0, 0.005)
+    "taichi": replace(
+        SHARED, contact_stiffness=(0.5, 1.5), relaxation_speed=(0.8, 1.5)
     ),
-    "mujoco": WorldRanges(
-        (1, 1), (1, 1), (0.8, 1.0), (0.9, 1.1), (0, 0.005), (0, 0.005)
-    ),
+    "mujoco": SHARED,
 }
 
 
