@@ -5,7 +5,6 @@ The only module of this package that imports `study`.
 
 import sys
 
-from storage.inputs.errors import InputError
 from taichi_nmm.neighbours import require_neighbours
 
 
@@ -13,7 +12,7 @@ def main() -> None:
     """Run the command that the process was called with, and leave with its exit code."""
     try:
         require_neighbours("study", "storage")
-    except InputError as error:
+    except ImportError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
     from study.cli import main as run  # after the check that it is ours

@@ -2,13 +2,12 @@
 
 `study` and `storage` are common names: where the working directory comes first on
 Python's path, a `study.py` in it is imported in place of the package, and the error
-that follows explains nothing.
+that follows explains nothing. So this module imports nothing of theirs, and refuses in
+the words of `storage.inputs.errors.InputError` by itself.
 """
 
 from importlib.util import find_spec
 from pathlib import Path
-
-from storage.inputs.errors import InputError
 
 BESIDE = Path(__file__).resolve().parents[1]
 
@@ -17,7 +16,7 @@ def require_neighbours(*names: str) -> None:
     """Check that these packages are those beside this one; none of them is imported.
 
     Raises:
-        InputError: a file or folder of the same name comes first on Python's path.
+        ImportError: a file or folder of the same name comes first on Python's path.
     """
     for name in names:
         spec = find_spec(name)
@@ -31,4 +30,6 @@ def require_neighbours(*names: str) -> None:
             allowed = (
                 f"another name, or working directory: it hides {name} of taichi-nmm"
             )
-            raise InputError(name, str(found), allowed)
+            raise ImportError(
+                f"{name}: {str(found)!r} cannot be used; allowed: {allowed}", name=name
+            )
