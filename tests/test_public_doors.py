@@ -8,7 +8,7 @@ import inspect
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import optuna
@@ -32,11 +32,20 @@ from tests.storage.inputs.test_errors import Unspeakable
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
-Call = tuple[Callable[..., Any], dict[str, Any]]
+
+class Door(NamedTuple):
+    """A public callable, with arguments on which it succeeds."""
+
+    name: str
+    call: Callable[..., Any]
+    arguments: dict[str, Any]
+
+
 PACKAGES = (taichi_nmm, storage, study)
 # Made by us, of values that were checked.
 CONTAINERS = {"InputError", "Muscles", "Result", "Store", "Trajectory"}
 HOOKS = (BaseSampler, Simulator)  # whose members Optuna and stores call
+BOX = {"x": FloatDistribution(0, 1)}
 
 
 def wrong_values() -> list[Any]:
@@ -104,9 +113,27 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def calls(store: Path, folder: Path) -> dict[str, Call]:
-    """A call that succeeds of every public callable, by its name."""
+def door(
+    call: Callable[..., Any], use: Callable[[Any], Any] | None = None, /, **given: Any
+) -> Door:
+    """A call that succeeds: on `given`, and on the defaults of all other arguments.
+
+    `use` goes on with what the call returns, where only this looks at the arguments.
+    """
+    parameters = inspect.signature(call).parameters.values()
+    defaults = {p.name: p.default for p in parameters if p.default is not p.empty}
+
+    def run(**arguments: Any) -> Any:
+        made = call(**arguments)
+        return made if use is None else use(made)
+
+    return Door(call.__qualname__, run, defaults | given)
+
+
+def walker_doors() -> list[Door]:
     cpu = taichi_nmm.Settings(arch="cpu")
+    rows = np.zeros(2, RESULT_DTYPE)
+    bodies, worlds = taichi_nmm.Bodies.nominal(2), taichi_nmm.Worlds.nominal(2)
     observation = {
         "joint_rad": np.zeros((1, 6)),
         "joint_rate_radps": np.zeros((1, 6)),
@@ -119,13 +146,142 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "com_ahead_m": [[0.0, 0.0]],
         "com_speed_mps": [1.3],
     }
-    rows = np.zeros(2, RESULT_DTYPE)
-    bodies, worlds = taichi_nmm.Bodies.nominal(2), taichi_nmm.Worlds.nominal(2)
+    sensed = taichi_nmm.Observation(**observation)
+    walk = {"gains": PUBLISHED_GAINS, "duration_s": 0.002, "settings": cpu}
+
+    def controller() -> taichi_nmm.Controller:
+        return taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu)
+
+    def step(sensed: taichi_nmm.Observation) -> Any:
+        stepping = controller()
+        return stepping.step(sensed), stepping.muscles
+
+    def switched(switch: taichi_nmm.Switch) -> Any:
+        return taichi_nmm.simulate(**walk, switches=[switch])
+
+    return [
+        door(taichi_nmm.Bodies, **vars(bodies)),
+        door(taichi_nmm.Bodies.disturbed, seeds=[1]),
+        door(taichi_nmm.Bodies.nominal, count=1),
+        door(bodies.take, index=[1, 0]),
+        door(taichi_nmm.Controller, gains=PUBLISHED_GAINS, settings=cpu),
+        door(controller().keep, rows=[0]),
+        door(controller().step, observation=sensed),
+        door(
+            taichi_nmm.Prosthesis,
+            side="left",
+            stiffness_nmprad=300.0,
+            damping_nmsprad=1.0,
+        ),
+        door(taichi_nmm.Exoskeleton),
+        door(taichi_nmm.Result(rows).__getitem__, name="duration_s"),
+        door(taichi_nmm.Observation, step, **observation),
+        door(sensed.checked, count=1),
+        door(taichi_nmm.Settings, arch="cpu"),
+        door(cpu.document),
+        door(cpu.on_processor),
+        door(taichi_nmm.Terrain, **vars(terrain.flat())),
+        door(terrain.flat().height, x_m=[1.0]),
+        door(taichi_nmm.WorldRanges, lambda ranges: ranges.draw([1])),
+        door(taichi_nmm.WorldRanges().document),
+        door(taichi_nmm.WorldRanges().draw, seeds=[1, 2]),
+        door(taichi_nmm.Worlds, **vars(worlds)),
+        door(taichi_nmm.Worlds.nominal, count=1),
+        door(taichi_nmm.Worlds.stacked, worlds=[worlds]),
+        door(worlds.take, index=[1, 0]),
+        door(
+            taichi_nmm.forward_dynamics,
+            q=np.zeros((1, 9)),
+            qdot=np.zeros((1, 9)),
+            joint_torque=np.zeros((1, 6)),
+        ),
+        door(taichi_nmm.load_all_gains, source="published"),
+        door(taichi_nmm.load_gains, source="published"),
+        door(taichi_nmm.simulate, **walk, terrains=terrain.flat(), record=[0]),
+        door(taichi_nmm.Switch, switched, at_s=0.001, gains=PUBLISHED_GAINS),
+        door(taichi_nmm.smooth_cost, rows=rows, target_speed_mps=1.3),
+        door(taichi_nmm.walking_cost, rows=rows, target_speed_mps=1.3),
+    ]
+
+
+def ground_doors(folder: Path) -> list[Door]:
+    (folder / "hill.csv").write_text("0,0\n1,1\n")
+    return [
+        door(terrain.from_file, path=folder / "hill.csv"),
+        door(terrain.blocks, seed=1),
+        door(terrain.rough, seed=1),
+        door(terrain.ramp),
+        door(terrain.stairs),
+    ]
+
+
+def store_doors(store: Path, folder: Path) -> list[Door]:
     opened = storage.open_store(store)
-    table = study.FeatureTable.from_arrays(
-        {"x": np.linspace(0, 1, 20)}, np.linspace(0, 1, 20)
-    )
-    sampler = study.FeatureKernelSampler(table, seed=1)
+    return [
+        door(
+            storage.FunctionSimulator,
+            function=robot.drive,
+            parameters=robot.PARAMETERS,
+            columns=robot.COLUMNS,
+            worlds=robot.WORLDS,
+            measures={"speed_mps": (0, 1)},
+        ),
+        door(
+            storage.make_store,
+            simulator=robot.Cart,
+            out=folder / "made",
+            workers=1,
+            fresh=True,
+            samples=2,
+        ),
+        door(storage.merge, source=store, target=folder / "merged.parquet"),
+        door(storage.open_store, path=store),
+        door(opened.gains),
+        door(opened.require_bounds),
+        door(opened.numpy),
+        door(opened.table),
+        door(opened.tables),
+        door(opened.settings_of, family="up"),
+        door(opened.kept, family="up"),
+        door(opened.outcomes, family="up", column="survived_fraction"),
+        door(opened.all_outcomes, column="survived_fraction", families=("rough", "up")),
+        door(study.world_table, path=store, cost=Objective().in_worlds),
+        door(study.FeatureTable.from_parquet, path=store, features=["phi_printed"]),
+    ]
+
+
+def table_doors(folder: Path) -> list[Door]:
+    frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
+    frame.to_parquet(folder / "frame.parquet")
+    named = {"parameters": ["x"], "features": ["f"], "bounds": {"x": (0, 1)}}
+    from_arrays = study.FeatureTable.from_arrays
+    of_x = partial(from_arrays, {"x": [0, 1]}, [1, 2])
+    return [
+        door(study.FeatureTable, rows=table().rows),
+        door(
+            from_arrays,
+            parameters={"x": [0.0, 1.0]},
+            features=[1, 2],
+            feature_names=["f"],
+            bounds={"x": (0, 1)},
+        ),
+        door(from_arrays, parameters={"x": [0.0, 1.0]}, outcomes=np.eye(2)),
+        door(lambda x: from_arrays({"x": x}, [1, 2]), x=[0.0, 1.0]),
+        door(lambda x: of_x(bounds={"x": x}), x=(0, 1)),
+        door(lambda low: of_x(bounds={"x": (low, 1)}), low=0),
+        door(lambda x: of_x(space={"x": x}), x=BOX["x"]),
+        door(study.FeatureTable.from_dataframe, frame=frame, **named),
+        door(study.FeatureTable.from_parquet, path=folder / "frame.parquet", **named),
+        door(
+            study.FeatureTable.from_kernel, gram=np.eye(2), parameters={"x": [0.0, 1.0]}
+        ),
+        door(study.FeatureTable.from_graph, weights=np.ones((2, 2)), hops=2.0),
+    ]
+
+
+def sampler_doors() -> list[Door]:
+    sampler = study.FeatureKernelSampler(table(), seed=1)
+    finished = tried(sampler)
     options: dict[str, Any] = {
         "seed": 1,
         "kernel": "rbf",
@@ -138,246 +294,26 @@ def calls(store: Path, folder: Path) -> dict[str, Call]:
         "success": 0.5,
         "allowed": None,
     }
-    frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
-    named = {
-        "parameters": ["x"],
-        "features": ["f"],
-        "bounds": {"x": (0, 1)},
-        "space": None,
-    }
-    frame.to_parquet(folder / "frame.parquet")
-    (folder / "hill.csv").write_text("0,0\n1,1\n")
-    from_arrays = study.FeatureTable.from_arrays
-    of_x = partial(from_arrays, {"x": [0, 1]}, [1, 2])
-    box = {"x": FloatDistribution(0, 1)}
-    rough = {
-        "seed": 1,
-        "amplitude_m": 0.1,
-        "spacing_m": 1.0,
-        "flat_start_m": 9.0,
-        "slope": 0.0,
-    }
-
-    def controller() -> taichi_nmm.Controller:
-        return taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu)
-
-    def stepped(**arrays: Any) -> Any:
-        stepping = controller()
-        return stepping.step(taichi_nmm.Observation(**arrays)), stepping.muscles
-
-    by_their_names: list[Call] = [
-        (taichi_nmm.Bodies, dict(vars(bodies))),
-        (taichi_nmm.Bodies.disturbed, {"seeds": [1], "fraction": 0.1}),
-        (taichi_nmm.Bodies.nominal, {"count": 1}),
-        (bodies.take, {"index": [1, 0]}),
-        (
-            taichi_nmm.Controller,
-            {
-                "gains": PUBLISHED_GAINS,
-                "bodies": None,
-                "low_level_gains": None,
-                "settings": cpu,
-            },
-        ),
-        (
-            taichi_nmm.Prosthesis,
-            {
-                "side": "left",
-                "stiffness_nmprad": 300.0,
-                "damping_nmsprad": 1.0,
-                "rest_rad": 0.0,
-            },
-        ),
-        (taichi_nmm.Exoskeleton, dict(vars(taichi_nmm.Exoskeleton()))),
-        (taichi_nmm.Result(rows).__getitem__, {"name": "duration_s"}),
-        (taichi_nmm.Observation(**observation).checked, {"count": 1}),
-        (taichi_nmm.Settings, dict(vars(cpu))),
-        (cpu.document, {}),
-        (cpu.on_processor, {}),
-        (taichi_nmm.Terrain, dict(vars(terrain.flat()))),
-        (terrain.flat().height, {"x_m": [1.0]}),
-        (taichi_nmm.WorldRanges().document, {}),
-        (taichi_nmm.WorldRanges().draw, {"seeds": [1, 2]}),
-        (taichi_nmm.Worlds, dict(vars(worlds))),
-        (taichi_nmm.Worlds.nominal, {"count": 1}),
-        (taichi_nmm.Worlds.stacked, {"worlds": [worlds]}),
-        (worlds.take, {"index": [1, 0]}),
-        (
-            taichi_nmm.forward_dynamics,
-            {
-                "q": np.zeros((1, 9)),
-                "qdot": np.zeros((1, 9)),
-                "joint_torque": np.zeros((1, 6)),
-                "bodies": None,
-            },
-        ),
-        (taichi_nmm.load_all_gains, {"source": "published"}),
-        (taichi_nmm.load_gains, {"source": "published"}),
-        (
-            taichi_nmm.simulate,
-            dict.fromkeys(("bodies", "low_level_gains", "worlds", "progress"))
-            | {
-                "gains": PUBLISHED_GAINS,
-                "duration_s": 0.002,
-                "terrains": terrain.flat(),
-                "terrain_index": [0],
-                "settings": cpu,
-                "record": [0],
-                "record_rate_hz": 100,
-                "switches": [taichi_nmm.Switch(0.001, PUBLISHED_GAINS)],
-            },
-        ),
-        (taichi_nmm.smooth_cost, {"rows": rows, "target_speed_mps": 1.3}),
-        (taichi_nmm.walking_cost, {"rows": rows, "target_speed_mps": 1.3}),
-        (storage.merge, {"source": store, "target": folder / "merged.parquet"}),
-        (storage.open_store, {"path": store, "verify": False}),
-        (opened.gains, {}),
-        (opened.require_bounds, {}),
-        *(
-            (read, {"columns": ["row"]})
-            for read in (opened.numpy, opened.table, opened.tables)
-        ),
-        (sampler.worth, {"study": tried(lambda: sampler)()}),
-        (sampler.best, {"study": tried(lambda: sampler)()}),
-        (sampler.predict, {"study": tried(lambda: sampler)(), "params": [{"x": 0.5}]}),
-        (study.FeatureTable, {"rows": table.rows, "file": None}),
-        (
-            from_arrays,
-            {
-                "parameters": {"x": [0.0, 1.0]},
-                "features": [1, 2],
-                "feature_names": ["f"],
-                "bounds": {"x": (0, 1)},
-                "space": None,
-            },
-        ),
-        (study.FeatureTable.from_dataframe, {"frame": frame} | named),
-        (
-            study.FeatureTable.from_kernel,
-            {"gram": np.eye(2), "parameters": {"x": [0.0, 1.0]}},
-        ),
-        (
-            study.FeatureTable.from_graph,
-            {"weights": np.ones((2, 2)), "parameters": None, "hops": 2.0},
-        ),
-        (study.FeatureTable.from_parquet, {"path": folder / "frame.parquet"} | named),
-        (study.world_table, {"path": store, "cost": Objective().in_worlds}),
-        (terrain.blocks, rough | {"riser_m": 0.1}),
-        (terrain.from_file, {"path": folder / "hill.csv"}),
-        (
-            terrain.ramp,
-            {
-                "increment": 0.1,
-                "segment_m": 20.0,
-                "largest_slope": 0.2,
-                "direction": "up",
-            },
-        ),
-        (terrain.rough, rough),
-        (
-            terrain.stairs,
-            {"rise_m": 0.1, "run_m": 0.3, "flat_start_m": 9.0, "direction": "down"},
-        ),
+    return [
+        door(sampler.worth, study=finished),
+        door(sampler.best, study=finished),
+        door(sampler.predict, study=finished, params=[{"x": 0.5}]),
+        door(study.DoGSampler, tried, table=table(), **options),
+        door(study.FeatureKernelSampler, tried, features=table(), **options),
+        door(study.FeatureKernelSampler, tried, features=None, space=BOX, seed=1),
     ]
-    return {
-        call.__qualname__: (call, arguments) for call, arguments in by_their_names
-    } | {
-        "FunctionSimulator": (
-            storage.FunctionSimulator,
-            {
-                "function": robot.drive,
-                "parameters": robot.PARAMETERS,
-                "columns": robot.COLUMNS,
-                "worlds": robot.WORLDS,
-                "measures": {"speed_mps": (0, 1)},
-                "batch": False,
-            },
-        ),
-        "make_store": (
-            partial(storage.make_store, samples=2),
-            {
-                "simulator": robot.Cart,
-                "out": folder / "made",
-                "workers": 1,
-                "fresh": True,
-            },
-        ),
-        "Store.settings_of": (opened.settings_of, {"family": "up"}),
-        "Store.kept": (opened.kept, {"family": "up"}),
-        "Store.outcomes": (
-            opened.outcomes,
-            {"family": "up", "column": "survived_fraction"},
-        ),
-        "Store.all_outcomes": (
-            opened.all_outcomes,
-            {"column": "survived_fraction", "families": ("up",)},
-        ),
-        "Controller.keep": (lambda rows: controller().keep(rows), {"rows": [0]}),
-        "Controller.step": (
-            lambda observation: controller().step(observation),
-            {"observation": taichi_nmm.Observation(**observation)},
-        ),
-        "Observation": (stepped, observation),
-        "Switch": (
-            lambda **switch: taichi_nmm.simulate(
-                PUBLISHED_GAINS,
-                duration_s=0.002,
-                switches=[taichi_nmm.Switch(**switch)],
-                settings=cpu,
-            ),
-            {
-                "at_s": 0.001,
-                "gains": PUBLISHED_GAINS,
-                "low_level_gains": None,
-                "over_s": 1.0,
-            },
-        ),
-        "WorldRanges": (
-            lambda **ranges: taichi_nmm.WorldRanges(**ranges).draw([1]),
-            dict(vars(taichi_nmm.WorldRanges())),
-        ),
-        "DoGSampler": (tried(study.DoGSampler), {"table": table} | options),
-        "FeatureKernelSampler": (
-            tried(study.FeatureKernelSampler),
-            {"features": table} | options,
-        ),
-        "FeatureKernelSampler, no table": (
-            tried(study.FeatureKernelSampler),
-            {"features": None, "space": box, "seed": 1},
-        ),
-        "FeatureTable.from_arrays, columns": (
-            lambda **columns: from_arrays(columns, [1, 2]),
-            {"x": [0.0, 1.0]},
-        ),
-        "FeatureTable.from_arrays, outcomes": (
-            lambda outcomes: from_arrays({"x": [0.0, 1.0]}, outcomes=outcomes),
-            {"outcomes": np.eye(2)},
-        ),
-        "FeatureTable.from_arrays, bounds": (
-            lambda **bounds: of_x(bounds=bounds),
-            {"x": (0, 1)},
-        ),
-        "FeatureTable.from_arrays, low": (
-            lambda low: of_x(bounds={"x": (low, 1)}),
-            {"low": 0},
-        ),
-        "FeatureTable.from_arrays, space": (lambda **space: of_x(space=space), box),
-        "FeatureTable.from_parquet, store": (
-            study.FeatureTable.from_parquet,
-            {"path": store, "features": ["phi_printed"]},
-        ),
-    }
 
 
-def tried(make: Callable[..., Any]) -> Callable[..., optuna.Study]:
-    """Makes a sampler and runs trials: options that pass the first must pass the second."""
+def table() -> study.FeatureTable:
+    column = np.linspace(0, 1, 20)
+    return study.FeatureTable.from_arrays({"x": column}, column)
 
-    def run(**options: Any) -> optuna.Study:
-        found = optuna.create_study(sampler=make(**options))
-        found.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=4)
-        return found
 
-    return run
+def tried(sampler: BaseSampler) -> optuna.Study:
+    """Trials of a sampler: options that make one must pass them."""
+    found = optuna.create_study(sampler=sampler)
+    found.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=4)
+    return found
 
 
 def public_names() -> Iterator[str]:
@@ -407,12 +343,18 @@ def test_one_line_or_success(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     optuna.logging.set_verbosity(optuna.logging.CRITICAL)
-    doors = calls(store, tmp_path)
-    assert set(public_names()) <= doors.keys()
+    doors = [
+        *walker_doors(),
+        *ground_doors(tmp_path),
+        *store_doors(store, tmp_path),
+        *table_doors(tmp_path),
+        *sampler_doors(),
+    ]
+    assert set(public_names()) <= {door.name for door in doors}
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")  # "a" may be the name of a file to write
     tried_calls, wrong = 0, []
-    for name, (call, arguments) in doors.items():
+    for name, call, arguments in doors:
         call(**arguments)
         for argument in arguments:
             for place, value in enumerate(wrong_values()):

@@ -76,6 +76,8 @@ def checked_rows(
     if features is None and worlds is None:
         raise InputError("table.features", "none", "features, outcomes, or both")
     if features is None and worlds is not None:
+        if feature_names:
+            raise InputError("table.feature_names", list(feature_names), "0 names")
         matrix = np.empty((len(worlds.costs), 0))
     else:
         matrix = feature_matrix(features, feature_names)

@@ -8,7 +8,7 @@ Trials take milliseconds.
 import os
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -24,31 +24,30 @@ from study.experiment.experiment import Experiment, read_experiment
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result, Trajectory
-from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Terrain
-from taichi_nmm.world import Worlds
-from tests.storage.fake import stopping
 
-TRIAL_S = float(
-    os.environ.get("FAKE_TRIAL_S", "0")
-)  # of a call, for those who want to kill it
-SIGNAL = os.environ.get(
-    "FAKE_SIGNAL", ""
-)  # "5:SIGKILL": sent to this process in its fifth call
+# For those who want to kill it: seconds that a call takes, and a signal that this
+# process gets in a call of it, such as "5:SIGKILL".
+TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))
+SIGNAL = os.environ.get("FAKE_SIGNAL", "")
 WALKS_FROM = 0.7  # quality
 WIDTHS = (9, 9, 6, 14, 14, 4, 6, 4, 6, 14, 14, 22, 2, 3)  # of a trajectory's arrays
-EMPTY = Trajectory(
-    0, np.empty(0), *(np.empty((0, n)) for n in WIDTHS)
-)  # that cannot be drawn
+# It cannot be drawn.
+EMPTY = Trajectory(0, np.empty(0), *(np.empty((0, width)) for width in WIDTHS))
 STORE_ROWS = 150
-KINDS = (
-    "rough",
-    "blocks",
-    "up",
-    "down",
-    "stairs",
-)  # of families, each with one of longer walks
+# Of families, each with one of longer walks.
+KINDS = ("rough", "blocks", "up", "down", "stairs")
 THETA_REF = 7  # of the low-level gains
+DEFAULTS = {
+    "duration_s": 5.0,
+    "bodies": None,
+    "terrains": None,
+    "terrain_index": 0,
+    "low_level_gains": None,
+    "settings": None,
+    "record": (),
+    "progress": None,
+}
 
 calls: list[dict[str, Any]] = []  # what the simulator was called with
 
@@ -59,61 +58,26 @@ def quality(gains: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.exp(-np.mean((2.0 * unit[:, :6] - 1.0) ** 2, axis=1) * 1.5)
 
 
-def simulate(
-    gains: ArrayLike,
-    *,
-    duration_s: float = 5.0,
-    bodies: Bodies | None = None,
-    terrains: Terrain | Sequence[Terrain] | None = None,
-    terrain_index: ArrayLike | None = None,
-    worlds: Worlds | None = None,
-    low_level_gains: ArrayLike | None = None,
-    settings: Settings | None = None,
-    record: Sequence[int] = (),
-    progress: Callable[[float, int], None] | None = None,
-    **options: Any,
-) -> Result:
+def simulate(gains: ArrayLike, **options: Any) -> Result:
     """What `taichi_nmm.simulate` promises, with empty trajectories."""
     time.sleep(TRIAL_S)
     number, _, name = SIGNAL.partition(":")
     if number == str(len(calls) + 1):
         signal.raise_signal(signal.Signals[name])
-    tried = gain_rows(gains)
-    calls.append(
-        {
-            "gains": tried,
-            "duration_s": duration_s,
-            "bodies": bodies,
-            "terrains": terrains,
-            "terrain_index": terrain_index,
-            "low_level_gains": low_level_gains,
-            "settings": settings,
-            "record": record,
-            **options,
-        }
-    )
-    bodies = bodies or Bodies.nominal()
-    grounds = [terrains] if isinstance(terrains, Terrain) else list(terrains or [])
-    rough = np.array([np.std(np.diff(ground.height_m)) for ground in grounds] or [0.0])
-    index = (
-        np.zeros(len(tried), int)
-        if terrain_index is None
-        else np.asarray(terrain_index)
-    )
-    mass = np.resize(bodies.mass_kg.sum(axis=1), len(tried))
-    good = quality(tried) * np.exp(-10.0 * rough[index] - abs(mass / 80.0 - 1.0) / 5.0)
-    if low_level_gains is not None:
-        good = good * np.exp(-np.abs(np.atleast_2d(low_level_gains)[:, THETA_REF]))
+    tried, call = gain_rows(gains), DEFAULTS | options
+    calls.append({"gains": tried, **call})
+    duration_s = call["duration_s"]
+    good = quality(tried) * share_left(call, len(tried))
+    walked = good >= WALKS_FROM
     rows = np.zeros(len(tried), RESULT_DTYPE)
-    rows["duration_s"] = np.where(good >= WALKS_FROM, duration_s, duration_s * good)
-    rows["end_reason"] = np.where(good >= WALKS_FROM, COMPLETED, FELL)
+    rows["duration_s"] = np.where(walked, duration_s, duration_s * good)
+    rows["end_reason"] = np.where(walked, COMPLETED, FELL)
     rows["survived_fraction"] = rows["duration_s"] / duration_s
     rows["mean_speed_mps"] = 1.3 * good
     rows["distance_m"] = rows["mean_speed_mps"] * rows["duration_s"]
     rows["step_count"] = np.ceil(rows["duration_s"])
-    rows["phi_printed"] = rows["phi_corrected"] = np.round(
-        50.0 * good
-    )  # with ties, as of real
+    rows["phi_printed"] = np.round(50.0 * good)  # with ties, as of real walks
+    rows["phi_corrected"] = rows["phi_printed"]
     for number in range(1, 5):
         rows[f"m{number}_mean"] = np.sin(number + 7.0 * good)
     rows["m5_mean_mps"] = good
@@ -122,15 +86,30 @@ def simulate(
     rows["cost_of_transport_jpkgpm"] = 3.0 + np.sin(9.0 * tried[:, 0])
     motors = 1.0 - np.sin(9.0 * tried[:, 0]) + np.cos(7.0 * tried[:, 1])
     rows["cost_of_transport_powered_jpkgpm"] = rows["cost_of_transport_jpkgpm"] + motors
-    if progress is not None:
-        progress(duration_s, 0)
-    return Result(rows, (EMPTY,) * len(record), {"engine": "fake"})
+    if call["progress"] is not None:
+        call["progress"](duration_s, 0)
+    return Result(rows, (EMPTY,) * len(call["record"]), {"engine": "fake"})
+
+
+def share_left(call: dict[str, Any], count: int) -> NDArray[np.float64]:
+    """What ground, body and low-level gains leave of the quality of each walker, [count]."""
+    bodies, grounds = call["bodies"] or Bodies.nominal(), call["terrains"] or []
+    if isinstance(grounds, Terrain):
+        grounds = [grounds]
+    rough = np.array([np.std(np.diff(ground.height_m)) for ground in grounds] or [0.0])
+    mass = np.resize(bodies.mass_kg.sum(axis=1), count)
+    left = np.exp(-10.0 * rough[call["terrain_index"]] - abs(mass / 80.0 - 1.0) / 5.0)
+    if call["low_level_gains"] is not None:
+        left *= np.exp(-np.abs(np.atleast_2d(call["low_level_gains"])[:, THETA_REF]))
+    return left
 
 
 def stopped_in_call(
     number: int, error: type[BaseException] = KeyboardInterrupt
 ) -> Callable[..., Result]:
     """`simulate`, but an error ends its call of that number, counted from 1, and later ones."""
+    from tests.storage.fake import stopping  # pytest, which processes do without
+
     return stopping(number - 1, simulate, error)
 
 

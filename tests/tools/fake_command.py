@@ -11,6 +11,8 @@ module, and so have the same simulator.
 import os
 import sys
 from pathlib import Path
+from types import ModuleType
+from unittest.mock import Mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -21,12 +23,22 @@ from tests.study import fake_walker
 
 vars(taichi_nmm)["simulate"] = fake_walker.simulate
 
+# PyArrow would load it if it is there. Our commands do without it.
+sys.modules["pandas"] = None  # type: ignore[assignment]
+
+# Pictures and notes have tests of their own. What they need takes longer to load than
+# all else in a command.
+for name, functions in {
+    "study.experiment.artifacts": ("draw_best",),
+    "optuna_dashboard": ("get_note", "save_note"),
+}.items():
+    sys.modules[name] = ModuleType(name)
+    vars(sys.modules[name]).update(dict.fromkeys(functions, Mock(return_value="")))
+
 if stretch := os.environ.get("FAKE_STRETCH"):
-    compare.CHECKPOINT_S, compare.EXPORT_S, compare.STRETCH_TRIALS = (
-        0.0,
-        1e9,
-        int(stretch),
-    )
+    compare.CHECKPOINT_S = 0.0
+    compare.EXPORT_S = 1e9
+    compare.STRETCH_TRIALS = int(stretch)
 
 if __name__ == "__main__":
     main()
