@@ -35,12 +35,12 @@ PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
 
 __all__ = ["tool"]  # a fixture of the commands' own tests
 # Options that make a command short, at its end, where they replace earlier ones.
-SHORT: dict[str, tuple[object, ...]] = {
-    "precompute": ("--samples", 24, "--workers", 1),
-    "study": ("--trials", 2),
-    "quickstart": (),
-    "compare": ("--runs", 1, "--trials", 2, "--workers", 1),
-    "walk": ("--duration", 2, "--movie-seconds", 0.3),
+SHORT = {
+    "precompute": "--samples 24 --workers 1",
+    "study": "--trials 2",
+    "quickstart": "",
+    "compare": "--runs 1 --trials 2 --workers 1",
+    "walk": "--duration 2 --movie-seconds 0.3",
 }
 
 # Files that a document has the reader make: taken from the explorer's page, or copied
@@ -149,37 +149,22 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "kept": ["activation_cubed_mean"],
         }
         fake_walker.write_store(out / "store-exo-effort", **kept)
-        for name in ("walker2d", "ant"):
-            few = ("--config", name, "--samples", 32, "--workers", 1)
-            assert run_tool(patch, "precompute", *few) == 0
-        for config, arm, runs, trials in (
-            ("rough8-smooth", "dog", 8, 13),
-            ("mujoco-rough8-soft", "worlds", 1, 1),
+        for line in (
+            "precompute --config walker2d --samples 32",
+            "precompute --config ant --samples 32",
+            "compare --config rough8-smooth --arms dog --runs 8 --trials 13",
+            "compare --config mujoco-rough8-soft --arms worlds --runs 1 --trials 1",
         ):
-            given = (
-                "--config",
-                config,
-                "--arms",
-                arm,
-                "--runs",
-                runs,
-                "--trials",
-                trials,
-            )
-            assert run_tool(patch, "compare", *given, "--workers", 1) == 0
+            assert run_tool(patch, *line.split(), "--workers", 1) == 0
     return folder
 
 
 @pytest.fixture
 def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PAINTERS:
-        for module in (
-            pictures,
-            artifacts,
-        ):  # the second has imported them from the first
-            monkeypatch.setattr(
-                module, name, lambda path, *_: path, raising=module is pictures
-            )
+        for module in (pictures, artifacts):  # which has imported them from the first
+            is_first = module is pictures
+            monkeypatch.setattr(module, name, lambda path, *_: path, raising=is_first)
     monkeypatch.setattr("study.pictures.strip.strips_figure", lambda *_: None)
     monkeypatch.setattr("study.pictures.style.save_png", lambda _, path: path)
     monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)
@@ -195,18 +180,15 @@ def test_a_command_that_is_named_is_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-    monkeypatch.setattr(
-        "storage.specification.Repertoire.generations", 20
-    )  # and not 520
-    monkeypatch.setattr(
-        "study.experiment.gains.SPEED_TOLERANCE_MPS", 1.0
-    )  # fakes are much alike
+    # 20, and not 520, generations; and the speeds of fakes are much alike.
+    monkeypatch.setattr("storage.specification.Repertoire.generations", 20)
+    monkeypatch.setattr("study.experiment.gains.SPEED_TOLERANCE_MPS", 1.0)
     monkeypatch.chdir(tmp_path)
     for name in ("configs", "out", *TAKEN_AWAY):
         (tmp_path / name).symlink_to(made / name)
     only_prints = "--front" in words
-    more = () if only_prints else (*SHORT[words[0]], "--out", "made")
-    assert run_tool(monkeypatch, *words, *more) == 0
+    more = "" if only_prints else f"{SHORT[words[0]]} --out made"
+    assert run_tool(monkeypatch, *words, *more.split()) == 0
     assert (tmp_path / "made").is_dir() is not only_prints
 
 
@@ -224,6 +206,15 @@ cost_of_transport_jpkgpm = 1.0
 human_deviation = 0.5
 mean_speed_mps = {weight = 9.0, target = 1.2}"""
 OWN_WALKER = (ASSETS / "own-walker.toml").read_text()
+
+
+OF_A_WALK = (
+    "duration_s",
+    "distance_m",
+    "mean_speed_mps",
+    "phi_printed",
+    "end_reason",
+)
 
 
 class Real:
@@ -254,36 +245,15 @@ class Real:
 def real(tmp_path_factory: pytest.TempPathFactory) -> Real:
     real = Real(folder := tmp_path_factory.mktemp("real"))
     with pytest.MonkeyPatch.context() as patch:
-        store = ("--samples", 300, "--workers", 1, "--out", real.store)
-        assert (
-            run_tool(patch, "precompute", "--config", folder / "store.toml", *store)
-            == 0
-        )
-        given = (
-            "--config",
-            real.config,
-            "--arms",
-            ",".join(ARMS),
-            "--runs",
-            2,
-            "--trials",
-            TRIALS,
-        )
-        rest = ("--workers", 1, "--out", real.compared)
-        assert run_tool(patch, "compare", *given, *rest) == 0
-        for arm in ARMS:
-            given = (
-                "--config",
-                real.config,
-                "--arm",
-                arm,
-                "--run",
-                1,
-                "--trials",
-                TRIALS,
-            )
-            where = ("--storage", real.url, "--out", folder / "live")
-            assert run_tool(patch, "study", *given, *where) == 0
+        patch.chdir(folder)
+        config = f"--config rough8-smooth.toml --trials {TRIALS}"
+        studies = f"study {config} --run 1 --storage {real.url} --out live --arm"
+        for line in (
+            "precompute --config store.toml --samples 300 --workers 1 --out store",
+            f"compare {config} --arms {','.join(ARMS)} --runs 2 --workers 1 --out compared",
+            *(f"{studies} {arm}" for arm in ARMS),
+        ):
+            assert run_tool(patch, *line.split()) == 0
     return real
 
 
@@ -301,35 +271,20 @@ def test_a_trial_walks_as_it_did(
     real: Real, walk: Walk, arm: str, tmp_path: Path
 ) -> None:
     """From the comparison's folder and database, the live study's, and the result of a walk."""
-    where = (
-        "--config",
-        real.config,
-        "--run",
-        1,
-        "--trial",
-        f"rough8-smooth/{arm}/run-001/2",
-    )
+    own = f"--config {real.config} --run 1"
+    where = f"{own} --trial rough8-smooth/{arm}/run-001/2".split()
     of_folder = walk(*where, "--storage", real.compared)
     rows = pq.read_table(real.compared / "trials.parquet").to_pylist()
     (row,) = (
         row for row in rows if (row["arm"], row["run"], row["trial"]) == (arm, 1, 2)
     )
-    for name in (
-        "duration_s",
-        "distance_m",
-        "mean_speed_mps",
-        "phi_printed",
-        "end_reason",
-    ):
+    for name in OF_A_WALK:
         assert of_folder[name] == row[name], name
     assert of_folder["gains"] == {name: row[name] for name in (*GAIN_NAMES, *SEARCHED)}
     for file in (real.compared / "experiment.json", real.store / "specification.json"):
         known = json.loads(file.read_text())
-        assert (
-            known["body"]["mass"]["shank_left"]
-            == 1.1
-            == known["body"]["mass"]["shank_right"]
-        )
+        mass = known["body"]["mass"]
+        assert mass["shank_left"] == mass["shank_right"] == 1.1
         assert known["world"]["muscles"] == {"SOL_left": 0.9}
         assert known["world"]["prosthesis"]["stiffness_nmprad"] == 350.0
         assert known["world"]["exoskeleton"]["motion"] == "hip_extension"
@@ -343,16 +298,12 @@ def test_a_trial_walks_as_it_did(
     assert set(json.loads(best.read_text())) == {*GAIN_NAMES, *SEARCHED}
     tried = [each for each in rows if (each["arm"], each["run"]) == (arm, 1)]
     cheapest = min(tried, key=lambda each: float(each["cost"]))
-    again = walk("--config", real.config, "--run", 1, "--gains", best)
+    again = walk(*own.split(), "--gains", best)
     assert again["distance_m"] == cheapest["distance_m"]
-    assert (
-        walk(*where, "--storage", f"sqlite:///{real.compared / 'studies.db'}")
-        == of_folder
-    )
-    assert walk(*where, "--storage", real.url) == of_folder
+    for url in (f"sqlite:///{real.compared / 'studies.db'}", real.url):
+        assert walk(*where, "--storage", url) == of_folder
     (tmp_path / "result.json").write_text(json.dumps(of_folder))
-    where = ("--config", real.config, "--run", 1, "--gains", tmp_path / "result.json")
-    assert walk(*where) == of_folder
+    assert walk(*own.split(), "--gains", tmp_path / "result.json") == of_folder
 
 
 @pytest.mark.slow
@@ -368,7 +319,11 @@ def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
         assert (report["gains"] | report)[name] == table[name][row].as_py(), name
 
 
-BENCH = 'name = "own"\ncandidates = {{store = "{}", features = ["phi_printed"]}}\ngoal.value = "cost"\n'
+BENCH = """
+name = "own"
+candidates = {{store = "{}", features = ["phi_printed"]}}
+goal.value = "cost"
+"""
 
 
 @pytest.mark.slow

@@ -198,22 +198,12 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
         ("pole.toml", "robots.toml"), code_blocks(page, "toml"), strict=True
     ):
         (tmp_path / name).write_text(text)
-    command = (
-        "-m",
-        "taichi_nmm",
-        "precompute",
-        "--config",
-        "pole.toml",
-        "--samples",
-        "16",
-        "--out",
-        "out/few",
-    )
-    for words in (("my_cart.py",), command, ("my_robot.py",), ("trials.py",)):
-        said = run_in(tmp_path, *words)
+    few = "-m taichi_nmm precompute --config pole.toml --samples 16 --out out/few"
+    for line in ("my_cart.py", f"{few} --workers 1", "my_robot.py", "trials.py"):
+        said = run_in(tmp_path, *line.split())
     assert said == code_blocks(page, "text")[0]
-    compared = ("-m", "taichi_nmm", "compare", "--config", "robots.toml", "--runs", "2")
-    assert "| worlds |" in run_in(tmp_path, *compared, "--trials", "3")
+    compared = "-m taichi_nmm compare --config robots.toml --runs 2 --trials 3 --workers 1"
+    assert "| worlds |" in run_in(tmp_path, *compared.split())
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import os
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,38 +19,26 @@ from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
-Trials, Words = list[dict[str, float]], tuple[object, ...]
-STUDY = (
-    "study",
-    "--config",
-    "toy.toml",
-    "--arm",
-    "dog",
-    "--storage",
-    "sqlite:///studies.db",
-    "--out",
-    "out",
-    "--trials",
-    4,
-)
-COMPARE = (
-    "compare",
-    "--config",
-    "toy.toml",
-    "--arms",
-    "random,dog",
-    "--runs",
-    1,
-    "--trials",
-    2,
-    "--workers",
-    1,
-    "--out",
-    "out",
-)
-LIST = ("walk", "--list-configs")
+Trials = list[dict[str, float]]
+STUDY = "study --config toy.toml --arm dog --storage sqlite:///studies.db --out out --trials 4"
+COMPARE = "compare --config toy.toml --arms random,dog --runs 1 --trials 2 --workers 1 --out out"
+LIST = "walk --list-configs"
 FULL = "error: machine: 'No space left on device' cannot be used; allowed: space for files and for "
 REDIRECTED = 'exec "$@" {}'
+# Runs commands, a line each, one after another; prints how each of them ended.
+EACH = """
+import io, json, sys
+from contextlib import redirect_stderr, redirect_stdout
+from tests.tools.fake_command import main
+ended = []
+for line in sys.argv[1:]:
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as error:
+        try:
+            main(line.split())
+        except SystemExit as end:
+            ended.append((end.code, out.getvalue(), error.getvalue()))
+print(json.dumps(ended))
+"""
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +57,9 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def run(command: Iterable[object], shell: str = "", **options: Any) -> Done:
+def run(command: str, shell: str = "", **options: Any) -> Done:
     """Run a command; `shell` are redirections, or a limit."""
-    return finish(start(*command, shell=shell, **options))
+    return finish(start(*command.split(), shell=shell, **options))
 
 
 def trials(folder: Path) -> Trials:
@@ -110,26 +98,23 @@ def test_a_full_disk_for_output_is_one_line_and_no_loss(
     done = run(STUDY, REDIRECTED.format(">/dev/full"))
     assert done.code == 2 and done.last.startswith(FULL)
     assert trials(folder) == undisturbed
-    bad = (
-        "walk",
-        "--gains",
-        "nowhere.json",
-    )  # where nothing can be said, the exit code says it
-    assert run(bad, REDIRECTED.format("2>/dev/full")) == Done(2, "", "")
+    # Where nothing can be said, the exit code says it.
+    done = run("walk --gains nowhere.json", REDIRECTED.format("2>/dev/full"))
+    assert done == Done(2, "", "")
 
 
 def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) -> None:
     """As `2>&1 | head -1`, of standard output and standard error."""
     for command in (STUDY, LIST):
-        assert run(command, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}') == Done(
-            141, "", ""
-        )
+        done = run(command, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}')
+        assert done == Done(141, "", "")
     assert run(STUDY).code == 0
 
 
 def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
     tool = ROOT / "tools" / "study.py"
-    done = run(STUDY[1:], 'ulimit -v 400000; exec "$@"', program=[tool])
+    words = STUDY.removeprefix("study ")
+    done = run(words, 'ulimit -v 400000; exec "$@"', program=[tool])
     line = "error: ulimit -v: 400000 cannot be used; allowed: 4194304 or more, or unlimited\n"
     assert done == Done(2, "", line)
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
@@ -138,7 +123,7 @@ def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> N
 @pytest.mark.campaign
 @pytest.mark.parametrize("command", [STUDY, COMPARE])
 def test_files_that_may_not_grow_are_one_line_and_it_resumes(
-    folder: Path, command: Words
+    folder: Path, command: str
 ) -> None:
     done = run(command, 'ulimit -f 8; exec "$@"')
     assert done.code == 2 and "Traceback" not in done.error
@@ -156,45 +141,49 @@ def without_the_rights_of_root() -> str:
     return 'exec setpriv --bounding-set=-dac_override,-dac_read_search "$@"'
 
 
-@pytest.mark.parametrize("command", [STUDY, COMPARE, ("walk", "--out", "out")])
-def test_a_read_only_folder_is_one_line_and_nothing_is_left(
-    folder: Path, command: Words
-) -> None:
+def assert_refused(*commands: str) -> list[str]:
+    """Without root's rights each is refused in one line, and these are the lines."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT))
+        shell = without_the_rights_of_root()
+        done = finish(start(*commands, shell=shell, program=("-c", EACH)))
+    ended = json.loads(done.out)
+    assert [(code, out) for code, out, _ in ended] == [(2, "")] * len(commands)
+    lines = [error for _, _, error in ended]
+    assert [line.count("\n") for line in lines] == [1] * len(commands), lines
+    return lines
+
+
+def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path) -> None:
     folder.chmod(0o555)
     try:
-        done = run(command, without_the_rights_of_root())
+        lines = assert_refused(STUDY, COMPARE, "walk --out out")
     finally:
         folder.chmod(0o755)
-    assert (done.code, done.out, len(done.lines)) == (2, "", 1)
-    assert done.error.startswith(("error: out: ", "error: storage: "))
+    assert all(line.startswith(("error: out: ", "error: storage: ")) for line in lines)
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ("explore", "store", "--no-browser", "--port", 0),
-        ("report", "store"),
-        ("walk", "--store", "store", "--row", 0),
-        ("walk", "--gains", "store/manifest.json"),
-        ("precompute", "--config", "store/toy.toml"),
-        (*COMPARE[:-1], "store/out"),
-    ],
-)
-def test_a_folder_of_somebody_else_is_one_line(
-    made: Path, folder: Path, command: Words
-) -> None:
-    shutil.copytree(made / "store", folder / "store")
-    (folder / "store").chmod(0o000)
-    done = run(command, without_the_rights_of_root())
-    (folder / "store").chmod(0o755)
-    assert (done.code, done.out, len(done.lines)) == (2, "", 1), done.error
+def test_a_folder_of_somebody_else_is_one_line(made: Path, folder: Path) -> None:
+    store = Path(shutil.copytree(made / "store", folder / "store"))
+    store.chmod(0o000)
+    try:
+        assert_refused(
+            "explore store --no-browser --port 0",
+            "report store",
+            "walk --store store --row 0",
+            "walk --gains store/manifest.json",
+            "precompute --config store/toy.toml",
+            COMPARE.replace("--out out", "--out store/out"),
+        )
+    finally:
+        store.chmod(0o755)
 
 
 @contextmanager
-def stopped(command: Iterable[object]) -> Iterator[None]:
+def stopped(command: str) -> Iterator[None]:
     """A command that is stopped in its second simulation; after the block it goes on to its end."""
-    with start(*command, signal="2:SIGSTOP") as process:
+    with start(*command.split(), signal="2:SIGSTOP") as process:
         assert os.WIFSTOPPED(os.waitpid(process.pid, os.WUNTRACED)[1])
         try:
             yield
@@ -229,9 +218,8 @@ def test_a_folder_being_filled_and_its_copy(
     with stopped(COMPARE):
         shutil.copytree(folder, folder / "copy")
         second = run(COMPARE)
-    assert (
-        second.code == 2 and "a folder that no other process is filling" in second.error
-    )
+    assert second.code == 2
+    assert "a folder that no other process is filling" in second.error
     monkeypatch.chdir(folder / "copy")
     assert run(COMPARE).code == 0
     first, copied = (place / "out" / "trials.parquet" for place in (folder, Path()))
@@ -256,7 +244,7 @@ def test_a_clock_that_was_set_back_changes_no_trial(
 ) -> None:
     if shutil.which("faketime") is None:
         pytest.skip("no faketime here: apt-get install faketime")
-    assert run((*STUDY[:-1], 2)).code == 0
+    assert run(STUDY.replace("--trials 4", "--trials 2")).code == 0
     assert run(STUDY, 'exec faketime -f -400d "$@"').code == 0
     assert trials(folder) == undisturbed
 
@@ -265,26 +253,23 @@ READ_ONLY = 'mount -t tmpfs -o ro none /dev/shm && exec "$@"'
 
 
 @pytest.mark.parametrize(
-    ("work", "line"),
+    ("work", "code", "line"),
     [
-        (("--workers", 2), ""),
+        ("--workers 2", 0, ""),
         (
-            ("--cluster", "local:1"),
+            "--cluster local:1",
+            2,
             "error: cluster: 'local:1' cannot be used; allowed: a machine "
             "with shared memory (/dev/shm) that can be written",
         ),
     ],
 )
-def test_without_shared_memory(folder: Path, work: Words, line: str) -> None:
+def test_without_shared_memory(folder: Path, work: str, code: int, line: str) -> None:
     """As in some containers. Our own processes need none; those of Dask do."""
-    if (
-        subprocess.run(["unshare", "--mount", "true"], capture_output=True).returncode
-        != 0
-    ):
+    tried = subprocess.run(["unshare", "--mount", "true"], capture_output=True)
+    if tried.returncode != 0:
         pytest.skip("mounting needs root's rights")
-    done = run(
-        (*COMPARE[:-4], *work, "--out", "out"),
-        f"exec unshare --mount bash -c '{READ_ONLY}' bash \"$@\"",
-    )
+    command = COMPARE.replace("--workers 1", work)
+    done = run(command, f"exec unshare --mount bash -c '{READ_ONLY}' bash \"$@\"")
     assert "Traceback" not in done.error
-    assert done.code == (2 if line else 0) and done.last.startswith(line)
+    assert done.code == code and done.last.startswith(line)
