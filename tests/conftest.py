@@ -20,6 +20,7 @@ import pytest
 
 from taichi_nmm.kernel_cache import CACHE_VARIABLE, COMPILER
 from tests.browser import opened_page
+from tests.cases import ASSETS
 from tests.processes import ROOT, python, read_schema_once
 
 os.environ.setdefault(CACHE_VARIABLE, str(ROOT / ".pytest_cache" / COMPILER))
@@ -47,10 +48,18 @@ def compile_kernel(settings: str) -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile kernels before the workers of a parallel run are started, unless some are there."""
+    """Compile kernels before the workers of a parallel run are started, unless some are there.
+
+    Where tests are run, processes that they start find the checkout, and what they do
+    first.
+    """
+    if not session.config.getoption("numprocesses", None):
+        os.environ["PYTHONPATH"] = os.pathsep.join(
+            (str(ROOT), str(ASSETS / "children"))
+        )
+        return
     cache = Path(os.environ[CACHE_VARIABLE])
-    cached = cache.is_dir() and any(cache.iterdir())
-    if session.config.getoption("numprocesses", None) and not cached:
+    if not cache.is_dir() or not any(cache.iterdir()):
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             list(threads.map(compile_kernel, MOST_TESTS))
 

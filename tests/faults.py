@@ -36,27 +36,13 @@ LEFT_OUT = (
     "study/report/figures.py",
 )
 LONGEST_S = 1200.0
+# Each operator stands for the one after the slash; of the first ones also the other way.
+EXCHANGED = "Lt/LtE Gt/GtE Eq/NotEq Is/IsNot In/NotIn Add/Sub Mult/Div And/Or BitAnd/BitOr"
+REPLACED = "FloorDiv/Mult Mod/Mult"
+PAIRS = [pair.split("/") for pair in f"{EXCHANGED} {REPLACED}".split()]
+PAIRS += [pair.split("/")[::-1] for pair in EXCHANGED.split()]
 OTHER: dict[type[ast.AST], Any] = {
-    ast.Lt: ast.LtE,
-    ast.LtE: ast.Lt,
-    ast.Gt: ast.GtE,
-    ast.GtE: ast.Gt,
-    ast.Eq: ast.NotEq,
-    ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot,
-    ast.IsNot: ast.Is,
-    ast.In: ast.NotIn,
-    ast.NotIn: ast.In,
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-    ast.And: ast.Or,
-    ast.Or: ast.And,
-    ast.FloorDiv: ast.Mult,
-    ast.Mod: ast.Mult,
-    ast.BitAnd: ast.BitOr,
-    ast.BitOr: ast.BitAnd,
+    getattr(ast, operator): getattr(ast, other) for operator, other in PAIRS
 }
 
 

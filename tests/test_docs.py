@@ -1,6 +1,5 @@
 """Documents agree with the code: tables, commands, links; and every example on them runs."""
 
-import os
 import re
 import runpy
 from collections.abc import Callable
@@ -52,7 +51,7 @@ def anchors(page: Path) -> set[str]:
 
 def run_in(folder: Path, *words: str) -> str:
     """What Python prints on these words in a folder, where it finds our packages."""
-    return printed(*words, cwd=folder, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    return printed(*words, cwd=folder)
 
 
 Example = Callable[..., str]
@@ -202,7 +201,9 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
     for line in ("my_cart.py", f"{few} --workers 1", "my_robot.py", "trials.py"):
         said = run_in(tmp_path, *line.split())
     assert said == code_blocks(page, "text")[0]
-    compared = "-m taichi_nmm compare --config robots.toml --runs 2 --trials 3 --workers 1"
+    compared = (
+        "-m taichi_nmm compare --config robots.toml --runs 2 --trials 3 --workers 1"
+    )
     assert "| worlds |" in run_in(tmp_path, *compared.split())
 
 

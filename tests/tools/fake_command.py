@@ -23,18 +23,6 @@ from tests.study import fake_walker
 
 vars(taichi_nmm)["simulate"] = fake_walker.simulate
 
-
-class NoPandas:
-    """PyArrow would load it if it is there. Our commands do without it."""
-
-    @staticmethod
-    def find_spec(name: str, *_: object) -> None:
-        if name == "pandas":
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
-sys.meta_path.insert(0, NoPandas())
-
 # Pictures and notes have tests of their own. What they need takes longer to load than
 # all else in a command.
 for name, functions in {

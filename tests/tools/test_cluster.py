@@ -9,7 +9,7 @@ import pytest
 
 from tests.cases import ASSETS
 from tests.processes import until
-from tests.tools.running import INTERRUPTED, ROOT, WAIT_S, finish, run_tool, start
+from tests.tools.running import INTERRUPTED, WAIT_S, finish, run_tool, start
 
 pytest.importorskip(
     "distributed", reason="distributed is not installed: the extra cluster"
@@ -95,7 +95,6 @@ def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
     line = f"precompute --config store.toml --samples 4000 --out stopped {THERE}"
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setenv("PYTHONPATH", str(ROOT))
         process = start(*line.split(), program=("-m", "taichi_nmm"))
     stopped = folder / "stopped"
     until(lambda: len(list(stopped.glob("part-*"))) >= 3, WAIT_S)

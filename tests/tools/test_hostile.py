@@ -143,10 +143,8 @@ def without_the_rights_of_root() -> str:
 
 def assert_refused(*commands: str) -> list[str]:
     """Without root's rights each is refused in one line, and these are the lines."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(ROOT))
-        shell = without_the_rights_of_root()
-        done = finish(start(*commands, shell=shell, program=("-c", EACH)))
+    shell = without_the_rights_of_root()
+    done = finish(start(*commands, shell=shell, program=("-c", EACH)))
     ended = json.loads(done.out)
     assert [(code, out) for code, out, _ in ended] == [(2, "")] * len(commands)
     lines = [error for _, _, error in ended]
