@@ -1,14 +1,15 @@
 """What a wheel installs, in an environment of its own that has the packages but no checkout."""
 
 import json
-import os
 import re
+import shlex
 import shutil
 import subprocess
 import sysconfig
 import venv
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -64,18 +65,15 @@ class Installed:
         options = ("--no-deps", "--no-index", "--ignore-installed", wheel)
         printed(*PIP, "--python", python, "install", *options)
 
-    def run(self, program: str, *arguments: object) -> str:
-        """What a program of the environment prints, in the empty folder."""
-        environment = {
-            key: value for key, value in os.environ.items() if key != "PYTHONPATH"
-        }
-        done = subprocess.run(
-            [self.bin / program, *map(str, arguments)],
-            cwd=self.folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
+    def run(self, line: str) -> str:
+        """What a command line prints, of a program of the environment in the empty folder."""
+        program, *words = shlex.split(line)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.delenv("PYTHONPATH", raising=False)
+            command = [self.bin / program, *words]
+            done = subprocess.run(
+                command, cwd=self.folder, capture_output=True, text=True
+            )
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -91,24 +89,19 @@ def test_it_holds_every_configuration_and_every_file_of_the_packages(
     names = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "configs").glob("*.toml"):
         assert f"study/configs/{path.name}" in names
-    for path in (
-        path for package in SOURCES[:3] for path in (ROOT / package).rglob("*")
-    ):
-        if path.is_file() and not {"__pycache__", "hub"} & set(path.parts):
-            assert str(path.relative_to(ROOT)) in names
-    assert not {name.split("/")[0] for name in names} & {
-        "tests",
-        "tools",
-        "docs",
-        "configs",
-    }
+    for package in SOURCES[:3]:
+        for path in (ROOT / package).rglob("*"):
+            if path.is_file() and not {"__pycache__", "hub"} & set(path.parts):
+                assert str(path.relative_to(ROOT)) in names
+    tops = {name.split("/")[0] for name in names}
+    assert not tops & {"tests", "tools", "docs", "configs"}
     assert wheel.stat().st_size < MOST_BYTES
 
 
 def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
     for package in ("taichi_nmm", "storage", "study"):
         place = installed.run(
-            "python", "-c", f"import {package}; print({package}.__file__)"
+            f"python -c 'import {package}; print({package}.__file__)'"
         )
         assert Path(place).is_relative_to(installed.bin.parent)
 
@@ -116,54 +109,38 @@ def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
 def test_the_commands_explain_themselves_and_list_configurations(
     installed: Installed,
 ) -> None:
-    for words in (("taichi-nmm", "--help"), ("python", "-m", "taichi_nmm")):
-        said = installed.run(*words)
+    for line in ("taichi-nmm --help", "python -m taichi_nmm"):
+        said = installed.run(line)
         assert "walk  " in said and "validate  " in said
-    assert "--list-configs" in installed.run("taichi-nmm", "walk", "--help")
-    stores = installed.run("taichi-nmm", "precompute", "--list-configs").splitlines()
-    others = installed.run("taichi-nmm", "study", "--list-configs").splitlines()
-    names = [line.split()[0] for line in (*stores, *others)]
-    assert sorted(names) == sorted(
-        [*shipped_configs(stores=True), *shipped_configs(stores=False)]
-    )
-    assert any(line.startswith("store-torso ") for line in stores)
-    assert any(
-        line.startswith("rough8-smooth ") and "first experiment" in line
-        for line in others
-    )
+    assert "--list-configs" in installed.run("taichi-nmm walk --help")
+    for command, of_stores in (("precompute", True), ("study", False)):
+        lines = installed.run(f"taichi-nmm {command} --list-configs").splitlines()
+        listed = dict(line.split(maxsplit=1) for line in lines)
+        assert listed.keys() == set(shipped_configs(stores=of_stores))
+    assert "first experiment" in listed["rough8-smooth"]
 
 
 def test_the_main_job_is_done_by_name(installed: Installed) -> None:
     """A store, a study that reads it, and a walk of what was found."""
-    short = ("--samples", 64, "--workers", 1, "--json")
-    made = installed.run("taichi-nmm", "precompute", "--config", "store", *short)
-    assert json.loads(made)["path"] == "out/store"
-    where = (
-        "--arm",
-        "dog",
-        "--trials",
-        2,
-        "--storage",
-        "sqlite:///studies.db",
-        "--json",
-    )
-    found = json.loads(
-        installed.run("taichi-nmm", "study", "--config", "rough8", *where)
-    )
+
+    def printed(line: str) -> Any:
+        return json.loads(installed.run(f"taichi-nmm {line} --json"))
+
+    made = printed("precompute --config store --samples 64 --workers 1")
+    assert made["path"] == "out/store"
+    where = "--trials 2 --storage sqlite:///studies.db"
+    found = printed(f"study --config rough8 --arm dog {where}")
     assert found["trials"] == 2
-    short = ("--duration", 2, "--movie-seconds", 0, "--json")
-    walked = installed.run("taichi-nmm", "walk", "--gains", found["gains"], *short)
-    strip = json.loads(walked)["pictures"]["strip"]
-    assert (installed.folder / strip).is_file()
+    walked = printed(f"walk --gains {found['gains']} --duration 2 --movie-seconds 0")
+    assert (installed.folder / walked["pictures"]["strip"]).is_file()
 
 
 def test_all_say_the_same_version(wheel: Path) -> None:
     assert wheel.name.split("-")[1] == taichi_nmm.__version__
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["version"] == taichi_nmm.__version__
-    newest = re.findall(
-        r"^## (\S+) \((.*)\)$", (ROOT / "CHANGELOG.md").read_text(), re.M
-    )[0]
+    released = r"^## (\S+) \((\d{4}-.*)\)$"
+    newest, *_ = re.findall(released, (ROOT / "CHANGELOG.md").read_text(), re.M)
     assert newest == (taichi_nmm.__version__, str(citation["date-released"]))
 
 
@@ -202,4 +179,5 @@ def test_the_sampler_alone_is_light(
         "an installed pyarrow, which reads it",
         "columns; only taichi-nmm whole reads stores",
     )
-    assert alone.run("python", "-c", ALONE).splitlines() == ["0.0", *allowed]
+    said = alone.run(f"python -c {shlex.quote(ALONE)}")
+    assert said.splitlines() == ["0.0", *allowed]
