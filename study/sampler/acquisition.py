@@ -116,7 +116,7 @@ class Model:
 
     @cached_property
     def posterior(self) -> Posterior:
-        """Of the cost less what is expected; running trials count with their expected costs."""
+        """The posterior of the cost less what is expected; running trials cost what is expected."""
 
         def y(some: slice) -> Floats:
             cost = self.cost(some)

@@ -121,7 +121,7 @@ class Worth:
 
     @property
     def verdict(self) -> str:
-        """In a sentence; a correlation counts if it is sure at 95 % for all features at once."""
+        """The worth in a sentence; a correlation counts if it is sure at 95 % for all features."""
         if self.trials < LEAST_TRIALS:
             return f"too few trials: {self.trials} of {LEAST_TRIALS}"
         if self.errors is None:
@@ -249,23 +249,25 @@ def worth_of(present: Present | None, *, maximised: bool) -> Worth:
 
 
 def _errors(model: Model) -> Errors | None:
-    """None where all trials cost the same.
+    """The errors of the model; None where all trials cost the same.
 
     The model without features is the same learned where all trials have the same
     features. The sampler's own model over the parameters alone learns no mean, and
     would fall behind also where features say nothing at all.
     """
     cost = model.cost()
-    constant = residuals_of_constant(cost)
-    unit = rms(constant)
+    other = residuals_of_constant(cost)
+    unit = rms(other)
     if unit <= 1e-12 * float(np.abs(cost).max()):
         return None
-    with_features, other, without = residuals(model.posterior), constant, None
+    with_features = residuals(model.posterior)
+    without = None
     if model.kernel.of_parameters:
         alike = Points(np.zeros_like(model.trials.features), model.trials.coordinates)
         blind = residuals(replace(model, trials=alike).posterior)
         without = rms(blind) / unit
-        other = blind if without < 1.0 else constant
+        if without < 1.0:
+            other = blind
     less = np.abs(other) - np.abs(with_features)
     spread = float(less.std(ddof=1)) / sqrt(len(less))
     gain = float(less.mean()) / spread if spread > 0 else 0.0
@@ -290,7 +292,7 @@ class Likeness:
 
     @property
     def verdict(self) -> str:
-        """In a sentence."""
+        """The likeness in a sentence."""
         if not self.trials:
             return "No trial has told yet which worlds the robot is like."
         ordered = self._ordered()

@@ -40,7 +40,7 @@ class Goals:
 
     @classmethod
     def drawn(cls, known: Floats, rng: np.random.Generator) -> "Goals":
-        """With weights at random; `known` are costs [n, k] that tell the scale, NaN where gaps."""
+        """Goals with weights at random; costs `known` [n, k] tell the scale, NaN where gaps."""
         weights = rng.dirichlet(np.ones(known.shape[1]))
         columns = [column[~np.isnan(column)] for column in squarable(known).T]
         least = np.array([column.min() if len(column) else 0.0 for column in columns])

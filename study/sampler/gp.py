@@ -194,7 +194,7 @@ class Covariance:
 
     @cached_property
     def constants(self) -> tuple[Constant, ...]:
-        """In the order of theta, t of them: variance and scales of each term, then the noise."""
+        """The constants as theta has them, t: variance and scales of each term, then the noise."""
         found: list[Constant] = []
         for term in self.terms:
             found += [term.variance, *term.scales]
@@ -516,7 +516,9 @@ class Posterior:
 
     @cached_property
     def precision(self) -> type[np.floating[Any]]:
-        """Of all that is [n, m]: 32 bits where rounding, which grows with this ratio, is small."""
+        """The precision of all that is [n, m]: 32 bits where rounding, which grows with the ratio
+        of prior variance to noise, is small.
+        """
         prior = np.max(self.covariance.variance(self.theta, self.x))
         return np.float32 if prior <= LARGEST_RATIO * self.noise else np.float64
 

@@ -90,7 +90,7 @@ class History:
 
     @property
     def sign(self) -> float:
-        """Of the only goal."""
+        """The sign of the only goal."""
         return float(self.signs[0])
 
 

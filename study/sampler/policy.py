@@ -118,7 +118,7 @@ class Policy:
         self._said: set[str] = set()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without constants, which another process computes again, and trials of this process."""
+        """The state without constants, which another process computes again, and own trials."""
         return self.__dict__ | {"known": {}, "_proposals": {}}
 
     def remember(self, trial: FrozenTrial, proposal: Proposal) -> None:

@@ -80,13 +80,14 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     order = np.lexsort((mean, told, ~kept))
     best = int(order[0])
     trial = trials[best]
-    value, low, high = trial.values[0], np.nan, np.nan
+    value = trial.values[0]
+    low = high = np.nan
     if np.isfinite(value):
         away = NORMAL_95 * sqrt(float(variance[best]))
         ends = model.in_units(mean[best] + away * np.array([0.0, -1.0, 1.0]))
         value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
     if not model.knows_scale:
-        low, high = np.nan, np.nan
+        low = high = np.nan
     limits = set().union(*(other.constraints for other in trials))
     return Best(
         number=trial.number,

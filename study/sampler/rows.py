@@ -53,7 +53,7 @@ class Rows:
         return len(self.parameters)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what is derived from the columns."""
+        """The state without what is derived from the columns."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property

@@ -330,7 +330,7 @@ class FeatureKernelSampler(BaseSampler):
         self._policy.after(study, trial, is_complete=state is TrialState.COMPLETE)
 
     def reseed_rng(self) -> None:
-        """Passed on to the independent sampler; proposals differ by the trials that take them."""
+        """Reseed the independent sampler; proposals differ by the trials that take them."""
         self._independent.reseed_rng()
 
 
@@ -362,22 +362,22 @@ def _require_sense_of_table(
     table: FeatureTable, function: Features | None, options: Options, kernel: str
 ) -> None:
     """Refuse options that do not go together with a table."""
-    rows, worlds, off_grid = len(table), options.kernel.related, options.off_grid
-    if worlds and function is not None:
+    off_grid, related = options.off_grid, options.kernel.related
+    if related and function is not None:
         allowed = "none beside outcomes in worlds or a similarity, which do its work"
         raise InputError("feature_function", "given", allowed)
-    if options.allowed is not None and options.allowed.shape != (rows,):
-        raise InputError("allowed", "another size", f"[{rows}]")
+    if options.allowed is not None and options.allowed.shape != (len(table),):
+        raise InputError("allowed", "another size", f"[{len(table)}]")
     if off_grid and options.allowed is not None:
         raise InputError("off_grid", off_grid, "0 beside `allowed` rows")
-    if off_grid and function is None and not worlds:
+    if off_grid and function is None and not related:
         raise InputError("off_grid", off_grid, "0 without a feature_function")
     if off_grid and options.kernel == SIMILARITY:
         allowed = "0: a similarity knows its rows alone"
         raise InputError("off_grid", off_grid, allowed)
     if options.space is not None:
         raise InputError("space", "given", "none: a table knows its own")
-    if options.kernel.of_features and not worlds and not table.rows.feature_names:
+    if options.kernel.of_features and not related and not table.rows.feature_names:
         allowed = "none, or euclidean: the table has no features"
         raise InputError("kernel", kernel, allowed)
 

@@ -218,31 +218,26 @@ class SpacePolicy(Policy):
         self, points: Floats, history: History
     ) -> tuple[Floats, Floats, Floats]:
         """Features of candidates, finished trials (noted in them, or computed) and running ones."""
-        m, n, r = len(points), len(history.done.trials), len(history.running.parameters)
+        done, running = history.done, history.running
         if self.function is None:
-            return np.empty((m, 0)), np.empty((n, 0)), np.empty((r, 0))
-        noted = [
-            trial.user_attrs.get(FEATURES_ATTRIBUTE) for trial in history.done.trials
-        ]
-        missing = np.array(
-            [not isinstance(values, list) for values in noted], dtype=bool
-        )
-        batch = np.vstack(
-            [points, history.running.parameters, history.done.parameters[missing]]
-        )
-        features = call_features(self.function, batch)
-        width = features.shape[1]
-        known = np.empty((n, width))
-        known[missing] = features[m + r :]
-        for place in np.flatnonzero(~missing):
+            counts = (len(points), len(done.rows), len(running.rows))
+            some, shown, elsewhere = (np.empty((count, 0)) for count in counts)
+            return some, shown, elsewhere
+        noted = [trial.user_attrs.get(FEATURES_ATTRIBUTE) for trial in done.trials]
+        is_noted = np.array([isinstance(each, list) for each in noted], dtype=bool)
+        batch = [points, running.parameters, done.parameters[~is_noted]]
+        features = call_features(self.function, np.vstack(batch))
+        ends = np.cumsum([len(points), len(running.rows)])
+        own, elsewhere, computed = np.split(features, ends)
+        shown = np.empty((len(done.rows), features.shape[1]))
+        shown[~is_noted] = computed
+        for place in np.flatnonzero(is_noted):
             values: list[float] = noted[place]  # type: ignore[assignment]
-            if len(values) != width:
-                number = history.done.trials[place].number
-                raise InputError(
-                    f"features of trial {number}", len(values), f"{width} numbers"
-                )
-            known[place] = values
-        return features[:m], known, features[m : m + r]
+            if len(values) != features.shape[1]:
+                field = f"features of trial {done.trials[place].number}"
+                raise InputError(field, len(values), f"{features.shape[1]} numbers")
+            shown[place] = values
+        return own, shown, elsewhere
 
     def _scale(self, features: Floats) -> Scale:
         """The scale of features [m, k] of points anywhere."""

@@ -282,7 +282,7 @@ class FeatureTable:
         return f"{type(self).__name__}({self._size})"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the content, where it can be read again."""
+        """The state without the content, where it can be read again."""
         return self.__dict__ | ({} if self._file is None else {"_rows": None})
 
 

@@ -115,7 +115,7 @@ class TablePolicy(Policy):
         return self.own_rows if self._suggested is None else self._suggested
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without rows and trials, which follow from the table and the study."""
+        """The state without rows and trials, which follow from the table and the study."""
         state = super().__getstate__() | {"_suggested": None, "_looked_up": {}}
         return {name: value for name, value in state.items() if name != "own_rows"}
 

@@ -282,7 +282,8 @@ class NormalScores:
         """The scores among rows [n, k]; infinities are the extreme values."""
         n = len(features)
         untied = _at_ranks(np.arange(1.0, n + 1.0), n)
-        known, sds, own = [], [], []
+        known, own = list[Floats](), list[Floats]()
+        sds: list[float] = []
         gaps: dict[bytes, tuple[int, float]] = {}
         for place, column in enumerate(features.T):
             missing = np.isnan(column)
@@ -306,7 +307,7 @@ class NormalScores:
         return cls(tuple(known), np.array(sds), found, columns)
 
     def standard(self, features: Floats) -> Floats:
-        """By the order alone, also of values that no row had, [m, k + gaps]; a gap becomes 0."""
+        """Scores by the order alone, also of values that no row had, [m, k + gaps]; a gap is 0."""
         columns = [
             np.where(np.isnan(column), 0.0, _scores(values, column) / sd)
             for column, values, sd in zip(features.T, self.known, self.sd, strict=True)

@@ -80,11 +80,13 @@ class Worlds:
         families = outcomes if isinstance(outcomes, Mapping) else {"world": outcomes}
         if not families:
             raise InputError("table.outcomes", "none", "one family of worlds or more")
-        names, parts, weights = list[str](), list[Floats](), list[Floats]()
+        names: list[str] = []
+        parts: list[Floats] = []
+        weights: list[Floats] = []
         for family, given in families.items():
-            field = (
-                f"table.outcomes.{family}" if outcomes is families else "table.outcomes"
-            )
+            field = "table.outcomes"
+            if outcomes is families:
+                field += f".{family}"
             part = matrix_of(field, given, "w")
             if parts and len(part) != len(parts[0]):
                 raise InputError(
@@ -185,7 +187,7 @@ class Ensemble:
     """The worlds' costs of m rows as a Gaussian process takes them."""
 
     def __init__(self, worlds: Worlds, costs: Floats) -> None:
-        """Of costs [m, w], as `Worlds.of_rows` has them."""
+        """Take the costs [m, w] of rows, as `Worlds.of_rows` has them."""
         self.names = worlds.names
         # How many worlds of one weight tell as much, less one: of one world nothing is
         # known of how far others are from it.

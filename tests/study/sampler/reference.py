@@ -1,66 +1,61 @@
 """scikit-learn's Gaussian process for the covariances of `study.sampler`: what ours is held to."""
 
-import warnings
-from typing import Any
-
 import numpy as np
 from scipy.optimize import minimize
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 
 from study.sampler import gp
-from tests.study.sampler.studies import Floats
 
 FORMS = gp.KERNELS | {"nearness": gp.NEARNESS}  # all that there are, by name
 
 
-class Columns(kernels.Kernel):  # type: ignore[misc]
+class Columns(kernels.Kernel):
     """A kernel of scikit-learn's that sees some of the columns."""
 
-    def __init__(self, kernel: Any, columns: slice) -> None:
+    def __init__(self, kernel, columns):
         self.kernel = kernel
         self.columns = columns
 
-    def get_params(self, deep: bool = True) -> dict[str, Any]:
+    def get_params(self, deep=True):
         params = {"kernel": self.kernel, "columns": self.columns}
         inner = self.kernel.get_params().items() if deep else ()
         return params | {f"kernel__{name}": value for name, value in inner}
 
     @property
-    def hyperparameters(self) -> Any:
+    def hyperparameters(self):
         return self.kernel.hyperparameters
 
     @property
-    def theta(self) -> Any:
+    def theta(self):
         return self.kernel.theta
 
     @theta.setter
-    def theta(self, theta: Floats) -> None:
+    def theta(self, theta):
         self.kernel.theta = theta
 
     @property
-    def bounds(self) -> Any:
+    def bounds(self):
         return self.kernel.bounds
 
     def __call__(
         self,
-        X: Floats,  # noqa: N803
-        Y: Floats | None = None,  # noqa: N803
-        eval_gradient: bool = False,
-    ) -> Any:
+        X,  # noqa: N803
+        Y=None,  # noqa: N803
+        eval_gradient=False,
+    ):
         other = None if Y is None else Y[:, self.columns]
         return self.kernel(X[:, self.columns], other, eval_gradient=eval_gradient)
 
-    def diag(self, X: Floats) -> Any:  # noqa: N803
+    def diag(self, X):  # noqa: N803
         return self.kernel.diag(X[:, self.columns])
 
-    def is_stationary(self) -> Any:
+    def is_stationary(self):
         return self.kernel.is_stationary()
 
 
-def of_covariance(covariance: gp.Covariance, theta: Floats) -> Any:
+def of_covariance(covariance, theta):
     """The same kernel of scikit-learn's with these constants and the same bounds."""
-    total: Any = None
+    total = None
     for term, variance, scales in covariance.valued(theta):
         columns = slice(term.columns.start, term.columns.stop)
         if len(scales):
@@ -74,17 +69,13 @@ def of_covariance(covariance: gp.Covariance, theta: Floats) -> Any:
     return total + kernels.WhiteKernel(np.exp(theta[-1]), covariance.noise.bounds)
 
 
-def conditioned(
-    covariance: gp.Covariance, theta: Floats, x: Floats, y: Floats
-) -> GaussianProcessRegressor:
+def conditioned(covariance, theta, x, y):
     """After trials x [n, p] with y [n] in standard units; constants are kept."""
     kernel = of_covariance(covariance, theta)
     return GaussianProcessRegressor(kernel, alpha=gp.JITTER, optimizer=None).fit(x, y)
 
 
-def misfit(
-    covariance: gp.Covariance, x: Floats, y: Floats, theta: Floats
-) -> tuple[float, Floats]:
+def misfit(covariance, x, y, theta):
     """`gp.misfit`, by scikit-learn."""
     regressor = conditioned(covariance, theta, x, y)
     likelihood, gradient = regressor.log_marginal_likelihood(theta, eval_gradient=True)
@@ -92,37 +83,20 @@ def misfit(
     return float(-likelihood + 0.5 * z @ z), -gradient + z / covariance.spreads
 
 
-def learned(covariance: gp.Covariance, x: Floats, y: Floats) -> Floats:
-    """Theta by scikit-learn's own fit, L-BFGS on likelihood times prior; y in standard units."""
-
-    def optimizer(
-        objective: Any, start: Floats, bounds: Floats
-    ) -> tuple[Floats, float]:
-        def penalised(theta: Floats) -> tuple[float, Floats]:
-            value, gradient = objective(theta, eval_gradient=True)
-            z = (theta - covariance.modes) / covariance.spreads
-            return float(value + 0.5 * z @ z), gradient + z / covariance.spreads
-
-        found = []
-        for shift in (
-            gp.NOISE_STARTS if len(y) <= gp.SECOND_START_TRIALS else gp.NOISE_STARTS[:1]
-        ):
-            theta = start.copy()
-            theta[-1] += shift
-            options = {"maxiter": gp.ITERATIONS, "ftol": 1e-5}
-            theta = np.clip(theta, *bounds.T)
-            given = {
-                "jac": True,
-                "method": "L-BFGS-B",
-                "bounds": bounds,
-                "options": options,
-            }
-            found.append(minimize(penalised, theta, **given))
-        best = min(found, key=lambda result: float(result.fun))
-        return best.x, float(best.fun)
-
-    kernel = of_covariance(covariance, covariance.start)
-    regressor = GaussianProcessRegressor(kernel, alpha=gp.JITTER, optimizer=optimizer)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        return np.asarray(regressor.fit(x, y).kernel_.theta)
+def learned(covariance, x, y):
+    """Theta by SciPy's L-BFGS on scikit-learn's likelihood times prior; y in standard units."""
+    few = len(y) <= gp.SECOND_START_TRIALS
+    found = []
+    for shift in gp.NOISE_STARTS if few else gp.NOISE_STARTS[:1]:
+        start = covariance.start.copy()
+        start[-1] += shift
+        result = minimize(
+            lambda theta: misfit(covariance, x, y, theta),
+            np.clip(start, *covariance.bounds.T),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=covariance.bounds,
+            options={"maxiter": gp.ITERATIONS, "ftol": 1e-5},
+        )
+        found.append(result)
+    return min(found, key=lambda result: float(result.fun)).x

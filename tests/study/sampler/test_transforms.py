@@ -1,7 +1,5 @@
 """Costs and features on the scales of the model, against SciPy; tables larger than memory."""
 
-from functools import cache
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -163,11 +161,6 @@ def proposed(features):
     return studies.rows_of(studies.study_of(table, cost, 14, seed=2))
 
 
-@cache
-def unchanged():
-    return proposed(FEATURES)
-
-
 CHANGES = {
     "cubed and moved": lambda column: 1e3 * (column - 0.3) ** 3 - 50.0,
     "heavy-tailed, to 1e6": lambda column: np.expm1(
@@ -180,12 +173,9 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("columns", [[0], [1], [2], [0, 1, 2]])
 @pytest.mark.parametrize("change", CHANGES)
-def test_an_increasing_change_of_a_feature_changes_no_proposal(change, columns):
-    changed = FEATURES.copy()
-    for column in columns:
-        changed[:, column] = CHANGES[change](FEATURES[:, column])
-        order = np.argsort(FEATURES[:, column])
-        assert np.all(np.diff(changed[order, column]) > 0)  # or it is no test
-    assert proposed(changed) == unchanged()
+def test_an_increasing_change_of_all_features_changes_no_proposal(change):
+    changed = np.apply_along_axis(CHANGES[change], 0, FEATURES)
+    for before, after in zip(FEATURES.T, changed.T, strict=True):
+        assert np.all(np.diff(after[np.argsort(before)]) > 0)  # or it is no test
+    assert proposed(changed) == proposed(FEATURES)
