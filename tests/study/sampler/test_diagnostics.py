@@ -289,13 +289,9 @@ def test_trials_off_the_table_are_not_counted_and_infinite_costs_are():
     assert np.isfinite(worth.errors.model)
 
 
-@pytest.mark.parametrize(
-    ("features", "options"), [(None, {}), (TABLE, {"kernel": "euclidean"})]
-)
-def test_without_features_or_with_several_objectives_there_is_no_worth(
-    features, options
-):
-    sampler = FeatureKernelSampler(features, **options)
+@pytest.mark.parametrize("options", [{}, {"features": TABLE, "kernel": "euclidean"}])
+def test_without_features_or_with_several_objectives_there_is_no_worth(options):
+    sampler = FeatureKernelSampler(**options)
     with refused(r"^kernel: 'euclidean'.*nothing to report$"):
         sampler.worth(optuna.create_study())
     assert not sampler.has_features and FeatureKernelSampler(TABLE).has_features

@@ -170,9 +170,8 @@ def test_an_enqueued_row_is_noted_from_its_start():
     study.optimize(both, n_trials=6)
     assert rows_of(study)[:2] == [7, 9]
     assert_rows_were_run(study)
-    gap = FeatureTable.from_arrays(
-        {"a": A, "b": B}, np.where(FEATURES == 1.5, np.nan, FEATURES)
-    )
+    known = np.where(FEATURES == 1.5, np.nan, FEATURES)
+    gap = FeatureTable.from_arrays({"a": A, "b": B}, known)
     for table, noted in ((ONE, {"score": 1.5}), (gap, {"features": [None, -0.5]})):
         study = study_of(table, both, 5, enqueued=[row(7)])
         assert study.trials[0].user_attrs == {"row": 7} | noted
@@ -223,13 +222,11 @@ def test_a_row_enqueued_by_another_process_is_taken(tmp_path):
 
 def test_resumed_is_uninterrupted_with_enqueued_trials_and_killed_ones_are_run_again():
     enqueued = (row(4), {"a": 0.5}, {"b": 2.0})
-    whole, pieces = (
-        study_of(TABLE, both, 9, enqueued=enqueued),
-        study_of(TABLE, enqueued=enqueued),
-    )
+    whole = study_of(TABLE, both, 9, enqueued=enqueued)
+    pieces = study_of(TABLE, enqueued=enqueued)
     resumed(lambda: FeatureKernelSampler(TABLE, seed=1), both, 9, pieces)
-    told = [(trial.params, trial.user_attrs) for trial in whole.trials]
-    assert told == [(trial.params, trial.user_attrs) for trial in pieces.trials]
+    for one, other in zip(whole.trials, pieces.trials, strict=True):
+        assert (one.params, one.user_attrs) == (other.params, other.user_attrs)
     study = study_of(TABLE, enqueued=[{"a": 0.5}])
     both(study.ask())
     kill(study, 0)
@@ -248,10 +245,9 @@ def test_a_row_noted_by_an_earlier_version_counts_only_if_it_was_run():
     study = study_of(TABLE)
     noted = {"value": 1.0, "user_attrs": {"row": 3, "features": FEATURES[3].tolist()}}
     for params in ({"a": 0.25, "b": 3.0}, {"a": 0.0}):
-        distributions = {name: SPACE[name] for name in params}
-        study.add_trial(
-            optuna.create_trial(params=params, distributions=distributions, **noted)
-        )
+        space = {name: SPACE[name] for name in params}
+        done = optuna.create_trial(params=params, distributions=space, **noted)
+        study.add_trial(done)
     assert [row_of(ROWS, trial) for trial in study.trials] == [None, None]
     assert not read_history(study, study.trials[0], ROWS.space, ROWS).tried.any()
     ignored = "^trials whose parameters are no row of the table are ignored: such as trial 0; "
