@@ -17,8 +17,8 @@ from storage.store import open_store
 from study import pictures
 from study.commands import quickstart
 from study.experiment import artifacts
-from study.experiment.experiment import read_experiment
 from study.experiment.gains import gains_at
+from study.experiment.walker import read_experiment
 from study.explore import walk as walking
 from study.explore.trials import open_rows
 from study.options import config_path, shipped_configs

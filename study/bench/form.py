@@ -27,8 +27,8 @@ from storage.store import open_store
 from study.bench.bench import Bench
 from study.bench.journal import Trial
 from study.bench.words import MOST_DIGITS, number_of, shown, times
-from study.experiment.experiment import experiment_of
 from study.experiment.gains import named_gains, recorded_walk
+from study.experiment.walker import experiment_of
 from study.loopback import HOST, Application, guarded
 from study.pictures.movie import encoded, filmable, filmed
 from study.pictures.scene import SMALL, frames

@@ -10,9 +10,10 @@ from storage.commit import require_folder
 from storage.databases.studies import read_studies, require_lockable
 from study.commands.study import command_line, dashboard_command, film_command
 from study.experiment.arms import find_arm
-from study.experiment.experiment import read_experiment, study_name
+from study.experiment.experiment import study_name
 from study.experiment.folder import live_artifacts
 from study.experiment.trials import study_line
+from study.experiment.walker import read_experiment
 from study.options import config_path, parser_of
 
 CONFIG, STORE_CONFIG = "rough8", "quickstart-store"
@@ -63,7 +64,7 @@ def main(args: Namespace) -> None:
             optuna.load_study(study_name=name, storage=storage) for name in names
         ]
         costs = [study.best_value for study in studies]
-        told = [study_line(experiment.objective, study) for study in studies]
+        told = [study_line(experiment, study) for study in studies]
     best = ARMS[costs.index(min(costs))]
     found, drawn = (
         out / f"{best}-run-{RUN:03d}-best.json",

@@ -1,4 +1,4 @@
-"""Run one live study: an arm proposes gains, and the simulator of the walker tries them."""
+"""Run one live study: an arm proposes gains, and a simulator tries them."""
 
 import json
 import os
@@ -16,29 +16,26 @@ from storage.commit import commit_json, writable
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql, public_url
-from study.experiment import robots
 from study.experiment.arms import check_arms, with_store
-from study.experiment.experiment import read_experiment, study_name
+from study.experiment.experiment import study_name
 from study.experiment.folder import live_artifacts
 from study.experiment.live_study import check_study, run_study
+from study.experiment.robots import read_any
 from study.experiment.trials import best_trial, progress_line, study_facts, study_line
+from study.experiment.walker import WalkerExperiment
 from study.options import config_path
-from taichi_nmm.walker_simulator import require_engine
 
 
 def main(args: Namespace) -> None:
     """Run the study, or go on with it."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    if robots.is_of_robots(args.config):
-        on_robot(args)
-        return
-    experiment = read_experiment(args.config, args.arch, args.seed)
+    experiment = read_any(args.config, args.arch, args.seed)
     if args.store is not None:
         experiment = with_store(experiment, (args.arm,), args.store)
     experiment.require_run(args.run)
     trials = experiment.trials if args.trials is None else args.trials
     (arm,) = check_arms(experiment, (args.arm,), trials)
-    require_engine(experiment.conditions.settings)
+    experiment.robot.require_machine()
     name = study_name(experiment.name, arm.name, args.run)
     folder = args.out or Path("out") / experiment.name
     gains = folder / f"{arm.name}-run-{args.run:03d}-best.json"
@@ -46,68 +43,33 @@ def main(args: Namespace) -> None:
     storage = open_studies(args.storage)
 
     def report(study: optuna.Study, trial: FrozenTrial) -> None:
-        line = progress_line(experiment.objective, study, trial, trials)
+        line = progress_line(experiment, study, trial, trials)
         print(line, file=sys.stderr, flush=True)
 
     # A sampler with a state of its own (CMA-ES) needs its trials in one order, from one
     # process.
     shared = is_postgresql(args.storage) and not arm.replayed
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
+    commands = {}
     with taken as crew, storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
         best = best_trial(experiment.objective, study)
         keep_best({**experiment.fixed_by_name, **best.params}, gains)
-        from study.experiment.artifacts import draw_best  # Matplotlib: a second
+        if isinstance(experiment, WalkerExperiment):
+            from study.experiment.artifacts import draw_best  # Matplotlib: a second
 
-        with crew.turn() if crew else nullcontext():
-            draw_best(experiment, args.run, study, args.storage, folder)
-        commands = {
-            "film": film_command(gains, args.config, args.run, args.seed),
-            "dashboard": dashboard_command(
-                args.storage, live_artifacts(args.storage, folder)
-            ),
-        }
-        database = public_url(args.storage)
+            with crew.turn() if crew else nullcontext():
+                draw_best(experiment, args.run, study, args.storage, folder)
+            commands["film"] = film_command(gains, args.config, args.run, args.seed)
+        pictures = live_artifacts(args.storage, folder)
+        commands["dashboard"] = dashboard_command(args.storage, pictures)
+        files = {"gains": str(gains), "storage": public_url(args.storage)}
         if args.json:
-            known = study_facts(experiment.objective, study)
-            print(
-                json.dumps(
-                    known | {"gains": str(gains), "storage": database} | commands
-                )
-            )
+            print(json.dumps(study_facts(experiment, study) | files | commands))
             return
-        print(study_line(experiment.objective, study))
-        print(lines({"gains": gains, "database": database, **commands}))
-
-
-def on_robot(args: Namespace) -> None:
-    """The study of an arm on a robot of the simulator that the configuration names."""
-    robots.refuse_walkers_options(args)
-    experiment = robots.read_robots(args.config, args.seed, trials=args.trials)
-    experiment.simulator.require_machine()
-    storage, folder = (
-        open_studies(args.storage),
-        args.out or Path("out") / experiment.name,
-    )
-
-    def report(study: optuna.Study, trial: FrozenTrial) -> None:
-        lasted = 100.0 * trial.user_attrs[experiment.simulator.survived]
-        best = f"best {study.best_value:.4g} (trial {study.best_trial.number})"
-        line = f"trial {trial.number}: lasted {lasted:.0f} %, cost {trial.values[0]:.4g}; {best}"
-        print(line, file=sys.stderr, flush=True)
-
-    name = study_name(experiment.name, args.arm, args.run)
-    with only_run(args.storage, name), storage_errors(args.storage):
-        study = robots.live_study(experiment, args.arm, args.run, storage, report)
-    best = folder / f"{args.arm}-run-{args.run:03d}-best.json"
-    keep_best(study.best_params, best)
-    known = {
-        "study": name,
-        "best_cost": study.best_value,
-        "best": str(best),
-        "dashboard": dashboard_command(args.storage, folder),
-    }
-    print(json.dumps(known) if args.json else lines(known))
+        print(study_line(experiment, study))
+        database = {"database": files["storage"]}
+        print(lines({"gains": gains, **database, **commands}))
 
 
 def keep_best(params: dict[str, Any], file: Path) -> None:
@@ -128,16 +90,19 @@ def film_command(
     """A command line: films gains on body and ground of a run of a configuration."""
     shown = config.stem if config_path(config.stem) == config else str(config)
     words = ["walk", "--gains", str(gains), "--config", shown]
-    words += ["--run", str(run)] if run else []
-    return command_line(*words, *([] if seed is None else ["--seed", str(seed)]))
+    if run:
+        words += ["--run", str(run)]
+    if seed is not None:
+        words += ["--seed", str(seed)]
+    return command_line(*words)
 
 
 def dashboard_command(url: str, artifacts: Path) -> str:
     """A command line: opens the studies of a database, and their pictures, in a browser."""
     words = ["dashboard", "--storage", public_url(url)]
-    return command_line(
-        *words, *(["--artifacts", str(artifacts)] if is_postgresql(url) else [])
-    )
+    if is_postgresql(url):
+        words += ["--artifacts", str(artifacts)]
+    return command_line(*words)
 
 
 def command_line(*words: str) -> str:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 import taichi_nmm
 from storage.points import sobol_points
-from study.experiment.trials import walked
+from study.experiment.walker import walked
 from study.options import require_used
 from taichi_nmm import GAINS, Bodies, Settings, terrain
 from taichi_nmm.result import COMPLETED

@@ -19,7 +19,6 @@ from storage.commit import commit_text, require_folder, writable
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from storage.store import open_store
-from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.features import WORLDS, feature_table, front_of
 from study.experiment.gains import (
     NamedGains,
@@ -30,7 +29,13 @@ from study.experiment.gains import (
     recorded_walk,
     row_at_speed,
 )
-from study.experiment.trials import OUTCOMES, row_text
+from study.experiment.walker import (
+    OUTCOMES,
+    WalkerExperiment,
+    as_written,
+    read_experiment,
+    row_text,
+)
 from study.options import BOTH_ENGINES, require_used
 from study.pictures import (
     find_ffmpeg,
@@ -128,7 +133,7 @@ def priced(store: Path) -> str:
     return OF_MUSCLES
 
 
-def folder_of(gains: NamedGains, experiment: Experiment, args: Namespace) -> Path:
+def folder_of(gains: NamedGains, experiment: WalkerExperiment, args: Namespace) -> Path:
     """Where a walk's pictures are put if nobody says: the name depends on all that makes it."""
     walk = {
         "gains": [each.as_document() for each in (gains, *gains.later)],
@@ -141,7 +146,7 @@ def folder_of(gains: NamedGains, experiment: Experiment, args: Namespace) -> Pat
     return Path("out") / "walk" / f"{gains.name}-{digest[:DIGEST_LENGTH]}"
 
 
-def read(args: Namespace) -> Experiment:
+def read(args: Namespace) -> WalkerExperiment:
     """The experiment, with the duration and the engine of the options."""
     experiment = read_experiment(args.config, args.arch, args.seed)
     experiment.require_run(args.run)
@@ -154,7 +159,9 @@ def read(args: Namespace) -> Experiment:
     return experiment.with_settings(engine=first)
 
 
-def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.Result:
+def simulate(
+    gains: NamedGains, experiment: WalkerExperiment, run: int
+) -> taichi_nmm.Result:
     """The one walk, recorded."""
     total_s = experiment.conditions.duration_s
     with tqdm(total=total_s, unit="s", desc="walking", disable=None) as bar:
@@ -168,7 +175,7 @@ def simulate(gains: NamedGains, experiment: Experiment, run: int) -> taichi_nmm.
     return replace(walked, trajectories=tuple(map(kept, walked.trajectories)))
 
 
-def write_model(path: Path, experiment: Experiment, run: int) -> None:
+def write_model(path: Path, experiment: WalkerExperiment, run: int) -> None:
     """MuJoCo's model of a run's body and ground, standing where the walk starts."""
     from taichi_nmm.mujoco_engine.engine import start_state
     from taichi_nmm.mujoco_engine.mjcf import mjcf_text
@@ -181,7 +188,7 @@ def write_model(path: Path, experiment: Experiment, run: int) -> None:
 
 def write_pictures(
     walks: Mapping[str, taichi_nmm.Result],
-    experiment: Experiment,
+    experiment: WalkerExperiment,
     args: Namespace,
     folder: Path,
     name: str,
@@ -282,7 +289,7 @@ def report(
     }
 
 
-def show_front(args: Namespace, experiment: Experiment) -> None:
+def show_front(args: Namespace, experiment: WalkerExperiment) -> None:
     """List the rows of a store that no other beats in the two goals of an experiment.
 
     Raises:
@@ -339,7 +346,9 @@ def main(args: Namespace) -> None:
         print(f"{shows.replace('_', ' '):<19} {path}")
 
 
-def prepared_folder(gains: NamedGains, experiment: Experiment, args: Namespace) -> Path:
+def prepared_folder(
+    gains: NamedGains, experiment: WalkerExperiment, args: Namespace
+) -> Path:
     """The folder of the pictures, once nothing is in the way of the walk and its files."""
     is_compared = args.engine == BOTH_ENGINES
     made = {"strip", "gait_cycle"}
@@ -372,7 +381,7 @@ def prepared_folder(gains: NamedGains, experiment: Experiment, args: Namespace) 
 
 
 def write_files(
-    trajectory: Trajectory, name: str, experiment: Experiment, args: Namespace
+    trajectory: Trajectory, name: str, experiment: WalkerExperiment, args: Namespace
 ) -> dict[str, str]:
     """Write a walk for other programs; the paths of all such files, by their kinds."""
     paths = {}

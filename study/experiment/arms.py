@@ -6,10 +6,11 @@ this list.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
+from optuna.samplers import BaseSampler, GPSampler, NSGAIISampler, TPESampler
 
 from storage.inputs.errors import InputError, listed
 from storage.store import open_store
@@ -17,7 +18,7 @@ from study.experiment import samplers
 from study.experiment.experiment import Experiment, candidates, check_store
 from study.experiment.features import IN_WORLDS, RANKING, WORLDS
 from study.experiment.objective import SUCCESS_SPEED_MPS
-from study.experiment.samplers import Task
+from study.experiment.samplers import FIRST_ROWS, Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from taichi_nmm.conditions import TRIAL_S
@@ -47,10 +48,12 @@ class Arm:
         feature: a column of that store, or one of `IN_WORLDS`; "": none.
         fresh: whether each trial has a new sampler, since the library keeps a state in
             it.
-        replayed: whether the library keeps a state in trials, which a resumed study
-            repeats.
+        replayed: whether the library keeps a state, in trials or in the sampler, which a
+            resumed study repeats.
         takes_goals: whether it takes two goals; if not, one cost alone.
         options: that decide its proposals as well, as JSON values.
+        needs: package that must be installed, which is none of this project's own; "":
+            none.
     """
 
     name: str
@@ -64,14 +67,14 @@ class Arm:
     replayed: bool = False
     takes_goals: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
+    needs: str = ""
 
     @property
     def definition(self) -> dict[str, Any]:
         """All that decides its proposals, as JSON values; trials of two definitions never mix."""
-        in_worlds = [self.feature, f"cost of a trial of {TRIAL_S:g} s"]
-        features = [in_worlds if self.feature in IN_WORLDS else self.feature] * bool(
-            self.feature
-        )
+        features: list[Any] = [self.feature] if self.feature else []
+        if self.feature in IN_WORLDS:
+            features = [[self.feature, f"cost of a trial of {TRIAL_S:g} s"]]
         return {
             "store": self.store,
             "features": features,
@@ -85,91 +88,94 @@ def find_arm(name: str) -> Arm:
     Raises:
         InputError: there is none.
     """
+    if name in GONE:
+        raise InputError("arm", name, f"{GONE[name]}, in its place since version 0.5")
     if name not in ARMS:
         raise InputError("arm", name, f"one of {listed(ARMS, name)}")
     return ARMS[name]
 
 
-def _worlds_arm(name: str, label: str, summary: str, store: str) -> Arm:
+def _worlds(task: Task) -> BaseSampler:
     """Our sampler over what a store's rows cost in each world, which aims at the first success."""
+    experiment = task.experiment
+    success = experiment.objective.success(experiment.trial_s)
+    return FeatureKernelSampler(task.table, seed=task.seed, success=success)
 
-    def new_sampler(task: Task) -> BaseSampler:
-        of = task.experiment
-        success = of.objective.success(of.conditions.duration_s)
-        return FeatureKernelSampler(task.table, seed=task.seed, success=success)
 
-    options = {"success_speed_mps": SUCCESS_SPEED_MPS}
-    return Arm(
-        name,
-        label,
-        "ours",
-        summary,
-        new_sampler,
-        store,
-        WORLDS,
-        takes_goals=True,
-        options=options,
-    )
+WORLDS_OPTIONS = {"success_speed_mps": SUCCESS_SPEED_MPS}
 
 
 def _plain(task: Task) -> BaseSampler:
     return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
 
 
+def _tpe_ranking(task: Task) -> BaseSampler:
+    peer = TPESampler(seed=task.short_seed, n_startup_trials=FIRST_ROWS)
+    return samplers.RankedSampler(task, then=peer)
+
+
+def _gp_ranking(task: Task) -> BaseSampler:
+    import torch
+
+    torch.set_num_threads(1)  # its bits depend on them
+    peer = GPSampler(seed=task.short_seed, n_startup_trials=FIRST_ROWS)
+    return samplers.RankedSampler(task, then=peer)
+
+
 _ALL = (
     Arm(
-        "random",
-        "random",
-        "peer",
-        "uniform random",
-        lambda task: ReproducibleRandomSampler(seed=task.seed),
+        name="random",
+        label="random",
+        kind="peer",
+        summary="uniform random",
+        new_sampler=lambda task: ReproducibleRandomSampler(seed=task.seed),
         takes_goals=True,
     ),
     Arm(
-        "cmaes-cold",
-        "CMA-ES",
-        "peer",
-        "CMA-ES from a random mean",
-        samplers.ColdCmaEsSampler,
+        name="cmaes-cold",
+        label="CMA-ES",
+        kind="peer",
+        summary="CMA-ES from a random mean",
+        new_sampler=samplers.ColdCmaEsSampler,
         fresh=True,
         replayed=True,
         options={"sigma": samplers.SIGMA_COLD},
     ),
     Arm(
-        "cmaes-warm",
-        "CMA-ES, warm",
-        "peer",
-        "CMA-ES from one of the 100 best rows",
-        samplers.WarmCmaEsSampler,
-        "flat",
-        PRINTED,
+        name="cmaes-warm",
+        label="CMA-ES, warm",
+        kind="peer",
+        summary="CMA-ES from one of the 100 best rows",
+        new_sampler=samplers.WarmCmaEsSampler,
+        store="flat",
+        feature=PRINTED,
         options={"sigma": samplers.SIGMA_WARM, "rows": samplers.START_ROWS},
     ),
     Arm(
-        "bo-euclidean",
-        "plain BO",
-        "peer",
-        "Bayesian optimisation over the gains, ours",
-        _plain,
+        name="bo-euclidean",
+        label="plain BO",
+        kind="peer",
+        summary="Bayesian optimisation over the gains, ours",
+        new_sampler=_plain,
         takes_goals=True,
     ),
     Arm(
-        "tpe",
-        "TPE",
-        "peer",
-        "Optuna's TPESampler",
-        lambda task: TPESampler(
+        name="tpe",
+        label="TPE",
+        kind="peer",
+        summary="Optuna's TPESampler",
+        new_sampler=lambda task: TPESampler(
             seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)
         ),
         fresh=True,
         takes_goals=True,
     ),
     Arm(
-        "nsga2",
-        "NSGA-II",
-        "peer",
-        "Optuna's NSGAIISampler",
-        lambda task: NSGAIISampler(
+        name="nsga2",
+        label="NSGA-II",
+        kind="peer",
+        summary="Optuna's NSGAIISampler",
+        new_sampler=lambda task: NSGAIISampler(
             seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)
         ),
         fresh=True,
@@ -177,48 +183,90 @@ _ALL = (
         takes_goals=True,
     ),
     Arm(
-        PAPER_ARM,
-        "DoG, as printed",
-        "ours",
-        "the paper's method: kernel over the score",
-        lambda task: FeatureKernelSampler(task.table, seed=task.seed, **PAPER),
-        "flat",
-        PRINTED,
+        name=PAPER_ARM,
+        label="DoG, as printed",
+        kind="ours",
+        summary="the paper's method: kernel over the score",
+        new_sampler=lambda task: FeatureKernelSampler(
+            task.table, seed=task.seed, **PAPER
+        ),
+        store="flat",
+        feature=PRINTED,
         options=PAPER,
     ),
-    _worlds_arm(
-        "worlds",
-        "worlds",
-        "learns which world of its store the robot is like",
-        "worlds",
+    Arm(
+        name=OUR_ARM,
+        label="worlds",
+        kind="ours",
+        summary="learns which world of its store the robot is like",
+        new_sampler=_worlds,
+        store="worlds",
+        feature=WORLDS,
+        takes_goals=True,
+        options=WORLDS_OPTIONS,
     ),
     Arm(
-        "ranking",
-        "ranking",
-        "control",
-        "the rows of worlds by their mean cost, without a model",
-        samplers.RankedSampler,
-        "worlds",
-        RANKING,
+        name="ranking",
+        label="ranking",
+        kind="control",
+        summary="the rows of worlds by their mean cost, without a model",
+        new_sampler=samplers.RankedSampler,
+        store="worlds",
+        feature=RANKING,
     ),
     Arm(
-        "bo-ranking",
-        "plain BO after 3",
-        "peer",
-        "the ranking's first three rows, then Bayesian optimisation over the gains",
-        lambda task: samplers.RankedSampler(task, then=_plain(task)),
-        "worlds",
-        RANKING,
+        name="bo-ranking",
+        label="plain BO after 3",
+        kind="peer",
+        summary="the ranking's first three rows, then Bayesian optimisation over the gains",
+        new_sampler=lambda task: samplers.RankedSampler(task, then=_plain(task)),
+        store="worlds",
+        feature=RANKING,
     ),
-    _worlds_arm(
-        "worlds-stairs",
-        "worlds, stairs' store",
-        "worlds, having seen other stairs alone",
-        "stairs",
+    Arm(
+        name="tpe-ranking",
+        label="TPE after 3",
+        kind="peer",
+        summary="the ranking's first three rows, then Optuna's TPESampler",
+        new_sampler=_tpe_ranking,
+        store="worlds",
+        feature=RANKING,
+        replayed=True,
+    ),
+    Arm(
+        name="gp-ranking",
+        label="GPSampler after 3",
+        kind="peer",
+        summary="the ranking's first three rows, then Optuna's GPSampler",
+        new_sampler=_gp_ranking,
+        store="worlds",
+        feature=RANKING,
+        replayed=True,
+        needs="torch",
+    ),
+    Arm(
+        name="worlds-stairs",
+        label="worlds, stairs' store",
+        kind="ours",
+        summary="worlds, having seen other stairs alone",
+        new_sampler=_worlds,
+        store="stairs",
+        feature=WORLDS,
+        takes_goals=True,
+        options=WORLDS_OPTIONS,
     ),
 )
 
 ARMS: dict[str, Arm] = {arm.name: arm for arm in _ALL}
+GONE = {"gp": "gp-ranking", "cmaes": "cmaes-cold"}
+
+
+def lacks(name: str) -> str:
+    """What an arm needs and is not installed, in words; "": nothing."""
+    needs = find_arm(name).needs
+    if not needs or find_spec(needs) is not None:
+        return ""
+    return f"it needs {needs} (pip install {needs})"
 
 
 def check_arms(
@@ -237,6 +285,8 @@ def check_arms(
         )
     arms = tuple(find_arm(name) for name in dict.fromkeys(names))
     for arm in arms:
+        if lacking := lacks(arm.name):
+            raise InputError("arm", arm.name, f"another: {lacking}")
         if experiment.objective.goals and not arm.takes_goals:
             able = ", ".join(name for name, each in ARMS.items() if each.takes_goals)
             raise InputError("arm", arm.name, f"with two goals one of {able}")
@@ -282,12 +332,12 @@ def saw(arm: Arm, stores: Mapping[str, Path]) -> str:
             body = (
                 f"bodies disturbed by {percent:g} %" if percent else "undisturbed body"
             )
-            body += ", in worlds that differ" * ("world" in setting)
+            if "world" in setting:
+                body += ", in worlds that differ"
             ground = str(setting["terrain"]["name"])
             name = "level ground" if ground == "flat" else ground
             grounds.setdefault(body, {})[name] = None  # once each, in their order
     except (KeyError, TypeError, InputError):  # of another simulator, or edited
-        return (
-            f"base setting of the store {arm.store}{', and its families' * in_worlds}"
-        )
+        families_too = ", and its families" if in_worlds else ""
+        return f"base setting of the store {arm.store}{families_too}"
     return "; ".join(f"{body}: {'; '.join(found)}" for body, found in grounds.items())

@@ -18,10 +18,10 @@ from storage.databases.bulk import attach
 from storage.databases.studies import read_errors
 from storage.folder import remove
 from study.experiment.database import opened
-from study.experiment.experiment import Experiment
 from study.experiment.folder import fingerprint, live_artifacts
 from study.experiment.gains import named_gains, recorded_walk
-from study.experiment.trials import best_trial, outcome_text
+from study.experiment.trials import best_trial
+from study.experiment.walker import WalkerExperiment, outcome_text
 from study.pictures import write_strip
 
 STRIP_DPI = 100
@@ -32,7 +32,7 @@ STRIP = {"filename": "strip.png", "mimetype": "image/png"}
 
 
 def draw_best(
-    experiment: Experiment, run: int, study: optuna.Study, url: str, out: Path
+    experiment: WalkerExperiment, run: int, study: optuna.Study, url: str, out: Path
 ) -> None:
     """Draw the best trial of a live study of the database, and attach the picture.
 

@@ -15,53 +15,45 @@ from dataclasses import dataclass, field
 import numpy as np
 import optuna
 import pyarrow as pa
-from numpy.typing import NDArray
 from optuna.exceptions import ExperimentalWarning
 
 from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment
+from study.experiment.experiment import WALKED, Experiment, Floats, Rows
 from study.experiment.folder import (
+    MEASURED,
     NOTES,
     PROPOSAL_TIME,
-    THETA_REF,
     Key,
     by_study,
-    outcomes_of,
     walkers,
 )
-from study.experiment.one_study import OneStudy, shown
-from study.experiment.trials import KEPT, best_cost, simulate_trials, walked
+from study.experiment.one_study import OneStudy
+from study.experiment.trials import best_cost
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
-from taichi_nmm.result import END_REASONS
-
-Floats = NDArray[np.float64]
-Rows = NDArray[np.void]
 
 
 class Walks:
-    """Results of walks by run and gains: a walk that several arms try in a run is simulated once.
+    """Results of walks by run and point: a walk that several arms try in a run is simulated once.
 
     Arms that read one store often propose the same row. All arms have the same robot in
     a run, and a walk has the same bits in any batch, so one walk stands for all.
     """
 
     def __init__(self) -> None:
-        self._found: dict[tuple[int, bytes], tuple[np.void, list[float]]] = {}
+        self._found: dict[tuple[int, bytes], tuple[np.void, Floats]] = {}
 
     def add(
-        self, runs: Sequence[int], gains: Floats, rows: Rows, costs: Floats
+        self, runs: Sequence[int], points: Floats, rows: Rows, costs: Floats
     ) -> None:
-        """Keep n walks: runs [n], gains [n, 16 + m], rows [n], costs [n, k]."""
-        for run, tried, row, cost in zip(
-            runs, gains, rows, costs.tolist(), strict=True
-        ):
+        """Keep n walks: runs [n], points [n, p], rows [n], costs [n, k]."""
+        for run, tried, row, cost in zip(runs, points, rows, costs, strict=True):
             self._found.setdefault((run, tried.tobytes()), (row.copy(), cost))
 
     def walk(
-        self, experiment: Experiment, runs: Sequence[int], gains: Floats
+        self, experiment: Experiment, runs: Sequence[int], points: Floats
     ) -> tuple[Rows, Floats]:
         """Of n trials rows, finite, [n], and costs [n, k]; new ones are simulated."""
-        keys = [(run, tried.tobytes()) for run, tried in zip(runs, gains, strict=True)]
+        keys = [(run, tried.tobytes()) for run, tried in zip(runs, points, strict=True)]
         new = [
             k
             for k, key in enumerate(keys)
@@ -69,8 +61,8 @@ class Walks:
         ]
         if new:
             tried = [runs[place] for place in new]
-            rows = simulate_trials(experiment, tried, gains[new])
-            self.add(tried, gains[new], rows, experiment.objective.values(rows))
+            rows = experiment.simulate(tried, points[new])
+            self.add(tried, points[new], rows, experiment.objective.values(rows))
         found = [self._found[key] for key in keys]
         return np.array([row for row, _ in found]), np.array(
             [cost for _, cost in found]
@@ -151,15 +143,16 @@ def _restore(
     experiment: Experiment, study: OneStudy, table: pa.Table, walks: Walks
 ) -> None:
     """Give a study its trials of earlier sessions."""
-    gains = np.column_stack([table[name].to_numpy() for name in experiment.names])
+    points = np.column_stack([table[name].to_numpy() for name in experiment.names])
     costs = np.column_stack(
         [table[name].to_numpy() for name in experiment.objective.columns]
     )
-    rows = outcomes_of(table)
-    walks.add([study.run] * len(table), gains, rows, costs)
+    rows = experiment.rows_of(table)
+    walks.add([study.run] * len(table), points, rows, costs)
     for place, notes in enumerate(table[NOTES].to_pylist()):
-        noted = json.loads(notes) | shown(study.arm, rows[place : place + 1])
-        study.restore(gains[place].tolist(), costs[place].tolist(), noted)
+        told = experiment.told(costs[place], study.run, place)
+        noted = json.loads(notes) | study.shown(rows[place], costs[place])
+        study.restore(points[place].tolist(), told, noted)
 
 
 def _round(
@@ -173,33 +166,33 @@ def _round(
         asked.append(study.ask())
         notes.append(study.noted())
         seconds.append(time.perf_counter() - began_s)
-    runs, gains = [study.run for study in studies], np.array(asked, dtype=np.float64)
-    rows, costs = walks.walk(experiment, runs, gains)
-    for place, study in enumerate(studies):
-        study.tell(costs[place].tolist(), shown(study.arm, rows[place : place + 1]))
+    runs = [study.run for study in studies]
+    points = np.array(asked, dtype=np.float64)
+    rows, costs = walks.walk(experiment, runs, points)
+    measured = []
+    for study, row, cost in zip(studies, rows, costs, strict=True):
+        told = experiment.told(cost, study.run, study.trials)
+        study.tell(told, study.shown(row, cost))
+        measured.append(told[0])
     objective = experiment.objective
     columns = {
-        "experiment": [experiment.name] * len(gains),
+        "experiment": [experiment.name] * len(rows),
         "arm": [study.arm.name for study in studies],
         "run": runs,
         "trial": trials,
-        THETA_REF.name: np.full(len(gains), THETA_REF.default),
-        **{
-            name: np.full(len(gains), gain)
-            for name, gain in experiment.fixed_by_name.items()
-        },
-        **dict(zip(experiment.names, gains.T, strict=True)),
+        **experiment.words(rows),
+        **dict(zip(experiment.names, points.T, strict=True)),
         "row": [noted.get(ROW_ATTRIBUTE, OFF_TABLE) for noted in notes],
         **dict(zip(objective.columns, costs.T, strict=True)),
         "cost": [objective.best(cost) for cost in costs[:, None]],
-        "best_cost": [best_cost(objective, study.study) for study in studies],
-        "walked": walked(rows),
-        "end_reason": np.array(END_REASONS)[rows["end_reason"]],
-        **{name: rows[name] for name in KEPT},
+        MEASURED: measured,
+        "best_cost": [best_cost(experiment, study.study) for study in studies],
+        WALKED: experiment.walked(rows),
+        **{name: rows[name] for name in experiment.kept},
         PROPOSAL_TIME: seconds,
         NOTES: [json.dumps(noted) for noted in notes],
     }
-    return pa.table(columns, schema=schema)
+    return pa.table({name: columns[name] for name in schema.names}, schema=schema)
 
 
 @contextmanager

@@ -1,12 +1,12 @@
 """A comparison from its configuration to its tables, as `taichi-nmm compare` runs it."""
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
 
 import pyarrow as pa
 
@@ -22,17 +22,12 @@ from study.experiment.folder import (
     ExperimentFolder,
     Key,
     by_study,
-    deciding_packages,
     document,
     in_order,
     machine,
     results_of,
     walkers,
 )
-from taichi_nmm.walker_simulator import Walker
-
-Unit = TypeVar("Unit")
-Found = TypeVar("Found")
 
 CHECKPOINT_S = 20.0
 EXPORT_S = 60.0  # between two renewals of the study database
@@ -189,10 +184,8 @@ def compare(
             `ExperimentFolder.check` and `check_database`; later: see `advance`.
         KeyboardInterrupt: finished trials are kept.
     """
-    runs, trials = (
-        range(request.runs or experiment.runs),
-        request.trials or experiment.trials,
-    )
+    runs = range(request.runs or experiment.runs)
+    trials = request.trials or experiment.trials
     arms = check_arms(experiment, request.arms or experiment.arms, trials)
     identity = document(experiment, arms)
     url = request.storage or file_url(request.out / DATABASE_NAME)
@@ -203,8 +196,8 @@ def compare(
         request.workers,
         request.cluster,
         request.out,
-        Walker(experiment.on_one_thread().conditions.settings),
-        deciding_packages(experiment),
+        experiment.on_one_thread().robot,
+        experiment.packages,
         [store_path(experiment, key) for key in read],
     )
     with opened as pool, ExperimentFolder.claim(request.out, identity) as folder:
@@ -212,10 +205,8 @@ def compare(
         studies = [(arm.name, run) for run in runs for arm in arms]
         finished = FinishedTrials(folder, studies, experiment.until_walker)
         before, began_s = finished.count, time.monotonic()
-        started, exported_s = (
-            datetime.now(UTC).isoformat(timespec="milliseconds"),
-            began_s,
-        )
+        started = datetime.now(UTC).isoformat(timespec="milliseconds")
+        exported_s = began_s
 
         def note_session() -> None:
             """A line of run.json; a session that computed nothing leaves none."""
@@ -259,7 +250,11 @@ def _go_on(
     report: Callable[[Progress], None],
     commit: Callable[[bool], None],
 ) -> None:
-    """Work until every study has its trials."""
+    """Work until every study has its trials.
+
+    `commit` writes all that was taken, every `CHECKPOINT_S` and at the end, however
+    this ends; it is told whether the work goes on.
+    """
     experiment = experiment.on_one_thread() if pool.shares_machine else experiment
     stores = {key: pool.there(path) for key, path in experiment.stores.items()}
     experiment = replace(experiment, stores=stores)
@@ -284,29 +279,11 @@ def _go_on(
         report(finished.progress(trials))
 
     unfinished = [key for key in finished.studies if finished.lacks(key, trials)]
-    work_through(
-        pool, advance, map(first_stretch, cut(unfinished, pool.slots)), take, commit
-    )
-
-
-def work_through(
-    pool: Pool,
-    work: Callable[[Unit], Found],
-    units: Iterable[Unit],
-    take: Callable[[Unit, Found], Iterable[Unit]],
-    commit: Callable[[bool], None],
-) -> None:
-    """Do units of work, and those that follow from them.
-
-    `take` keeps the outcome of a unit, and gives the units that follow from it.
-    `commit` writes all that was taken, every `CHECKPOINT_S` and at the end, however
-    this ends; it is told whether the work goes on.
-    """
-    queue = deque(units)
+    blocks = deque(map(first_stretch, cut(unfinished, pool.slots)))
     written_s = time.monotonic()
     try:
-        for unit, found in pool.results(work, queue):
-            queue.extend(take(unit, found))
+        for block, advanced in pool.results(advance, blocks):
+            blocks.extend(take(block, advanced))
             if time.monotonic() - written_s >= CHECKPOINT_S:
                 commit(True)
                 written_s = time.monotonic()
@@ -316,8 +293,10 @@ def work_through(
 
 def cut(studies: Sequence[Key], slots: int) -> list[tuple[Key, ...]]:
     """Studies as blocks of equal size, as many in each slot, none too large."""
-    rounds = -(-len(studies) // (slots * BLOCK_STUDIES))
-    size = -(-len(studies) // (slots * rounds)) if rounds else 1
+    if not studies:
+        return []
+    rounds = math.ceil(len(studies) / (slots * BLOCK_STUDIES))
+    size = math.ceil(len(studies) / (slots * rounds))
     return [
         tuple(studies[first : first + size]) for first in range(0, len(studies), size)
     ]

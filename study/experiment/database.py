@@ -32,10 +32,16 @@ from storage.databases.studies import (
 from storage.inputs.errors import InputError
 from study.experiment.arms import Arm
 from study.experiment.experiment import SUMMARY, Experiment, study_name
-from study.experiment.folder import LIVE_ATTRIBUTE, as_if_gone_on, by_study, fingerprint
+from study.experiment.folder import (
+    LIVE_ATTRIBUTE,
+    MEASURED,
+    as_if_gone_on,
+    by_study,
+    fingerprint,
+)
 from study.experiment.live_study import require_notes, require_written
-from study.experiment.one_study import note_worth
-from study.experiment.trials import ATTRIBUTES
+from study.experiment.one_study import note_worth, params_of
+from study.experiment.trials import COST_ATTRIBUTE
 from study.sampler.history import ROW_ATTRIBUTE
 
 CONFIG_ATTRIBUTE = "experiment_config"
@@ -132,24 +138,19 @@ def _new_studies(
     experiment: Experiment, trials: pa.Table, counts: Mapping[str, int]
 ) -> Iterator[FinishedStudy]:
     """Each study of the table, with those of its trials that the database does not have."""
-    attributes = (ROW_ATTRIBUTE, *ATTRIBUTES)
-    objective = experiment.objective
-    columns = [
-        "arm",
-        "run",
-        "trial",
-        *experiment.space,
-        *objective.columns,
-        *attributes,
-    ]
+    objective, names = experiment.objective, experiment.names
+    values, attributes = objective.columns, (ROW_ATTRIBUTE, *experiment.attributes)
+    if experiment.noise:
+        values, attributes = [MEASURED], (*attributes, COST_ATTRIBUTE)
+    columns = ["arm", "run", "trial", *names, *values, *attributes]
     for arm, run, rows in by_study(trials.select(columns)):
         name = study_name(experiment.name, arm, run)
         first = counts.get(name, 0)
         new = [
             create_trial(
-                params={name: row[name] for name in experiment.space},
+                params=params_of(experiment, [row[name] for name in names]),
                 distributions=dict(experiment.space),
-                values=[row[name] for name in objective.columns],
+                values=[row[name] for name in values],
                 user_attrs={name: row[name] for name in attributes},
             )
             for row in rows.slice(first).to_pylist()

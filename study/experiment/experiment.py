@@ -1,43 +1,33 @@
-"""An experiment: the bodies, the grounds and the cost that its studies share, and its stores.
+"""An experiment: a simulator, the robots, the cost that its studies share, and its stores.
 
-This is the one reader of experiments' configurations: one study, many, and a single
-walk all take the same file. The stores that its arms read are checked before the work,
-and read once a process.
+What is written here holds of robots of any simulator. `study.experiment.walker` has the
+walker's, `study.experiment.robots` those of a simulator that a configuration names. The
+stores that arms read are checked before the work, and read once a process.
 """
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from optuna.distributions import FloatDistribution
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
+from optuna.distributions import BaseDistribution, CategoricalDistribution
 
-from storage.inputs.config import Table, read_toml, read_whole
+from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
-from storage.simulator import SURVIVED
+from storage.simulator import Simulator
 from storage.store import MANIFEST_NAME, Manifest, Store, open_store
 from storage.tables import file_hash
 from study.experiment.features import feature_table
-from study.experiment.objective import Objective, read_objective
-from study.sampler.draws import Purpose, stream
+from study.experiment.objective import Objective
+from study.sampler.draws import Purpose, generator, name_key, seed_64bit
 from study.sampler.table import FeatureTable
-from taichi_nmm.body import GRAVITY_MPS2, Bodies
-from taichi_nmm.conditions import Conditions, read_conditions
-from taichi_nmm.parameters import (
-    ASYMMETRIES,
-    DEVICE,
-    GAIN_NAMES,
-    GAINS,
-    Parameter,
-    read_fixed,
-    searched_parameters,
-)
-from taichi_nmm.result import RESULT_DTYPE
-from taichi_nmm.terrain import Terrain
-from taichi_nmm.world import Worlds
 
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
@@ -46,32 +36,29 @@ SUMMARY = (
     "/summary"  # end of a study's name that has no trials and compares other studies
 )
 MOST_TRIALS = 100_000
-ADDED = tuple(
-    each.name for each in (*DEVICE, *ASYMMETRIES)
-)  # none, unless they are searched
-PAID = tuple(
-    name for name in RESULT_DTYPE.names or () if name not in ("end_reason", SURVIVED)
-)
+WALKED = "walked"  # column and attribute: whether a trial succeeded
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.void]
+Space = dict[str, BaseDistribution]
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """All that the studies of an experiment share. It pickles; processes draw bodies and grounds.
+@dataclass(frozen=True, kw_only=True)
+class Experiment(ABC):
+    """All that the studies of an experiment share. It pickles; processes draw the robots.
 
     From `runs` on, fields decide no trial: they may grow, or their content is known by
-    digest (`as_written`).
+    digest.
 
     Attributes:
         name: a study is called name/arm/run-NNN.
-        seed: of bodies, grounds and samplers: run r draws from (seed, purpose, r).
-        searched: names of the low-level gains that are searched beside the 16 gains.
+        seed: of robots, noise and samplers: run r draws from (seed, purpose, r).
         objective: what a trial costs.
-        conditions: of every trial: its length, the simulation, and what bodies, grounds
-            and worlds are drawn from.
-        fixed: the 16 gains, where none of them is searched; () where they are.
+        noise: of a cost as samplers are told it, relative: standard deviation of its
+            logarithm, 0 to 1.
         until_walker: whether a study ends with its first walker, where others have all
             trials.
-        runs: their number, each a body and a ground.
+        runs: their number, each a robot in its world.
         trials: of each arm in each run, at most.
         arms: that are compared, by name.
         stores: folders of scores, by the name that arms know them by.
@@ -79,63 +66,147 @@ class Experiment:
 
     name: str
     seed: int
-    searched: tuple[str, ...]
     objective: Objective
-    conditions: Conditions
-    fixed: tuple[float, ...] = ()
+    noise: float = 0.0
     until_walker: bool = False
     runs: int = 50
     trials: int = 100
     arms: tuple[str, ...] = ()
     stores: Mapping[str, Path] = field(default_factory=dict, hash=False)
 
-    @cached_property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The searched parameters: the 16 gains, if not fixed, and the low-level ones asked for."""
-        low_level = searched_parameters(self.searched)
-        return low_level if self.fixed else (*GAINS, *low_level)
+    @property
+    @abstractmethod
+    def robot(self) -> Simulator:
+        """The simulator that runs the trials, with its settings."""
 
-    @cached_property
+    @property
+    @abstractmethod
+    def trial_s(self) -> float:
+        """How long a trial may last, in s."""
+
+    @property
+    @abstractmethod
+    def space(self) -> Space:
+        """What a trial suggests, as Optuna has it."""
+
+    @property
+    @abstractmethod
+    def columns_of_store(self) -> tuple[tuple[str, BaseDistribution], ...] | None:
+        """The parameters that arms take of a store; None: those that the store has."""
+
+    @property
+    @abstractmethod
+    def packages(self) -> tuple[str, ...]:
+        """Packages whose versions decide the trials."""
+
+    @property
+    @abstractmethod
+    def kept(self) -> tuple[str, ...]:
+        """Numbers of a run that a table of trials keeps beside its cost."""
+
+    @property
+    @abstractmethod
+    def attributes(self) -> tuple[str, ...]:
+        """Attributes of a trial in a study database, for readers."""
+
+    @property
+    @abstractmethod
+    def measures(self) -> tuple[str, ...]:
+        """Those attributes that `outcome_text` takes."""
+
+    @property
+    @abstractmethod
+    def row_type(self) -> np.dtype[np.void]:
+        """Names and types of what a run gives."""
+
+    @abstractmethod
+    def document(self) -> dict[str, Any]:
+        """All that decides trials but the arms, as JSON values."""
+
+    @abstractmethod
+    def require_store(self, key: str, store: Store) -> None:
+        """Refuse a store of other parameters.
+
+        Raises:
+            InputError: naming the parameter.
+        """
+
+    @abstractmethod
+    def simulate(self, runs: ArrayLike, points: Floats) -> Rows:
+        """Rows of n trials, [n], without NaN.
+
+        Args:
+            runs: of each trial, [n].
+            points: the parameters of each, as the simulator's numbers, [n, p].
+
+        Raises:
+            InputError: what the simulator refuses.
+        """
+
+    @abstractmethod
+    def fell(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which runs did not last to the end, bool [n]."""
+
+    @abstractmethod
+    def outcome_text(self, shown: Mapping[str, Any]) -> str:
+        """How a trial ended, in words, from its `attributes`."""
+
+    @abstractmethod
+    def on_one_thread(self) -> Self:
+        """The same for one of several processes of a machine; no result depends on it."""
+
+    def walked(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which runs succeeded, bool [n]."""
+        return ~self.fell(rows)
+
+    def words(self, rows: Rows) -> dict[str, Any]:
+        """Columns of a table of trials beside `kept` and the fixed parameters, each [n]."""
+        return {}
+
+    @property
     def fixed_by_name(self) -> dict[str, float]:
-        """The gains that are fixed."""
-        return dict(zip(GAIN_NAMES, self.fixed, strict=True)) if self.fixed else {}
+        """Parameters that are fixed."""
+        return {}
 
-    @cached_property
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the searched parameters."""
-        return tuple(parameter.name for parameter in self.parameters)
+        return tuple(self.space)
 
-    @cached_property
-    def space(self) -> dict[str, FloatDistribution]:
-        """The search space as Optuna has it."""
-        return search_space(self.parameters)
+    def sampler_seed(self, arm: str, run: int) -> int:
+        """The seed of a study's sampler."""
+        return seed_64bit(self.seed, Purpose.SAMPLER, name_key(arm), run)
 
-    def body(self, run: int) -> Bodies:
-        """The one body of a run."""
-        return self.conditions.build.draw([stream(self.seed, Purpose.BODY, run)])
+    def rows_of(self, table: pa.Table) -> Rows:
+        """The trials of a table as rows of the simulator, [n]; columns not kept are zero."""
+        rows = np.zeros(len(table), self.row_type)
+        for name in self.kept:
+            rows[name] = table[name].to_numpy()
+        return rows
 
-    def world(self, run: int) -> Worlds:
-        """The one world of a run."""
-        return self.conditions.world_ranges.draw(
-            [stream(self.seed, Purpose.WORLD, run)]
-        )
+    def attributes_of(self, row: np.void) -> dict[str, Any]:
+        """`attributes` of a row, as plain values."""
+        rows = np.array([row])
+        known = {name: rows[name] for name in self.kept}
+        known |= {WALKED: self.walked(rows), **self.words(rows)}
+        return {name: known[name][0].item() for name in self.attributes}
 
-    def terrain(self, run: int) -> Terrain:
-        """The ground of a run."""
-        return _terrain(self.conditions, self.seed, run)
+    def told(self, costs: Floats, run: int, trial: int) -> list[float]:
+        """The costs of a trial as its sampler is told them, [k]: with noise.
 
-    def weight_n(self, run: int) -> float:
-        """The weight of the body of a run."""
-        return float(self.body(run).mass_kg[0].sum() * GRAVITY_MPS2)
+        A trial of a run has the same noise in all arms.
+        """
+        if self.noise:
+            errors = generator(self.seed, Purpose.COST_NOISE, run)
+            factors = np.exp(self.noise * errors.standard_normal(trial + 1))
+            costs = costs * factors[trial]
+        return [float(cost) for cost in costs]
 
-    def on_one_thread(self) -> "Experiment":
-        """The same for one of several processes of a machine; no result depends on it."""
-        return self.with_settings(threads=1)
-
-    def with_settings(self, **changed: Any) -> "Experiment":
-        """The same with some settings of the simulation changed."""
-        settings = replace(self.conditions.settings, **changed)
-        return replace(self, conditions=replace(self.conditions, settings=settings))
+    @property
+    def objective_document(self) -> dict[str, Any]:
+        """The table [objective]; noise that is none changes no digest of before there was any."""
+        noise = {"noise": self.noise} if self.noise else {}
+        return self.objective.document() | noise
 
     def require_run(self, run: int) -> None:
         """Refuse a run that the experiment does not have.
@@ -149,64 +220,16 @@ class Experiment:
             )
 
 
-@lru_cache(maxsize=1024)  # 50 kB each
-def _terrain(conditions: Conditions, seed: int, run: int) -> Terrain:
-    return conditions.ground.draw(stream(seed, Purpose.TERRAIN, run))
-
-
-def search_space(parameters: Iterable[Parameter]) -> dict[str, FloatDistribution]:
-    """Parameters within their bounds, as Optuna has them."""
-    return {p.name: FloatDistribution(float(p.low), float(p.high)) for p in parameters}
+def ends_of(distribution: BaseDistribution) -> list[Any]:
+    """The bounds of a parameter, or its choices."""
+    if isinstance(distribution, CategoricalDistribution):
+        return list(distribution.choices)
+    return [float(distribution.low), float(distribution.high)]  # type: ignore[attr-defined]
 
 
 def study_name(experiment: str, arm: str, run: int) -> str:
     """The name of an arm's study in a run, live or exported."""
     return f"{experiment}/{arm}/run-{run:03d}"
-
-
-def read_experiment(
-    path: str | Path, arch: str | None = None, seed: int | None = None
-) -> Experiment:
-    """Read and check an experiment's TOML; `arch` and `seed` override the file's.
-
-    Which arms there are, and what their stores hold, is checked by
-    `study.experiment.arms`.
-
-    Raises:
-        InputError: an unknown key, a wrong type, or a value out of range.
-    """
-    name = Path(path).stem
-    return read_whole(
-        read_toml(path), lambda table: experiment_of(table, name, arch, seed)
-    )
-
-
-def experiment_of(
-    table: Table, name: str, arch: str | None = None, seed: int | None = None
-) -> Experiment:
-    """The experiment of a configuration's tables; `name` is used where they have none."""
-    objective, stores = table.table("objective"), table.table("stores")
-    configured = table.integer("seed")
-    experiment = Experiment(
-        name=read_name(table, name),
-        seed=configured if seed is None else Table({"seed": seed}).integer("seed"),
-        fixed=read_fixed(table),
-        searched=table.texts("searched", ("theta_ref", *ADDED)),
-        objective=read_objective(objective, PAID),
-        conditions=read_conditions(table, arch),
-        until_walker=table.boolean("until_walker", False),
-        runs=table.integer("runs", 50, 1, MOST_RUNS),
-        trials=table.integer("trials", 100, 1, MOST_TRIALS),
-        arms=table.texts("arms"),
-        stores={key: Path(stores.text(key)) for key in stores.unread},
-    )
-    objective.done()
-    table.done()
-    if experiment.until_walker and experiment.objective.goals:
-        raise InputError(
-            "until_walker", "true", "false with two goals: one walker is no front"
-        )
-    return experiment
 
 
 def read_name(table: Table, name: str) -> str:
@@ -217,19 +240,10 @@ def read_name(table: Table, name: str) -> str:
     return name
 
 
-def as_written(experiment: Experiment) -> dict[str, Any]:
-    """All that decides trials, as the tables of a configuration; `experiment_of` reads it back."""
-    # A switch that is off changes no digest of before there was one.
-    switches: dict[str, Any] = {"until_walker": True} if experiment.until_walker else {}
-    switches |= {"fixed_gains": experiment.fixed_by_name} if experiment.fixed else {}
-    return {
-        "name": experiment.name,
-        "seed": experiment.seed,
-        "searched": list(experiment.searched),
-        "objective": experiment.objective.document(),
-        **experiment.conditions.as_written(),
-        **switches,
-    }
+def read_seed(table: Table, seed: int | None) -> int:
+    """The seed of a configuration, or another one in its place."""
+    configured = table.integer("seed")
+    return configured if seed is None else Table({"seed": seed}).integer("seed")
 
 
 def candidates(experiment: Experiment, store: str, feature: str) -> FeatureTable:
@@ -245,7 +259,7 @@ def candidates(experiment: Experiment, store: str, feature: str) -> FeatureTable
     except OSError:
         written_ns = 0  # opening the store tells what is missing
     return _candidates(
-        path, written_ns, feature, experiment.parameters, experiment.objective
+        path, written_ns, feature, experiment.columns_of_store, experiment.objective
     )
 
 
@@ -254,10 +268,11 @@ def _candidates(
     path: Path,
     _written_ns: int,
     feature: str,
-    parameters: tuple[Parameter, ...],
+    columns: tuple[tuple[str, BaseDistribution], ...] | None,
     objective: Objective,
 ) -> FeatureTable:
-    return feature_table(open_store(path), feature, search_space(parameters), objective)
+    space = None if columns is None else dict(columns)
+    return feature_table(open_store(path), feature, space, objective)
 
 
 def store_path(experiment: Experiment, store: str) -> Path:
@@ -276,24 +291,12 @@ def store_path(experiment: Experiment, store: str) -> Path:
 def check_store(experiment: Experiment, store: str) -> Store:
     """Open a store, and see that it has the experiment's parameters.
 
-    Its rows may lack a device and asymmetries: they are then walkers without.
-
     Raises:
         InputError: no such store, not a finished store, or other parameters or bounds.
     """
     opened = open_store(store_path(experiment, store))
-    searched = tuple(opened.specification["gains"])
-    more = [name for name in searched if name not in experiment.names]
-    less = [name for name in experiment.names if name not in (*searched, *ADDED)]
-    if more or less:
-        found = f"{opened.path} {'with' if more else 'without'} {(more or less)[0]}"
-        allowed = f"a store of {' and '.join(('the 16 gains', *experiment.searched))}"
-        raise InputError(f"stores.{store}", found, allowed)
+    experiment.require_store(store, opened)
     opened.require_bounds()
-    if opened.specification.get("fixed_gains", {}) != experiment.fixed_by_name:
-        raise InputError(
-            f"stores.{store}", str(opened.path), "a store of the same fixed gains"
-        )
     return opened
 
 

@@ -33,13 +33,13 @@ IN_WORLDS = (WORLDS, RANKING)
 def feature_table(
     store: Store,
     feature: str,
-    space: Mapping[str, BaseDistribution],
+    space: Mapping[str, BaseDistribution] | None,
     objective: Objective,
 ) -> FeatureTable:
     """The rows of a store as candidates; those that no world ran are not proposed.
 
     `space` has the columns that studies suggest, with distributions; low-level gains
-    that the store lacks have their defaults.
+    that the store lacks have their defaults. None: the store's own parameters.
 
     Raises:
         InputError: the store has no such feature.

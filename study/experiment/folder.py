@@ -18,7 +18,7 @@ took, and its notes in the trial, from which a stopped study is set up again.
 
 import os
 import platform
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -29,7 +29,6 @@ from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
 from storage.databases.studies import studies_path
@@ -39,17 +38,21 @@ from storage.inputs.errors import InputError
 from storage.inputs.reading import json_document
 from storage.tables import FORMAT, document_hash, write_table
 from study.experiment.arms import Arm
-from study.experiment.experiment import Experiment, as_written, store_digest, store_path
+from study.experiment.experiment import (
+    WALKED,
+    Experiment,
+    ends_of,
+    store_digest,
+    store_path,
+)
 from study.experiment.objective import GOAL_COLUMN
-from study.experiment.trials import KEPT, OUTCOMES
+from study.experiment.walker import END_REASON, OUTCOMES, THETA_REF
 from taichi_nmm import __version__
-from taichi_nmm.kernel_cache import COMPILER
-from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
-from taichi_nmm.result import END_REASONS, RESULT_DTYPE, SCORE_FIELDS
-from taichi_nmm.walker_simulator import terrain_document
+from taichi_nmm.parameters import GAIN_NAMES
+from taichi_nmm.result import SCORE_FIELDS
 
 EXPERIMENT_NAME = "experiment.json"
-ROBOTS_NAME = "robots.json"  # of a comparison on robots of another simulator
+ROBOTS_NAME = "robots.json"  # of a comparison on robots before version 0.5
 RESULTS_NAME = "trials.parquet"
 TIMES_NAME = "proposal_times.parquet"
 RUN_NAME = "run.json"
@@ -59,46 +62,48 @@ ARTIFACTS_NAME = "artifacts"
 
 Key = tuple[str, int]  # arm, run: a study of an experiment
 
-THETA_REF = next(
-    parameter for parameter in LOW_LEVEL_GAINS if parameter.name == "theta_ref"
-)
+MEASURED = "measured"  # the cost that samplers were told, where there is noise
 PROPOSAL_TIME = "proposal_s"
 NOTES = "notes"
 
-STATE_SCHEMA = pa.schema(  # of columns without gaps
-    pa.field(name, kind, nullable=False)
-    for name, kind in (
-        ("experiment", pa.string()),
-        ("arm", pa.string()),
-        ("run", pa.int32()),
-        ("trial", pa.int32()),
-        *((name, pa.float64()) for name in (*GAIN_NAMES, THETA_REF.name)),
-        ("row", pa.int64()),
-        ("cost", pa.float64()),
-        ("best_cost", pa.float64()),
-        ("walked", pa.bool_()),
-        *((name, pa.float64()) for name in OUTCOMES),
-        ("end_reason", pa.string()),
-        *((name, pa.from_numpy_dtype(kind)) for name, kind in SCORE_FIELDS),
-        (PROPOSAL_TIME, pa.float64()),
-        (NOTES, pa.string()),
-    )
-)
+WALKERS_OUTCOMES = {
+    **dict.fromkeys(OUTCOMES, pa.float64()),
+    END_REASON: pa.string(),
+    **{name: pa.from_numpy_dtype(kind) for name, kind in SCORE_FIELDS},
+}
 
 
-def state_schema(searched: Iterable[str], goals: Iterable[str] = ()) -> pa.Schema:
-    """`STATE_SCHEMA`, with a column of each further low-level gain that is searched.
+def state_schema(document: Mapping[str, Any]) -> pa.Schema:
+    """The columns of finished trials, from the document of an experiment.
 
     Of goals, by name, there is a column each. Then `cost` is the front cost of the
     trial alone, and `best_cost` that of the trials so far.
     """
-    schema = STATE_SCHEMA
-    more = [name for name in searched if name != THETA_REF.name]
-    for before, names in (("row", more), ("cost", map(GOAL_COLUMN.format, goals))):
-        for name in names:
-            field = pa.field(name, pa.float64(), nullable=False)
-            schema = schema.insert(schema.get_field_index(before), field)
-    return schema
+    if "searched" in document:
+        more = [name for name in document["searched"] if name != THETA_REF.name]
+        parameters = (*GAIN_NAMES, THETA_REF.name, *more)
+        outcomes = WALKERS_OUTCOMES
+    else:
+        parameters = tuple(document["parameters"])
+        outcomes = dict.fromkeys(document["columns"], pa.float64())
+    goals = map(GOAL_COLUMN.format, document["objective"].get("goals", ()))
+    measured = (MEASURED,) if document["objective"].get("noise") else ()
+    columns = {
+        "experiment": pa.string(),
+        "arm": pa.string(),
+        "run": pa.int32(),
+        "trial": pa.int32(),
+        **dict.fromkeys(parameters, pa.float64()),
+        "row": pa.int64(),
+        **dict.fromkeys((*goals, "cost", *measured, "best_cost"), pa.float64()),
+        WALKED: pa.bool_(),
+        **outcomes,
+        PROPOSAL_TIME: pa.float64(),
+        NOTES: pa.string(),
+    }
+    return pa.schema(  # of columns without gaps
+        pa.field(name, kind, nullable=False) for name, kind in columns.items()
+    )
 
 
 TIME_COLUMNS = ("arm", "run", "trial", PROPOSAL_TIME)
@@ -150,17 +155,6 @@ def without_gaps(table: pa.Table) -> bool:
     return bool((np.diff(run) >= 0).all()) and np.array_equal(trial, whole)
 
 
-def outcomes_of(table: pa.Table) -> NDArray[np.void]:
-    """The trials of a table as the simulator's result rows, [n]; columns not kept are zero."""
-    rows = np.zeros(len(table), RESULT_DTYPE)
-    for name in KEPT:
-        rows[name] = table[name].to_numpy()
-    rows["end_reason"] = [
-        END_REASONS.index(reason) for reason in table["end_reason"].to_pylist()
-    ]
-    return rows
-
-
 def by_study(table: pa.Table) -> Iterator[tuple[str, int, pa.Table]]:
     """The trials of each study of a table, by arm and run: arm, run, its rows by trial.
 
@@ -192,7 +186,6 @@ def live_artifacts(url: str, out: Path) -> Path:
     return (out if is_postgresql(url) else studies_path(url).parent) / ARTIFACTS_NAME
 
 
-PACKAGES = (COMPILER, "optuna", "cma", "cmaes", "numpy", "scipy")
 FINGERPRINT_LENGTH = 16
 LIVE_ATTRIBUTE = (
     "experiment"  # of a live study: its document; of a comparison's: a name
@@ -205,28 +198,16 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
     Arms and stores are those of one call; a folder gathers them. The architecture is no
     part of it either: what was begun on one machine may go on on another.
     """
-    tables = as_written(experiment)
-    ground = tables.pop("terrain")
     by_name = sorted(arms, key=lambda arm: arm.name)
     stores = sorted({arm.store for arm in by_name if arm.store})
     return {
         "format": FORMAT,
-        "versions": versions(*deciding_packages(experiment)),
-        **tables,
-        "terrain": terrain_document((experiment.terrain(0),)),
-        "ground": ground,
-        "parameters": {
-            p.name: [float(p.low), float(p.high)] for p in experiment.parameters
-        },
+        "versions": versions(*experiment.packages),
+        **experiment.document(),
+        "parameters": {name: ends_of(of) for name, of in experiment.space.items()},
         "arms": {arm.name: arm.definition for arm in by_name},
         "stores": {key: store_digest(store_path(experiment, key)) for key in stores},
     }
-
-
-def deciding_packages(experiment: Experiment) -> tuple[str, ...]:
-    """Packages whose versions decide an experiment's trials."""
-    of_engine = ("mujoco",) if experiment.conditions.settings.engine == "mujoco" else ()
-    return *PACKAGES, *of_engine
 
 
 @cache
@@ -286,9 +267,7 @@ class ExperimentFolder(Folder):
     @property
     def schema(self) -> pa.Schema:
         """Of its finished trials."""
-        return state_schema(
-            self.document["searched"], self.document["objective"].get("goals", ())
-        )
+        return state_schema(self.document)
 
     def arms(self) -> list[str]:
         """Arms that have finished trials here."""

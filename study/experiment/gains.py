@@ -17,7 +17,7 @@ from storage.inputs.errors import InputError
 from storage.inputs.reading import is_folder, reading
 from storage.simulator import SURVIVED, known_simulator
 from storage.store import outcome_name
-from study.experiment.experiment import Experiment
+from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import (
     GAIN_NAMES,
     GAINS,
@@ -245,7 +245,7 @@ def named_gains(name: str, values: Mapping[str, Any]) -> NamedGains:
 
 def recorded_walk(
     gains: NamedGains,
-    experiment: Experiment,
+    experiment: WalkerExperiment,
     run: int,
     rate_hz: float,
     progress: Callable[[float, int], None] | None = None,

@@ -15,7 +15,11 @@ from typing import Any
 
 import numpy as np
 import optuna
-from optuna.distributions import check_distribution_compatibility
+from optuna.distributions import (
+    FloatDistribution,
+    IntDistribution,
+    check_distribution_compatibility,
+)
 from optuna.exceptions import (
     ExperimentalWarning,
     StorageInternalError,
@@ -32,16 +36,16 @@ from storage.inputs import checks
 from storage.inputs.errors import InputError, listed
 from storage.tables import difference
 from study.experiment.arms import Arm
-from study.experiment.experiment import Experiment, study_name
+from study.experiment.experiment import WALKED, Experiment, study_name
 from study.experiment.folder import LIVE_ATTRIBUTE, document
 from study.experiment.one_study import (
     FELL_ATTRIBUTE,
     SHOWN_ATTRIBUTE,
     LiveStudy,
     note_worth,
-    shown,
 )
-from study.experiment.trials import ATTRIBUTES, attributes, simulate_trials
+from study.experiment.trials import COST_ATTRIBUTE
+from study.experiment.walker import END_REASON
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
 
 WAIT_S = 1.0  # between two looks at what the others of a crew do
@@ -135,7 +139,7 @@ def _run_together(
 
 def _ended(experiment: Experiment, one: LiveStudy) -> bool:
     """Whether a study that ends with its first walker has one."""
-    walkers = (trial.user_attrs.get("walked") for trial in one.finished())
+    walkers = (trial.user_attrs.get(WALKED) for trial in one.finished())
     return experiment.until_walker and any(walkers)
 
 
@@ -221,9 +225,11 @@ def _simulated(
     experiment: Experiment, one: LiveStudy, gains: list[float]
 ) -> FrozenTrial:
     """Try what was asked for, and tell."""
-    rows = simulate_trials(experiment, [one.run], np.array([gains]))
-    values = experiment.objective.values(rows)[0].tolist()
-    return one.tell(values, shown(one.arm, rows) | attributes(rows))
+    rows = experiment.simulate([one.run], np.array([gains]))
+    (costs,) = experiment.objective.values(rows)
+    told = experiment.told(costs, one.run, one.trials)
+    known = one.shown(rows[0], costs) | experiment.attributes_of(rows[0])
+    return one.tell(told, known)
 
 
 def running(study: optuna.Study) -> list[FrozenTrial]:
@@ -258,16 +264,14 @@ Form = dict[str, checks.Check]  # of attributes, by name
 _number = checks.number()
 _numbers = checks.each(checks.optional(_number))
 
-# Attributes of a finished trial that must be there; of any trial, those that may be.
-FINISHED: Form = dict.fromkeys(ATTRIBUTES, _number) | {
-    "end_reason": checks.text,
-    "walked": checks.flag,
-}
+# Attributes of a finished trial that are no numbers; of any trial, those that may be there.
+NO_NUMBERS: Form = {END_REASON: checks.text, WALKED: checks.flag}
 IF_THERE: Form = {
     SCORE_ATTRIBUTE: checks.optional(_number),
     FEATURES_ATTRIBUTE: _numbers,
     FELL_ATTRIBUTE: checks.flag,
     SHOWN_ATTRIBUTE: _numbers,
+    COST_ATTRIBUTE: _number,
 }
 OF_OPTUNA: Form = {  # of the system
     FIXED_ATTRIBUTE: checks.by_name(checks.anything),
@@ -320,12 +324,14 @@ def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -
     if trial.params.keys() != experiment.space.keys():
         allowed = f"one of each of {listed(experiment.names)}"
         raise InputError(f"{prefix}: parameters", list(trial.params), allowed)
-    for parameter in experiment.parameters:
-        ends = checks.number(parameter.low, parameter.high)
-        ends(f"{prefix}: {parameter.name}", trial.params[parameter.name])
-    for name, check in FINISHED.items():
+    for name, of in experiment.space.items():
+        if isinstance(of, FloatDistribution | IntDistribution):
+            ends = checks.number(of.low, of.high)
+            ends(f"{prefix}: {name}", trial.params[name])
+    for name in experiment.attributes:
         if name not in trial.user_attrs:
             raise InputError(f"{prefix}: {name}", "missing", "the outcome of the walk")
+        check = NO_NUMBERS.get(name, _number)
         check(f"{prefix}: {name}", trial.user_attrs[name])
 
 

@@ -10,29 +10,21 @@ from typing import Any
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
-from optuna.distributions import BaseDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.samplers import BaseSampler, PartialFixedSampler, RandomSampler
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from storage.inputs.errors import InputError
 from study.experiment.arms import Arm
-from study.experiment.experiment import Experiment
+from study.experiment.experiment import Experiment, Floats
 from study.experiment.samplers import Task
-from study.experiment.trials import KEPT, fell
+from study.experiment.trials import COST_ATTRIBUTE
 from study.sampler.diagnostics import TITLE, WORLDS_TITLE, Likeness, Worth
-from study.sampler.draws import Purpose, name_key, seed_64bit
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 
 FELL_ATTRIBUTE = "fell"  # of a trial: whether it did not last
 SHOWN_ATTRIBUTE = "shown"  # of a trial: the features that it showed itself
-
-
-def sampler_seed(experiment_seed: int, arm: str, run: int) -> int:
-    """The seed of a study's sampler: it depends on experiment, arm and run, and nothing else."""
-    return seed_64bit(experiment_seed, Purpose.SAMPLER, name_key(arm), run)
 
 
 class OneStudy:
@@ -50,8 +42,9 @@ class OneStudy:
         costs = len(experiment.objective.each)
         self.study = study or optuna.create_study(directions=["minimize"] * costs)
         self.trials = len(self.finished())
-        self._experiment = experiment
-        self._sampler: BaseSampler | None = None
+        self.experiment = experiment
+        # A sampler that keeps a state in itself is handed on with its study.
+        self._sampler = study.sampler if study and keeps_state(arm) else None
         self.asked: optuna.Trial  # the last one, once there is one
 
     def finished(self) -> list[FrozenTrial]:
@@ -59,14 +52,13 @@ class OneStudy:
         return self.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
     def ask(self) -> list[float]:
-        """The next trial's searched parameters, in the order of `Experiment.names`."""
+        """The next trial's parameters, as the simulator's numbers in their order."""
+        space = self.experiment.space
         with one_thread():
             self.study.sampler = self._sampler_of_turn()
-            self.asked = self.study.ask()
-            return [
-                self.asked.suggest_float(name, distribution.low, distribution.high)
-                for name, distribution in self._experiment.space.items()
-            ]
+            self.asked = self.study.ask(space)
+            params = self.asked.params
+            return [of.to_internal_repr(params[name]) for name, of in space.items()]
 
     def noted(self) -> dict[str, Any]:
         """The attributes that the sampler gave the trial that was asked for."""
@@ -77,7 +69,7 @@ class OneStudy:
         """Finish the trial that was asked for.
 
         Args:
-            values: its costs, finite, [k].
+            values: its costs as the sampler is told them, finite, [k].
             attributes: what is `shown` of it, and more for readers of the study.
         """
         for name, value in attributes.items():
@@ -87,9 +79,26 @@ class OneStudy:
         self.trials += 1
         return told
 
+    def shown(self, row: np.void, costs: Floats) -> dict[str, Any]:
+        """Attributes by which samplers learn from a trial; with noise, its cost without.
+
+        Args:
+            row: of the simulator.
+            costs: without noise, [k].
+        """
+        rows, feature = np.array([row]), self.arm.feature
+        found: dict[str, Any] = {FELL_ATTRIBUTE: bool(self.experiment.fell(rows)[0])}
+        if feature in self.experiment.kept:
+            found[SHOWN_ATTRIBUTE] = [float(row[feature])]
+        if self.experiment.noise:
+            found[COST_ATTRIBUTE] = float(costs[0])
+        return found
+
     def hand_on(self) -> optuna.Study:
         """The study for another process, which makes its sampler anew: some do not pickle."""
-        self._sampler, self.study.sampler = None, RandomSampler(seed=0)
+        if not keeps_state(self.arm):
+            self._sampler = None
+            self.study.sampler = RandomSampler(seed=0)
         return self.study
 
     def restore(
@@ -110,11 +119,12 @@ class OneStudy:
                 {name: value for name, value in noted.items() if name not in own},
             )
             return
-        space: dict[str, BaseDistribution] = dict(self._experiment.space)
-        params: dict[str, Any] = dict(zip(space, gains, strict=True))
         self.study.add_trial(
             create_trial(
-                params=params, distributions=space, values=values, user_attrs=noted
+                params=params_of(self.experiment, gains),
+                distributions=dict(self.experiment.space),
+                values=values,
+                user_attrs=noted,
             )
         )
         self.trials += 1
@@ -133,7 +143,7 @@ class OneStudy:
     def _sampler_of_turn(self) -> BaseSampler:
         if self._sampler is None or self.arm.fresh:
             self._sampler = new_sampler(
-                self._experiment, self.arm, self.run, self.trials
+                self.experiment, self.arm, self.run, self.trials
             )
         return self._sampler
 
@@ -142,8 +152,29 @@ def new_sampler(
     experiment: Experiment, arm: Arm, run: int, turn: int = 0
 ) -> BaseSampler:
     """The sampler of an arm in a run, for its trial of this number."""
-    seed = sampler_seed(experiment.seed, arm.name, run)
+    seed = experiment.sampler_seed(arm.name, run)
     return arm.new_sampler(Task(experiment, seed, turn, arm.store, arm.feature))
+
+
+def keeps_state(arm: Arm) -> bool:
+    """Whether the arm's sampler keeps a state in itself, which no new one has."""
+    return arm.replayed and not arm.fresh
+
+
+def params_of(experiment: Experiment, point: list[float]) -> dict[str, Any]:
+    """Parameters as a study has them, from the simulator's numbers."""
+    return {
+        name: of.to_external_repr(number)
+        for (name, of), number in zip(experiment.space.items(), point, strict=True)
+    }
+
+
+def point_of(experiment: Experiment, trial: FrozenTrial) -> list[float]:
+    """The parameters of a trial as the simulator's numbers; NaN for one that it lacks."""
+    return [
+        of.to_internal_repr(trial.params[name]) if name in trial.params else math.nan
+        for name, of in experiment.space.items()
+    ]
 
 
 class LiveStudy(OneStudy):
@@ -162,12 +193,11 @@ class LiveStudy(OneStudy):
         self, experiment: Experiment, arm: Arm, run: int, study: optuna.Study
     ) -> None:
         super().__init__(experiment, arm, run, study)
-        self._given: dict[str, float] = {}
+        self._given: dict[str, Any] = {}
         self._twin = OneStudy(experiment, arm, run) if arm.replayed else None
         if self._twin is not None:
             for trial in self.finished():
-                gains = [trial.params.get(name, math.nan) for name in experiment.names]
-                self._twin.restore(gains, trial.values, {})
+                self._twin.restore(point_of(experiment, trial), trial.values, {})
 
     def ask(self) -> list[float]:
         """As of any study.
@@ -178,7 +208,7 @@ class LiveStudy(OneStudy):
         if self._twin is None:
             return super().ask()
         proposed = self._twin.ask()
-        self._given = dict(zip(self._experiment.names, proposed, strict=True))
+        self._given = params_of(self.experiment, proposed)
         asked = super().ask()
         self.require_proposed(asked, proposed)
         return asked
@@ -194,14 +224,6 @@ class LiveStudy(OneStudy):
         if self._twin is not None:
             self._twin.tell(values, {})
         return super().tell(values, attributes)
-
-
-def shown(arm: Arm, rows: NDArray[np.void]) -> dict[str, Any]:
-    """The attributes by which samplers learn from a trial, beside its cost; rows [1]."""
-    found: dict[str, Any] = {FELL_ATTRIBUTE: bool(fell(rows)[0])}
-    if arm.feature in KEPT:
-        found[SHOWN_ATTRIBUTE] = [float(rows[arm.feature][0])]
-    return found
 
 
 def worth_of_study(

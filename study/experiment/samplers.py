@@ -58,6 +58,11 @@ class Task:
     feature: str
 
     @property
+    def short_seed(self) -> int:
+        """The seed for libraries that take 32 bits."""
+        return self.seed % 2**32
+
+    @property
     def table(self) -> FeatureTable:
         """The arm's candidates with its feature."""
         return candidates(self.experiment, self.store, self.feature)
@@ -86,13 +91,24 @@ class RowSampler(ReproducibleRandomSampler):
 class RankedSampler(RowSampler):
     """The rows of a table in `score_order`: trial t is the row of rank t.
 
-    With `then`, only the first of them; the other sampler of the same parameters
-    follows.
+    With `then`, only the first of them; the other sampler proposes what follows.
     """
 
     def __init__(self, task: Task, then: BaseSampler | None = None) -> None:
         super().__init__(task)
         self._then = then
+
+    def _after(self, study: optuna.Study, trial: FrozenTrial) -> BaseSampler | None:
+        """The other sampler, once it is its turn."""
+        return self._then if turn(study, trial) >= FIRST_ROWS else None
+
+    def infer_relative_search_space(
+        self, study: optuna.Study, trial: FrozenTrial
+    ) -> dict[str, BaseDistribution]:
+        """The table's parameters, or those of the other sampler."""
+        if then := self._after(study, trial):
+            return then.infer_relative_search_space(study, trial)
+        return super().infer_relative_search_space(study, trial)
 
     def sample_relative(
         self,
@@ -101,10 +117,22 @@ class RankedSampler(RowSampler):
         search_space: dict[str, BaseDistribution],
     ) -> dict[str, Any]:
         """The trial's row, or what the other sampler makes of all trials so far."""
+        if then := self._after(study, trial):
+            return then.sample_relative(study, trial, search_space)
         rank = turn(study, trial)
-        if self._then is not None and rank >= FIRST_ROWS:
-            return self._then.sample_relative(study, trial, search_space)
         return self.take(study, trial, int(score_order(self._table)[rank]))
+
+    def sample_independent(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        param_name: str,
+        param_distribution: BaseDistribution,
+    ) -> Any:
+        """Of the other sampler, where it leaves parameters to this."""
+        if then := self._after(study, trial):
+            return then.sample_independent(study, trial, param_name, param_distribution)
+        return super().sample_independent(study, trial, param_name, param_distribution)
 
 
 @lru_cache(maxsize=32)

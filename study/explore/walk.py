@@ -12,9 +12,13 @@ from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from storage.inputs.config import Table
-from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
-from study.experiment.trials import row_text
+from study.experiment.walker import (
+    WalkerExperiment,
+    as_written,
+    experiment_of,
+    row_text,
+)
 from study.explore.words import CHOICES
 from study.pictures import style
 from study.pictures.fall import fall_text
@@ -43,7 +47,7 @@ def chosen_setting(
     engine: str,
     duration_s: float,
     own: Mapping[str, Any] = MappingProxyType({}),
-) -> Experiment:
+) -> WalkerExperiment:
     """The experiment of the page's choices, by the names above; its last run walks.
 
     `OWN` takes the ground, the masses or the world of a study, whose document is `own`.
@@ -149,7 +153,7 @@ class Walk:
     """
 
     gains: NamedGains
-    experiment: Experiment
+    experiment: WalkerExperiment
     run: int
     row: np.void
     trajectory: Trajectory
@@ -157,7 +161,7 @@ class Walk:
     ended: str
 
 
-def walk(gains: NamedGains, experiment: Experiment) -> Walk:
+def walk(gains: NamedGains, experiment: WalkerExperiment) -> Walk:
     """Simulate on the last run of an experiment, and prepare what is drawn.
 
     Raises:

@@ -2,8 +2,8 @@
 
 import html
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import astuple
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from study.experiment import robots
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind, saw
 from study.experiment.experiment import study_name
 from study.experiment.objective import FRONT
@@ -23,9 +22,7 @@ from study.report.numbers import (
     Numbers,
     kind_of,
     label_of,
-    mcnemar,
     plain,
-    wilcoxon,
 )
 from study.report.runs import ArmRuns, Results, runs_of
 
@@ -221,6 +218,8 @@ def facts(results: Results) -> dict[str, str]:
         ),
         "body": _words(results.facts.get("body")),
         "terrain": str(results.facts.get("terrain", {}).get("name", "")),
+        "simulator": str(results.facts.get("simulator", "")),
+        "noise of costs": str(objective.get("noise", "")),
         f"searched {how}": ", ".join(results.facts.get("searched", [])),
         "seed": str(results.facts.get("seed", "")),
     }
@@ -387,125 +386,3 @@ def _cell(arm: ArmRuns, run: int, number: int | None) -> str:
     cost = f"{arm.best[place[0], -1]:.4g}"
     cost = f"**{cost}**" if np.isfinite(arm.first_walker[place[0]]) else cost
     return cost if number is None else f"[{cost}]({DASHBOARD}/studies/{number})"
-
-
-FIRST_TRIALS = (1, 3, 10)  # within which a walker is counted
-CHECKPOINTS = (5, 10, 20, 30)  # trials after which costs are compared
-OUR_ROBOT_ARMS = ("worlds", "ranking")
-
-
-@dataclass(frozen=True)
-class RobotResults:
-    """What the arms reached on the robots that all of them have tried.
-
-    Attributes:
-        experiment: that was compared.
-        arms: by name: a run is a robot, a walk is a trial that lasted, costs are
-            without noise.
-    """
-
-    experiment: robots.RobotExperiment
-    arms: dict[str, ArmRuns]
-
-    @classmethod
-    def of(cls, experiment: robots.RobotExperiment, trials: pa.Table) -> "RobotResults":
-        """From all trials, as `compare_robots` gives them."""
-        shape = experiment.runs, experiment.trials
-        runs, numbers = trials["run"].to_numpy(), trials["trial"].to_numpy()
-        arms, found = np.array(trials["arm"].to_pylist()), {}
-        for arm in experiment.arms:
-            own = trials.filter(
-                (arms == arm) & (runs < shape[0]) & (numbers < shape[1])
-            )
-            cost, lasted = (
-                own[name].to_numpy().reshape(shape) for name in ("cost", "survived")
-            )
-            best = np.minimum.accumulate(cost, axis=1)
-            found[arm] = ArmRuns(
-                arm, np.arange(shape[0]), best, lasted >= 1.0, len(own)
-            )
-        return cls(experiment, found)
-
-    @property
-    def checkpoints(self) -> tuple[int, ...]:
-        """Trials after which costs are compared; the last is the end."""
-        trials = self.experiment.trials
-        return (*(at for at in CHECKPOINTS if at < trials), trials)
-
-    def markdown(self) -> str:
-        """The report."""
-        known, fell_cost = self.experiment, self.experiment.objective.fell_cost
-        about = WORDS["robots"].format(
-            name=known.name,
-            runs=known.runs,
-            simulator=known.simulator.name,
-            trials=known.trials,
-            seconds=known.duration_s,
-            seed=known.seed,
-            cost=known.objective.cost,
-            most=fell_cost,
-            twice=2 * fell_cost,
-            noise=100 * known.noise,
-        )
-        return (
-            "\n\n".join([about, self._walkers(), self._costs(), *self._tests()]) + "\n"
-        )
-
-    def _walkers(self) -> str:
-        within = [at for at in FIRST_TRIALS if at < self.experiment.trials]
-        heads = [
-            "first trial" if at == 1 else f"one of the first {at}" for at in within
-        ]
-        rows = []
-        for arm, own in self.arms.items():
-            counts = [
-                str(own.has_walker[:, at - 1].sum()) for at in (*within, own.trials)
-            ]
-            rows.append([robots.ARMS[arm].label, robots.ARMS[arm].sees, *counts])
-        first = "robots on which a trial lasted", "knows of the store"
-        return table([*first, *heads, "any"], rows)
-
-    def _costs(self) -> str:
-        rows = []
-        for arm, own in self.arms.items():
-            first = float(np.median(own.first_walker))
-            cells = [
-                f"{np.median(own.best[:, trials - 1]):.3g}"
-                for trials in self.checkpoints
-            ]
-            seen = f"{first:g}" if np.isfinite(first) else "none"
-            rows.append([robots.ARMS[arm].label, seen, *cells])
-        heads = [f"after {trials}" for trials in self.checkpoints]
-        return table(
-            ["median of the least cost", "first trial that lasts", *heads], rows
-        )
-
-    def _tests(self) -> Iterator[str]:
-        """Wilcoxon's signed ranks of costs, McNemar's test of robots with a walker."""
-        for ours in OUR_ROBOT_ARMS:
-            others = [arm for arm in self.arms if arm != ours]
-            if ours not in self.arms or not others:
-                continue
-            rows = []
-            for other in others:
-                cells = []
-                for trials in self.checkpoints:
-                    mine, theirs = (
-                        self.arms[arm].best[:, trials - 1] for arm in (ours, other)
-                    )
-                    p = wilcoxon(mine, theirs).p
-                    cells += [
-                        str((mine < theirs).sum()),
-                        str((mine > theirs).sum()),
-                        f"{p:.2g}",
-                    ]
-                p = mcnemar(
-                    *(self.arms[arm].has_walker[:, -1] for arm in (ours, other))
-                ).p
-                rows.append([robots.ARMS[other].label, *cells, f"{p:.2g}"])
-            heads = [
-                h for at in self.checkpoints for h in (f"after {at}: won", "lost", "p")
-            ]
-            yield table(
-                [f"{robots.ARMS[ours].label} against", *heads, "lasted: p"], rows
-            )

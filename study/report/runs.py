@@ -25,7 +25,7 @@ from storage.inputs.checks import (
     flag,
     number,
     text,
-    word,
+    that,
 )
 from storage.inputs.errors import InputError, listed
 from storage.inputs.reading import is_folder, json_document, reading
@@ -42,7 +42,6 @@ from study.experiment.folder import (
     table_files,
     without_gaps,
 )
-from study.experiment.objective import FRONT, FUNCTION, PRINTED, WEIGHTED
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
 
@@ -151,9 +150,7 @@ def read_results(folder: str | Path) -> Results:
     """
     folder = Path(folder)
     if (folder / ROBOTS_NAME).exists():
-        allowed = (
-            "a comparison of the walker; on robots, compare has written report.md there"
-        )
+        allowed = "a comparison of version 0.5; this one's report is report.md there"
         raise InputError("folder", str(folder), allowed)
     if not is_folder(folder):
         raise InputError(
@@ -233,8 +230,13 @@ def _proposal_times(folder: Path) -> dict[str, float]:
 
 
 LARGEST_NUMBER = 1e15  # of seconds or trials
+COST_NAME = re.compile(r"[\w./-]+(:\w+)?")
 
-OBJECT, COST = by_name(anything), word(*PRINTED, WEIGHTED, FRONT)
+OBJECT = by_name(anything)
+COST = that(
+    lambda cost: isinstance(cost, str) and bool(COST_NAME.fullmatch(cost)),
+    "smooth, walking, weighted, front, a column, or a function's path",
+)
 NUMBER = number(-LARGEST_NUMBER, LARGEST_NUMBER, f"a number up to {LARGEST_NUMBER:g}")
 FORM: dict[str, dict[str, Check]] = {
     EXPERIMENT_NAME: {
@@ -247,9 +249,9 @@ FORM: dict[str, dict[str, Check]] = {
         "until_walker": flag,
         "searched": each(text),
         "stores": by_name(text),
-        "objective.cost": lambda name, v: (
-            v if FUNCTION.fullmatch(str(v)) else COST(name, v)
-        ),
+        "objective.cost": COST,
+        "simulator": text,
+        "objective.noise": NUMBER,
         "objective.terms": OBJECT,
         "objective.goals": by_name(OBJECT),
         "simulation.duration_s": NUMBER,

@@ -14,7 +14,7 @@ from storage.inputs.errors import InputError
 from study import FeatureTable
 from study.experiment import compare as comparing
 from study.experiment.compare import Outcome, Request, compare
-from study.experiment.experiment import Experiment
+from study.experiment.walker import WalkerExperiment
 from tests.study import fake_walker
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -51,7 +51,7 @@ def table() -> FeatureTable:
 
 
 @pytest.fixture
-def toy(fake_simulator: None, tmp_path: Path) -> Experiment:
+def toy(fake_simulator: None, tmp_path: Path) -> WalkerExperiment:
     """The toy experiment, with a store on which every arm can run."""
     return fake_walker.experiment(tmp_path)
 
@@ -64,7 +64,7 @@ class Comparisons:
         self.experiment = fake_walker.experiment(folder)
 
     def run(
-        self, out: str, *, experiment: Experiment | None = None, **request: Any
+        self, out: str, *, experiment: WalkerExperiment | None = None, **request: Any
     ) -> Outcome:
         """Run it, or what is missing of it, in this process."""
         made = Request(self.folder / out, **request)

@@ -20,7 +20,8 @@ import taichi_nmm
 from storage.inputs.config import Table
 from storage.precompute import precompute
 from storage.specification import read_specification
-from study.experiment.experiment import Experiment, read_experiment
+from study.experiment.arms import ARMS, lacks
+from study.experiment.walker import WalkerExperiment, read_experiment
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result, Trajectory
@@ -37,6 +38,7 @@ EMPTY = Trajectory(0, np.empty(0), *(np.empty((0, width)) for width in WIDTHS))
 STORE_ROWS = 150
 # Of families, each with one of longer walks.
 KINDS = ("rough", "blocks", "up", "down", "stairs")
+ABLE = tuple(name for name in ARMS if not lacks(name))  # arms that can run here
 THETA_REF = 7  # of the low-level gains
 DEFAULTS = {
     "duration_s": 5.0,
@@ -168,6 +170,6 @@ def write_config(folder: Path, top: str = "") -> Path:
     return path
 
 
-def experiment(folder: Path, top: str = "") -> Experiment:
+def experiment(folder: Path, top: str = "") -> WalkerExperiment:
     """The experiment of `write_config`."""
     return read_experiment(write_config(folder, top))

@@ -13,9 +13,9 @@ import taichi_nmm
 from storage.databases.studies import open_studies
 from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
-from study.experiment.experiment import Experiment
 from study.experiment.gains import gains_of_trial
 from study.experiment.live_study import check_study, run_study
+from study.experiment.walker import WalkerExperiment
 from tests.cases import cases
 from tests.study import fake_walker
 from tests.study.conftest import refused
@@ -48,7 +48,7 @@ def url(made: Path, tmp_path: Path) -> str:
 
 
 @pytest.fixture
-def check(toy: Experiment, url: str, tmp_path: Path) -> Callable[[], None]:
+def check(toy: WalkerExperiment, url: str, tmp_path: Path) -> Callable[[], None]:
     """What a command looks at before it goes on with this study."""
     return lambda: check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
 
@@ -97,7 +97,7 @@ def test_a_schema_that_is_no_text_is_one_line(
 
 
 def test_a_name_too_long_for_a_lock_is_refused_at_once(
-    toy: Experiment, tmp_path: Path
+    toy: WalkerExperiment, tmp_path: Path
 ) -> None:
     long = replace(toy, name="x" * 240)
     with refused(r"^storage: .*File name too long"):
@@ -110,13 +110,15 @@ def test_a_name_too_long_for_a_lock_is_refused_at_once(
 # Databases of comparisons.
 
 
-def compared(toy: Experiment, out: Path, arm: str) -> None:
+def compared(toy: WalkerExperiment, out: Path, arm: str) -> None:
     request = Request(out, arms=(arm,), runs=1, trials=2)
     compare(toy, request, lambda progress: None, summarise=lambda *_: "")
 
 
 @pytest.fixture
-def refuses_before_it_works(toy: Experiment, made: Path, tmp_path: Path) -> Refuses:
+def refuses_before_it_works(
+    toy: WalkerExperiment, made: Path, tmp_path: Path
+) -> Refuses:
     """A finished comparison whose table is gone, and whose database is damaged, writes nothing."""
 
     def refuses(arm: str, damage: Callable[[str], bytes], message: str) -> None:

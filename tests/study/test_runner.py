@@ -23,12 +23,12 @@ from study.commands.study import dashboard_command, film_command
 from study.experiment import live_study
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.compare import Request, compare
-from study.experiment.experiment import Experiment, study_name
+from study.experiment.experiment import study_name
 from study.experiment.live_study import open_study, run_study
 from study.experiment.objective import Objective
-from study.experiment.one_study import OneStudy, sampler_seed
+from study.experiment.one_study import OneStudy
 from study.experiment.samplers import Task
-from study.experiment.trials import ATTRIBUTES, simulate_trials
+from study.experiment.walker import ATTRIBUTES, WalkerExperiment
 from study.options import config_path
 from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
@@ -45,7 +45,11 @@ TRIALS = 16  # beyond a generation of 12
 
 
 def run(
-    experiment: Experiment, arm: str, trials: int, storage: BaseStorage, number: int = 0
+    experiment: WalkerExperiment,
+    arm: str,
+    trials: int,
+    storage: BaseStorage,
+    number: int = 0,
 ) -> list[FrozenTrial]:
     """The finished trials of a study that is run until it has so many."""
     study = run_study(experiment, find_arm(arm), number, trials, storage)
@@ -58,7 +62,7 @@ def facts(trials: list[FrozenTrial]) -> list[Any]:
 
 
 def interrupted(
-    experiment: Experiment,
+    experiment: WalkerExperiment,
     arm: str,
     storage: BaseStorage,
     monkeypatch: pytest.MonkeyPatch,
@@ -74,17 +78,19 @@ def interrupted(
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
 
 
-def test_the_cost_is_that_of_the_run_and_the_configured_one(toy: Experiment) -> None:
+def test_the_cost_is_that_of_the_run_and_the_configured_one(
+    toy: WalkerExperiment,
+) -> None:
     costs = {"smooth": taichi_nmm.smooth_cost, "walking": taichi_nmm.walking_cost}
     for cost, function in costs.items():
         experiment = replace(toy, objective=Objective(cost))
         (trial,) = run(experiment, "random", 1, InMemoryStorage(), 2)
         gains = fake_walker.gain_rows(list(trial.params.values()))
-        assert trial.value == function(simulate_trials(experiment, [2], gains))[0]
-        assert trial.value != function(simulate_trials(experiment, [1], gains))[0]
+        assert trial.value == function(experiment.simulate([2], gains))[0]
+        assert trial.value != function(experiment.simulate([1], gains))[0]
 
 
-def test_a_study_says_what_its_objective_is_called(toy: Experiment) -> None:
+def test_a_study_says_what_its_objective_is_called(toy: WalkerExperiment) -> None:
     """One of before gets the name when it goes on; a name of the user's stays."""
     storage, name = InMemoryStorage(), study_name("toy", "random", 0)
     optuna.create_study(storage=storage, study_name=name)
@@ -153,7 +159,7 @@ def test_every_arm_of_the_registry_runs_live_as_compared(
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", LIVE)
 def test_a_trial_found_running_is_run_again(
-    toy: Experiment, arm: str, tmp_path: Path
+    toy: WalkerExperiment, arm: str, tmp_path: Path
 ) -> None:
     """Killed while it was simulated, when it had one of 16 parameters, or none."""
     whole = run(toy, arm, TRIALS, InMemoryStorage())
@@ -162,9 +168,7 @@ def test_a_trial_found_running_is_run_again(
     for trials, suggested in ((4, 16), (7, 1), (13, 0)):
         run(toy, arm, trials, storage)
         study = open_study(toy, found, 0, storage)
-        task = Task(
-            toy, sampler_seed(toy.seed, arm, 0), trials, found.store, found.feature
-        )
+        task = Task(toy, toy.sampler_seed(arm, 0), trials, found.store, found.feature)
         study.sampler = found.new_sampler(task)
         trial = study.ask()
         for name, ends in list(toy.space.items())[:suggested]:
@@ -189,7 +193,7 @@ class Marks:
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if arm.replayed])
 def test_nothing_of_a_database_is_unpickled(
-    toy: Experiment, arm: str, tmp_path: Path
+    toy: WalkerExperiment, arm: str, tmp_path: Path
 ) -> None:
     """Optuna's CMA-ES looks for its state in the latest trial that has one."""
     whole = run(toy, arm, 14, InMemoryStorage())  # beyond a generation
@@ -214,7 +218,7 @@ def test_nothing_of_a_database_is_unpickled(
     assert not (tmp_path / "unpickled").exists()
 
 
-def test_gains_that_were_not_proposed_are_refused(toy: Experiment) -> None:
+def test_gains_that_were_not_proposed_are_refused(toy: WalkerExperiment) -> None:
     """A trial that another has queued, or finished, in a study whose sampler is asked again."""
     message = r"cmaes-cold, run 0, trial 2: 'other gains' .*another --out or --storage"
     middle = {name: 0.5 * (ends.low + ends.high) for name, ends in toy.space.items()}
@@ -235,7 +239,7 @@ def test_gains_that_were_not_proposed_are_refused(toy: Experiment) -> None:
 
 
 def test_a_repetition_is_not_queued_twice(
-    toy: Experiment, monkeypatch: pytest.MonkeyPatch
+    toy: WalkerExperiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     storage = InMemoryStorage()
     study = open_study(toy, find_arm("random"), 0, storage)
@@ -254,7 +258,7 @@ def test_a_repetition_is_not_queued_twice(
 
 @pytest.mark.parametrize("look", range(1, 9))
 def test_a_trial_of_the_others(
-    toy: Experiment, look: int, monkeypatch: pytest.MonkeyPatch
+    toy: WalkerExperiment, look: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of a crew, another process tells its trial right after some look of ours at the study."""
     storage, get_trials, looks = InMemoryStorage(), optuna.Study.get_trials, count(1)
@@ -277,7 +281,7 @@ def test_a_trial_of_the_others(
     assert [trial.state for trial in study.trials] == [TrialState.COMPLETE]
 
 
-def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None:
+def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: WalkerExperiment) -> None:
     """Also in pieces; it is then left alone, whatever is asked for."""
     until = replace(toy, until_walker=True)
     for arm in ("random", "dog", "cmaes-cold"):
@@ -306,7 +310,7 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: Experiment) -> None
     ],
 )
 def test_another_setting_is_named(
-    change: dict[str, Any], message: str, toy: Experiment, tmp_path: Path
+    change: dict[str, Any], message: str, toy: WalkerExperiment, tmp_path: Path
 ) -> None:
     storage = InMemoryStorage()
     run(toy, "dog", 2, storage)
@@ -321,7 +325,7 @@ def test_another_setting_is_named(
     assert len(run(replace(toy, **change), "random", 2, storage)) == 2  # another study
 
 
-def test_a_study_of_another_program_is_refused(toy: Experiment) -> None:
+def test_a_study_of_another_program_is_refused(toy: WalkerExperiment) -> None:
     storage, there = InMemoryStorage(), "toy/dog/run-001"
     optuna.create_study(storage=storage, study_name=there).ask()
     with refused(r"study: 'toy/dog/run-001' .* of another program"):
@@ -332,7 +336,7 @@ def test_a_study_of_another_program_is_refused(toy: Experiment) -> None:
 
 @pytest.mark.slow
 def test_live_studies_and_comparisons_leave_each_other(
-    toy: Experiment, tmp_path: Path
+    toy: WalkerExperiment, tmp_path: Path
 ) -> None:
     url = f"sqlite:///{tmp_path}/studies.db"
     request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2)

@@ -18,7 +18,7 @@ from optuna.trial import TrialState
 from optuna_dashboard import get_note
 
 from storage.databases.studies import only_run
-from study.experiment.experiment import read_experiment
+from study.experiment.walker import read_experiment
 from taichi_nmm import GAIN_NAMES, Result, load_gains
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_all_gains
 from tests.study import fake_walker, synthetic_gait

@@ -13,8 +13,8 @@ import pytest
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
 from study import pictures
-from study.experiment.experiment import read_experiment
 from study.experiment.gains import gains_of_row, row_at_speed
+from study.experiment.walker import read_experiment
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import ENERGY, OF_MUSCLES
 from tests.study import fake_walker

@@ -20,7 +20,7 @@ import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -28,9 +28,9 @@ import optuna
 
 from study.bench.bench import Bench
 from study.bench.journal import Trial
-from study.experiment.experiment import Experiment, read_experiment, store_path
-from study.experiment.robots import RobotExperiment, Runs, is_of_robots, read_robots
-from study.experiment.trials import simulate_trials
+from study.experiment.experiment import Experiment, store_path
+from study.experiment.robots import is_of_robots, read_robots
+from study.experiment.walker import read_experiment
 from study.options import config_path
 from study.report.numbers import wilcoxon
 
@@ -60,44 +60,33 @@ class Machine:
         """The robots of a configuration of `compare`."""
         path = config_path(config)
         if is_of_robots(path):
-            robots = read_robots(path, seed, "worlds")
+            robots = read_robots(path, None, seed)
             fell, most_s = robots.objective.fell_cost, robots.duration_s
             ends = f"failed_at_once = {2 * fell}\nfailed_at_end = {fell}\nduration_s = {most_s}"
             toml = TOML.format(
-                store=robots.store.absolute(),
+                store=store_path(robots, "worlds").absolute(),
                 cost=robots.objective.cost,
                 success=fell,
                 failed=ends,
             )
-            return cls(
-                toml, partial(cost_of_robot, robots, cache(partial(Runs, robots)))
-            )
+            return cls(toml, partial(cost_of, robots))
         walkers = read_experiment(path, None, seed).on_one_thread()
         known = {
             "cost": walkers.objective.cost,
-            "success": walkers.success,
+            "success": walkers.objective.success(walkers.trial_s),
             "failed": "",
         }
         toml = TOML.format(store=store_path(walkers, "worlds").absolute(), **known)
-        return cls(toml, partial(cost_of_walker, walkers))
+        return cls(toml, partial(cost_of, walkers))
 
 
-def cost_of_walker(experiment: Experiment, robot: int, trial: Trial) -> float:
-    """What a trial of our walker costs."""
-    gains = np.array([[trial.params[name] for name in experiment.names]])
-    rows = simulate_trials(experiment, [robot], gains)
+def cost_of(experiment: Experiment, robot: int, trial: Trial) -> float:
+    """What a trial on a robot costs, without noise."""
+    point = [
+        of.to_internal_repr(trial.params[name]) for name, of in experiment.space.items()
+    ]
+    rows = experiment.simulate([robot], np.array([point]))
     return float(experiment.objective.costs(rows)[0])
-
-
-def cost_of_robot(
-    experiment: RobotExperiment,
-    runs_of: Callable[[int], Runs],
-    robot: int,
-    trial: Trial,
-) -> float:
-    """What a trial of another robot costs."""
-    point = np.array([[trial.params[name] for name in experiment.names]])
-    return float(experiment.objective.costs(runs_of(robot).rows(point))[0])
 
 
 def run(bench: Bench, machine: Machine, robot: int, trials: int) -> list[float]:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from study.experiment.experiment import Experiment
-from study.experiment.folder import STATE_SCHEMA, results_of
+from study.experiment.folder import results_of, state_schema
 from study.experiment.objective import Objective
+from study.experiment.walker import WalkerExperiment
 from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS
@@ -16,9 +16,10 @@ from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Ground
 
 ARMS = ("dog", "random")
+STATE_SCHEMA = state_schema({"searched": (), "objective": {}})
 
 
-def experiment(**changes: Any) -> Experiment:
+def experiment(**changes: Any) -> WalkerExperiment:
     """Rough ground, disturbed bodies, two runs of three trials; `changes` may be of conditions."""
     conditions: dict[str, Any] = {
         "duration_s": 2.0,
@@ -37,11 +38,11 @@ def experiment(**changes: Any) -> Experiment:
         "trials": 3,
         "arms": ARMS,
     }
-    return Experiment(**(fields | changes))
+    return WalkerExperiment(**(fields | changes))
 
 
 def results(
-    of: Experiment, runs: int = 2, trials: int = 3, arms: Sequence[str] = ARMS
+    of: WalkerExperiment, runs: int = 2, trials: int = 3, arms: Sequence[str] = ARMS
 ) -> pa.Table:
     """Rows of the results table, in its order; the numbers follow from their places."""
     rows = [
@@ -55,7 +56,7 @@ def results(
     return pa.Table.from_pylist([numbers | row for row in rows], schema=schema)
 
 
-def _row(of: Experiment, arm: str, run: int, trial: int) -> dict[str, Any]:
+def _row(of: WalkerExperiment, arm: str, run: int, trial: int) -> dict[str, Any]:
     rng = np.random.default_rng([len(arm), run, trial])
     gains = {gain.name: float(rng.uniform(gain.low, gain.high)) for gain in GAINS}
     # The arm dog gets below 100, and so walks, at trial 1 of run 0 only.

@@ -8,9 +8,10 @@ import pytest
 from study import FeatureTable
 from study.experiment import samplers
 from study.experiment.arms import ARMS, NOTHING, find_arm, saw
-from study.experiment.experiment import Experiment
 from study.experiment.samplers import Task, score_order
+from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
+from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
 
 pytestmark = pytest.mark.slow
@@ -22,13 +23,13 @@ def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(
     """Beyond a generation of 12."""
     for out, steps in (("parts", (2, 14, 15)), ("whole", (15,))):
         for trials in steps:
-            comparisons.run(out, arms=tuple(ARMS), runs=2, trials=trials)
+            comparisons.run(out, arms=fake_walker.ABLE, runs=2, trials=trials)
     assert comparisons.content("parts") == comparisons.content("whole")
     frame = comparisons.table("whole").to_pandas()
-    assert len(frame) == 2 * 15 * len(ARMS)
+    assert len(frame) == 2 * 15 * len(fake_walker.ABLE)
     gains = frame[list(GAIN_NAMES)].to_numpy()
     assert ((gains >= lower_bounds()) & (gains <= upper_bounds())).all()
-    for arm in ARMS:
+    for arm in fake_walker.ABLE:
         one, other = (
             gains[(frame.arm == arm) & (frame.run == run)] for run in range(2)
         )
@@ -36,7 +37,7 @@ def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(
         assert arm == "ranking" or not np.array_equal(one, other)
 
 
-def table_of(experiment: Experiment, arm: str) -> FeatureTable:
+def table_of(experiment: WalkerExperiment, arm: str) -> FeatureTable:
     found = find_arm(arm)
     return Task(experiment, 0, 0, found.store, found.feature).table
 
@@ -78,7 +79,9 @@ def test_warm_cmaes_moves_towards_better_costs(comparisons: Comparisons) -> None
     assert frame.cost[frame.trial >= 85].mean() < early
 
 
-def test_every_arm_is_found_by_its_name_and_says_what_it_is(toy: Experiment) -> None:
+def test_every_arm_is_found_by_its_name_and_says_what_it_is(
+    toy: WalkerExperiment,
+) -> None:
     for name, arm in ARMS.items():
         assert find_arm(name) is arm and arm.name == name
         assert arm.label and arm.summary
@@ -91,7 +94,7 @@ def test_every_arm_is_found_by_its_name_and_says_what_it_is(toy: Experiment) -> 
         find_arm("cat")
 
 
-def test_arms_say_what_their_stores_saw(toy: Experiment) -> None:
+def test_arms_say_what_their_stores_saw(toy: WalkerExperiment) -> None:
     level, rough = "undisturbed body: level ground", "rough +-0.08 m every 1 m"
     assert saw(ARMS["dog"], toy.stores) == level
     disturbed = f"bodies disturbed by 15 %: {rough}"  # of all families, named once

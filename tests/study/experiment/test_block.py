@@ -5,20 +5,13 @@ import pickle
 import pyarrow as pa
 import pytest
 
-from study.experiment.arms import ARMS
 from study.experiment.block import Block, advance
-from study.experiment.experiment import Experiment
-from study.experiment.folder import (
-    NOTES,
-    PROPOSAL_TIME,
-    STATE_SCHEMA,
-    in_order,
-    outcomes_of,
-)
-from study.experiment.trials import KEPT
+from study.experiment.folder import NOTES, PROPOSAL_TIME, in_order
+from study.experiment.walker import KEPT, WalkerExperiment
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED
 from tests.study import fake_walker
+from tests.study.experiment.fake_results import STATE_SCHEMA
 
 NOTHING = STATE_SCHEMA.empty_table()
 
@@ -31,11 +24,11 @@ def sorted_rows(*tables: pa.Table) -> list[dict[str, object]]:
     return rows
 
 
-def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
+def test_a_table_holds_what_the_simulator_said(toy: WalkerExperiment) -> None:
     table = advance(Block(toy, (("random", 0),), NOTHING, 1)).table
     call = fake_walker.calls[-1]
     gains = call.pop("gains")
-    said, kept = fake_walker.simulate(gains, **call).rows, outcomes_of(table)
+    said, kept = fake_walker.simulate(gains, **call).rows, toy.rows_of(table)
     for name in (*KEPT, "end_reason"):
         assert kept[name] == said[name]
     assert table.schema.equals(STATE_SCHEMA)
@@ -50,9 +43,9 @@ def test_a_table_holds_what_the_simulator_said(toy: Experiment) -> None:
 
 
 @pytest.mark.slow
-def test_a_block_that_is_handed_on_travels_and_goes_on(toy: Experiment) -> None:
+def test_a_block_that_is_handed_on_travels_and_goes_on(toy: WalkerExperiment) -> None:
     """All arms: what a library keeps in its trials comes along, what does not pickle stays."""
-    studies = tuple((name, 1) for name in ARMS)
+    studies = tuple((name, 1) for name in fake_walker.ABLE)
     whole = advance(Block(toy, studies, NOTHING, 6)).table
     first = advance(Block(toy, studies, NOTHING, 2))
     handed_on = pickle.loads(pickle.dumps(first.studies))
@@ -78,7 +71,7 @@ def simulated() -> int:
 
 
 @pytest.mark.slow
-def test_what_several_arms_try_is_simulated_once(toy: Experiment) -> None:
+def test_what_several_arms_try_is_simulated_once(toy: WalkerExperiment) -> None:
     """Also when it was tried in the stretch or the session before."""
     fake_walker.calls.clear()
     whole = advance(Block(toy, SHARING, NOTHING, 8)).table

@@ -3,16 +3,17 @@
 from dataclasses import replace
 from pathlib import Path
 
-from study.experiment.arms import ARMS, check_arms, find_arm, with_store
-from study.experiment.experiment import Experiment, candidates, store_path
+from study.experiment.arms import check_arms, find_arm, with_store
+from study.experiment.experiment import candidates, store_path
+from study.experiment.walker import WalkerExperiment
 from tests.study import fake_walker
 from tests.study.conftest import refused
 
 ROWS = fake_walker.STORE_ROWS
 
 
-def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
-    assert len(check_arms(toy, tuple(ARMS), 20)) == len(ARMS)
+def test_arms_are_found_each_once_in_their_order(toy: WalkerExperiment) -> None:
+    assert len(check_arms(toy, fake_walker.ABLE, 20)) == len(fake_walker.ABLE)
     assert check_arms(replace(toy, stores={}), ("random", "cmaes-cold"), 100_000)
     found = check_arms(toy, ("dog", "random", "dog"), ROWS)
     assert found == (find_arm("dog"), find_arm("random"))
@@ -21,7 +22,7 @@ def test_arms_are_found_each_once_in_their_order(toy: Experiment) -> None:
 
 
 def test_a_store_that_is_not_there_or_not_named(
-    toy: Experiment, tmp_path: Path
+    toy: WalkerExperiment, tmp_path: Path
 ) -> None:
     experiment = replace(
         toy, stores={n: path for n, path in toy.stores.items() if n != "flat"}
@@ -39,7 +40,7 @@ def test_a_store_that_is_not_there_or_not_named(
         )
 
 
-def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
+def test_a_store_without_a_feature(toy: WalkerExperiment, tmp_path: Path) -> None:
     fake_walker.write_plain_store(tmp_path / "plain")
     experiment = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "plain"))
     assert check_arms(experiment, ("dog", "cmaes-warm"), 3)
@@ -51,7 +52,7 @@ def test_a_store_without_a_feature(toy: Experiment, tmp_path: Path) -> None:
 
 
 def test_a_store_is_read_once_and_anew_when_made_anew(
-    toy: Experiment, tmp_path: Path
+    toy: WalkerExperiment, tmp_path: Path
 ) -> None:
     feature = find_arm("ranking").feature
     before = candidates(toy, "worlds", feature)
@@ -61,7 +62,7 @@ def test_a_store_is_read_once_and_anew_when_made_anew(
     assert len(before) != len(candidates(toy, "worlds", feature))
 
 
-def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:
+def test_a_store_of_other_parameters(toy: WalkerExperiment, tmp_path: Path) -> None:
     with refused(r"stores.flat: .*store without theta_ref"):
         check_arms(replace(toy, searched=("theta_ref",)), ("dog",), 3)
     fake_walker.write_store(tmp_path / "torso", searched=["theta_ref"])
@@ -72,7 +73,7 @@ def test_a_store_of_other_parameters(toy: Experiment, tmp_path: Path) -> None:
 
 
 def test_a_store_of_the_callers_is_that_of_the_arms(
-    toy: Experiment, tmp_path: Path
+    toy: WalkerExperiment, tmp_path: Path
 ) -> None:
     experiment = with_store(toy, ("random", "dog", "cmaes-warm"), tmp_path)
     assert experiment.stores == {**toy.stores, "flat": tmp_path} != toy.stores

@@ -13,15 +13,15 @@ import pytest
 from storage.pool import InProcess, Pool
 from study.experiment import compare as comparing
 from study.experiment.compare import Progress, Request, compare, cut
-from study.experiment.experiment import Experiment
-from study.experiment.folder import STATE_SCHEMA, results_of
+from study.experiment.folder import results_of
 from study.experiment.one_study import OneStudy
+from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
 from taichi_nmm.settings import Settings
 from tests.storage.fake import stopping
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons
-from tests.study.experiment.fake_results import experiment
+from tests.study.experiment.fake_results import STATE_SCHEMA, experiment
 
 pytestmark = pytest.mark.slow
 
@@ -177,7 +177,7 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
 ) -> None:
     exports: list[tuple[int, bool]] = []
 
-    def export(of: Experiment, trials: pa.Table, *_: object, final: bool) -> None:
+    def export(of: WalkerExperiment, trials: pa.Table, *_: object, final: bool) -> None:
         assert trials.schema.remove_metadata().equals(
             results_of(STATE_SCHEMA.empty_table()).schema
         )

@@ -12,9 +12,9 @@ from optuna_dashboard import get_note
 from storage.databases.bulk import study_ids, trial_counts
 from storage.databases.studies import open_studies
 from study.experiment.database import check_database, export
-from study.experiment.experiment import Experiment
 from study.experiment.folder import as_if_gone_on, fingerprint
 from study.experiment.objective import Objective
+from study.experiment.walker import WalkerExperiment
 from study.report.markdown import dashboard_summary
 from taichi_nmm.body import Build
 from taichi_nmm.parameters import GAINS
@@ -38,7 +38,9 @@ def url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path}/studies.db"
 
 
-def put(url: str, table: pa.Table, final: bool = True, of: Experiment = TINY) -> None:
+def put(
+    url: str, table: pa.Table, final: bool = True, of: WalkerExperiment = TINY
+) -> None:
     export(of, table, url, dashboard_summary, final=final)
 
 

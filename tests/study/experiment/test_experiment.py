@@ -12,13 +12,9 @@ from storage.inputs.errors import InputError
 from storage.specification import read_specification
 from study.bench.plan import read_plan
 from study.experiment.arms import find_arm
-from study.experiment.experiment import (
-    Experiment,
-    as_written,
-    read_experiment,
-    store_path,
-)
+from study.experiment.experiment import store_path
 from study.experiment.robots import is_of_robots
+from study.experiment.walker import WalkerExperiment, as_written, read_experiment
 from study.options import config_path, shipped_configs
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.cases import cases
@@ -60,7 +56,7 @@ def test_the_seed_and_the_run_draw_body_and_ground(tmp_path: Path) -> None:
     two = read_experiment(edited(tmp_path, "seed = 1", "seed = 2"))
     assert read_experiment(ROUGH8, seed=2) == two
 
-    def drawn(experiment: Experiment, run: int) -> tuple[bytes, bytes]:
+    def drawn(experiment: WalkerExperiment, run: int) -> tuple[bytes, bytes]:
         return experiment.body(run).mass_kg.tobytes(), experiment.terrain(
             run
         ).height_m.tobytes()

@@ -10,10 +10,11 @@ from numpy.testing import assert_allclose
 from storage.databases.studies import open_studies
 from study.experiment.arms import ARMS, find_arm
 from study.experiment.compare import Request, compare
-from study.experiment.experiment import Experiment, candidates, read_experiment
+from study.experiment.experiment import candidates
 from study.experiment.features import WORLDS, front_of
 from study.experiment.live_study import run_study
 from study.experiment.trials import best_trial, progress_line, study_facts, study_line
+from study.experiment.walker import WalkerExperiment, read_experiment
 from study.report.figures import write_report
 from study.report.markdown import dashboard_summary
 from study.report.runs import read_results
@@ -29,7 +30,7 @@ effort = {cost = "weighted", fell_cost = 4.0, terms.m1_mean = {weight = 2.0, tar
 TAKES = tuple(name for name, arm in ARMS.items() if arm.takes_goals)
 
 
-def front(folder: Path, old: str = "", new: str = "") -> Experiment:
+def front(folder: Path, old: str = "", new: str = "") -> WalkerExperiment:
     """The toy experiment with two goals, and one thing changed."""
     kept = folder / "kept" / "store"
     if not kept.exists():
@@ -99,13 +100,13 @@ def test_a_live_study_is_a_compared_one(
     assert values.tolist() == [trial.values for trial in compared.trials]
     best, known = (
         best_trial(experiment.objective, live),
-        study_facts(experiment.objective, live),
+        study_facts(experiment, live),
     )
     assert best.number == np.argmax([area(one) for one in values[:, None]])
     assert known["goals"] == {"effort": best.values[0], "slow": best.values[1]}
     reached = f"front cost {0.0 - area(values):.4f}"
-    line = progress_line(experiment.objective, live, live.trials[3], 4)
-    assert reached in study_line(experiment.objective, live) and reached in line
+    line = progress_line(experiment, live, live.trials[3], 4)
+    assert reached in study_line(experiment, live) and reached in line
     assert f"slow {values[3, 1]:8.4f}" in line
 
 
@@ -153,7 +154,7 @@ def test_bad_goals_are_refused(
 
 def test_an_arm_of_one_cost_is_refused(comparisons: Comparisons) -> None:
     experiment = front(comparisons.folder)
-    for name in set(ARMS) - set(TAKES):
+    for name in set(fake_walker.ABLE) - set(TAKES):
         with refused(f"^arm: '{name}' .* with two goals one of random, .*worlds"):
             comparisons.run("out", experiment=experiment, arms=("random", name))
     assert not (comparisons.folder / "out").exists()

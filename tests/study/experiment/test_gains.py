@@ -16,7 +16,7 @@ from storage.databases.studies import open_studies
 from storage.store import open_store
 from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
-from study.experiment.experiment import Experiment, check_store
+from study.experiment.experiment import check_store
 from study.experiment.gains import (
     SPEED_TOLERANCE_MPS,
     gains_of_row,
@@ -25,6 +25,7 @@ from study.experiment.gains import (
     row_at_speed,
 )
 from study.experiment.live_study import run_study
+from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import (
     GAIN_NAMES,
     LOW_LEVEL_GAINS,
@@ -194,7 +195,7 @@ def test_a_table_without_a_column_or_without_any(
 
 
 def test_the_row_of_a_speed_is_the_one_of_least_energy(
-    store: Path, toy: Experiment
+    store: Path, toy: WalkerExperiment
 ) -> None:
     """On level ground; in a store with families, in all worlds of the one that runs longest."""
     names = ("survived_fraction", "mean_speed_mps", ENERGY, OF_MUSCLES)

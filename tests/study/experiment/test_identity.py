@@ -10,9 +10,9 @@ import pytest
 from storage.inputs.config import Table
 from storage.tables import difference
 from study.experiment.arms import find_arm
-from study.experiment.experiment import Experiment, as_written, experiment_of
 from study.experiment.folder import document, fingerprint, versions
 from study.experiment.objective import Objective
+from study.experiment.walker import WalkerExperiment, as_written, experiment_of
 from taichi_nmm.body import Build
 from taichi_nmm.conditions import Conditions
 from taichi_nmm.kernel_cache import COMPILER
@@ -29,11 +29,12 @@ TINY = experiment()
 # says, by its place, whether it decides trials; that it then does, or does not, is
 # tested.
 DECIDING: dict[type, dict[str, Any]] = {
-    Experiment: {
+    WalkerExperiment: {
         "name": "other",
         "seed": 8,
         "searched": ("theta_ref",),
         "objective": Objective("walking"),
+        "noise": 0.1,
         "until_walker": True,
         "fixed": tuple(PUBLISHED_GAINS.tolist()),
     },
@@ -51,7 +52,7 @@ DECIDING: dict[type, dict[str, Any]] = {
     },
 }
 IDLE: dict[type, dict[str, Any]] = {
-    Experiment: {
+    WalkerExperiment: {
         "runs": 9,
         "trials": 50,
         "arms": ("worlds",),
@@ -66,13 +67,13 @@ IDLE: dict[type, dict[str, Any]] = {
         "mujoco": MujocoSettings(limits="mujoco"),
     },
 }
-PARTS = {Experiment: "", Conditions: "conditions", Settings: "settings"}
+PARTS = {WalkerExperiment: "", Conditions: "conditions", Settings: "settings"}
 
 
-def changed(kind: type, name: str, value: Any) -> Experiment:
+def changed(kind: type, name: str, value: Any) -> WalkerExperiment:
     """The tiny experiment with one field of itself or of one of its parts changed."""
     change, conditions = {name: value}, TINY.conditions
-    if kind is Experiment:
+    if kind is WalkerExperiment:
         searched = (
             {"searched": ("exo_peak",)} if name == "fixed" else {}
         )  # something must be
@@ -90,7 +91,7 @@ def named(table: dict[type, dict[str, Any]]) -> list[Any]:
     ]
 
 
-def read_back(of: Experiment) -> Experiment:
+def read_back(of: WalkerExperiment) -> WalkerExperiment:
     """The experiment of its tables, as a file holds them."""
     return experiment_of(Table(json.loads(json.dumps(as_written(of)))), "")
 
@@ -103,7 +104,7 @@ def test_every_field_either_decides_trials_or_does_not(kind: type) -> None:
 
 @pytest.mark.parametrize("other", named(DECIDING))
 def test_what_decides_trials_changes_the_document_and_is_read_back(
-    other: Experiment,
+    other: WalkerExperiment,
 ) -> None:
     assert difference(document(other, ()), document(TINY, ())) is not None
     assert fingerprint(other) != fingerprint(TINY)
@@ -111,7 +112,7 @@ def test_what_decides_trials_changes_the_document_and_is_read_back(
 
 
 @pytest.mark.parametrize("other", named(IDLE))
-def test_what_decides_nothing_changes_nothing(other: Experiment) -> None:
+def test_what_decides_nothing_changes_nothing(other: WalkerExperiment) -> None:
     assert other != TINY
     assert document(other, ()) == document(TINY, ())
     assert fingerprint(other) == fingerprint(TINY)
@@ -154,7 +155,7 @@ def test_an_experiment_on_mujoco_says_so_and_with_which_version(
 
 
 def test_arms_and_the_stores_that_they_read_are_those_of_the_call(
-    toy: Experiment,
+    toy: WalkerExperiment,
 ) -> None:
     ours = document(toy, (find_arm("dog"), find_arm("worlds"), find_arm("random")))
     assert list(ours["arms"]) == ["dog", "random", "worlds"]
@@ -164,7 +165,7 @@ def test_arms_and_the_stores_that_they_read_are_those_of_the_call(
     assert document(toy, ())["arms"] == document(toy, ())["stores"] == {}
 
 
-def test_a_store_is_known_by_its_content(toy: Experiment, tmp_path: Path) -> None:
+def test_a_store_is_known_by_its_content(toy: WalkerExperiment, tmp_path: Path) -> None:
     arm = find_arm("dog")
     before = document(toy, (arm,))
     (tmp_path / "store").rename(tmp_path / "moved")

@@ -14,8 +14,9 @@ from storage.inputs.config import Table
 from storage.store import open_store
 from study.bench.plan import Goal
 from study.experiment.arms import ARMS
-from study.experiment.experiment import PAID, as_written, candidates, experiment_of
+from study.experiment.experiment import candidates
 from study.experiment.objective import Objective, Term, read_objective
+from study.experiment.walker import PAID, as_written, experiment_of
 from taichi_nmm.result import RESULT_DTYPE
 from tests.cases import cases
 from tests.study import fake_walker

@@ -12,13 +12,13 @@ import pytest
 
 from storage.tables import DIGEST_KEY, write_table
 from study.experiment import arms
-from study.experiment.experiment import Experiment, read_experiment
 from study.experiment.folder import ExperimentFolder
+from study.experiment.walker import WalkerExperiment, read_experiment
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
 
 
-def edited(comparisons: Comparisons, old: str, new: str) -> Experiment:
+def edited(comparisons: Comparisons, old: str, new: str) -> WalkerExperiment:
     """The toy experiment with a line changed."""
     path = comparisons.folder / "edited.toml"
     text = fake_walker.write_config(comparisons.folder).read_text()

@@ -4,23 +4,22 @@ import json
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
-import pyarrow as pa
+import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from storage import make_store, open_store
 from storage.inputs.errors import InputError
-from storage.pool import IN_PROCESS, local_pool
 from storage.simulator import run_points
 from study.commands.compare import main
+from study.commands.report import main as report_command
 from study.commands.study import main as study_command
-from study.experiment import robots
-from study.experiment.robots import RobotExperiment, compare_robots, read_robots
+from study.experiment import arms, compare
+from study.experiment.robots import ARMS, RobotExperiment, read_robots
 from study.options import parser_of
-from study.report.markdown import RobotResults
 from study.report.runs import read_results
 from study.sampler.draws import Purpose, stream
 from tests.storage import robot
@@ -39,7 +38,6 @@ simulation.duration_s = 9.0
 objective = {{cost = "speed_mps", fell_cost = 4.0, noise = 0.1}}
 world = {{wind = [0.0, 0.001], mass_kg = [1.0, 2.0]}}
 """
-SILENT = lambda done, total: None  # noqa: E731
 
 
 @pytest.fixture(scope="module")
@@ -63,33 +61,44 @@ def experiment(config: Path) -> RobotExperiment:
     return read_robots(config)
 
 
+def run_command(config: Path, out: Path, *more: object) -> None:
+    """`taichi-nmm compare` in this process."""
+    words = ["--config", config, "--out", out, "--workers", 1, *more]
+    main(parser_of("compare").parse_args([str(word) for word in words]))
+
+
 @pytest.fixture(scope="module")
-def trials(
-    experiment: RobotExperiment, tmp_path_factory: pytest.TempPathFactory
-) -> pa.Table:
-    return compare_robots(
-        experiment, tmp_path_factory.mktemp("out"), IN_PROCESS, SILENT
-    )
+def folder(config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished comparison."""
+    out = tmp_path_factory.mktemp("out") / "carts"
+    run_command(config, out)
+    return out
+
+
+@pytest.fixture
+def trials(folder: Path) -> pd.DataFrame:
+    return pq.read_table(folder / "trials.parquet").to_pandas()
 
 
 def test_a_trial_is_a_run_in_the_robots_world(
-    experiment: RobotExperiment, trials: Any
+    experiment: RobotExperiment, trials: pd.DataFrame
 ) -> None:
-    assert len(trials) == 4 * 4 * 6 and trials["trial"].to_pylist()[:6] == list(
-        range(6)
-    )
-    rows = trials.to_pandas()
-    for run, own in rows.groupby("run"):
+    assert len(trials) == 4 * 4 * 6 and trials["trial"].tolist()[:6] == list(range(6))
+    for run, own in trials.groupby("run"):
         world = experiment.rule.draw([stream(5, Purpose.WORLD, run)])
         points = own[list(robot.PARAMETERS)].to_numpy()
         found, _ = run_points(experiment.simulator, points, world, 1, 9.0)
         speed, lasted = found[:, 0]["speed_mps"], found[:, 0]["survived_fraction"]
         cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
         assert own["cost"].tolist() == cost.tolist()
-    factor = rows["measured"] / rows["cost"]
+        assert own["walked"].tolist() == (lasted >= 1.0).tolist()
+        assert own["speed_mps"].tolist() == speed.tolist()
+    best = trials.groupby(["arm", "run"])["cost"].cummin()
+    assert trials["best_cost"].tolist() == best.tolist()  # without the noise
+    factor = trials["measured"] / trials["cost"]
     assert 0.05 < np.log(factor).std() < 0.2
     assert (
-        rows.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max()
+        trials.assign(f=factor.round(9)).groupby(["run", "trial"])["f"].nunique().max()
         == 1
     )
 
@@ -129,9 +138,9 @@ def test_a_store_that_means_something_else_to_the_simulator_is_refused(
 
 
 def test_the_ranking_is_by_the_mean_over_worlds(
-    experiment: RobotExperiment, trials: Any
+    experiment: RobotExperiment, trials: pd.DataFrame
 ) -> None:
-    store = open_store(experiment.store)
+    store = open_store(experiment.stores["worlds"])
     lasted, speed = (
         store.outcomes("gale", name) for name in ("survived_fraction", "speed_mps")
     )
@@ -139,7 +148,7 @@ def test_the_ranking_is_by_the_mean_over_worlds(
     ran = ~np.isnan(lasted).any(axis=1)
     mean = np.log1p((cost / cost[ran].min() - 1.0) / 0.3).mean(axis=1)
     best = store.gains()[np.argsort(np.where(ran, mean, np.inf), kind="stable")]
-    rows = trials.to_pandas().set_index(["arm", "run"])[list(robot.PARAMETERS)]
+    rows = trials.set_index(["arm", "run"])[list(robot.PARAMETERS)]
     for run in range(4):
         assert np.array_equal(rows.loc["ranking", run], best[:6])
         assert np.array_equal(rows.loc["tpe-ranking", run][:3], best[:3])
@@ -147,58 +156,52 @@ def test_the_ranking_is_by_the_mean_over_worlds(
 
 
 def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
-    config: Path, trials: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Also arms whose samplers keep a state: they are handed on, and asked again."""
+    out, whole = tmp_path / "out", (folder / "trials.parquet").read_bytes()
+    monkeypatch.setattr(compare, "STRETCH_TRIALS", 2)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(robots, "try_robot", stopping(2, robots.try_robot))
-        compare_robots(read_robots(config), tmp_path, IN_PROCESS, SILENT)
-    shown: list[tuple[int, int]] = []
-    again = compare_robots(
-        read_robots(config, arms="random,worlds"),
-        tmp_path,
-        IN_PROCESS,
-        lambda done, total: shown.append((done, total)),
-    )
-    assert shown[0] == (4, 8) and shown[-1] == (8, 8) and len(again) == (8 + 4) * 6
-    with local_pool(2) as pool:
-        whole = compare_robots(read_robots(config), tmp_path, pool, SILENT)
-    assert whole.equals(trials)
-    longer = compare_robots(
-        read_robots(config, trials=7, runs=1), tmp_path, IN_PROCESS, SILENT
-    )
-    kept = longer.filter(pa.compute.less(longer["trial"], 6))
-    assert len(longer) == len(trials) + 4
-    assert kept.select(["arm", "run"]).equals(trials.select(["arm", "run"]))
-    with refused(r"^seed: 6 .* 5, as .*robots\.json says; or another"):
-        compare_robots(read_robots(config, seed=6), tmp_path, IN_PROCESS, SILENT)
+        patch.setattr(compare, "advance", stopping(2, compare.advance))
+        run_command(config, out)
+    begun = pq.read_table(out / "arms" / "tpe-ranking.parquet")
+    assert 0 < len(begun) < 4 * 6
+    run_command(config, out, "--arms", "random,tpe-ranking", "--runs", 2)
+    run_command(config, out, "--workers", 2)
+    assert (out / "trials.parquet").read_bytes() == whole
+    run_command(config, out, "--trials", 7, "--runs", 1)
+    longer = pq.read_table(out / "trials.parquet").to_pandas()
+    kept = longer[longer["trial"] < 6].reset_index(drop=True)
+    assert len(longer) == len(kept) + 4
+    assert kept.equals(pq.read_table(folder / "trials.parquet").to_pandas())
+    with refused(r"^seed: 6 .* 5, as .*experiment\.json says; or another"):
+        run_command(config, out, "--seed", 6)
 
 
-def test_the_command_writes_a_report(
-    config: Path, trials: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_report_and_the_database_are_as_of_any_comparison(
+    folder: Path, trials: pd.DataFrame, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["--config", str(config), "--out", str(tmp_path / "out"), "--workers", "1"]
-    main(parser_of("compare").parse_args(words))
-    printed = capsys.readouterr().out
-    assert printed.startswith((tmp_path / "out" / "report.md").read_text())
-    results = RobotResults.of(read_robots(config), trials)
-    lasted = trials.to_pandas().query("arm == 'ranking' and survived >= 1.0")
-    assert results.arms["ranking"].walkers == lasted["run"].nunique()
-    at_once = results.arms["ranking"].has_walker[:, 0].sum()
-    assert f"| ranking | the ranking | {at_once} |" in printed
-    with refused(r"^folder: .* a comparison of the walker; on robots"):
-        read_results(tmp_path / "out")
-    for option, value in (
-        ("--storage", "sqlite:///x.db"),
-        ("--arch", "cpu"),
-        ("--store", "x"),
-    ):
-        with refused(f"^{option[2:]}: .* none: "):
-            main(parser_of("compare").parse_args([*words, option, value]))
+    report_command(parser_of("report").parse_args([str(folder)]))
+    text = (folder / "report" / "report.md").read_text()
+    walkers = trials[trials["walked"]].groupby("arm")["run"].nunique()
+    assert f"| ranking | 4 | {walkers.get('ranking', 0)} |" in text
+    assert "- simulator: carts:Cart" in text and "TPE after 3" in text
+    assert read_results(folder).arms["worlds"].walkers == walkers.get("worlds", 0)
+    url = f"sqlite:///{folder / 'studies.db'}"
+    study = optuna.load_study(study_name="carts/worlds/run-002", storage=url)
+    own = trials.query("arm == 'worlds' and run == 2")
+    assert [trial.values[0] for trial in study.trials] == own["measured"].tolist()
+    assert [trial.user_attrs["cost"] for trial in study.trials] == own["cost"].tolist()
+    old = folder.with_name("of 0.4")
+    old.mkdir()
+    (old / "robots.json").write_text("{}")
+    with refused("^folder: .* a comparison of version 0.5; .* report.md"):
+        read_results(old)
 
 
-@pytest.mark.parametrize("arm", ["worlds", "ranking"])
+@pytest.mark.parametrize("arm", ["worlds", "ranking", "tpe-ranking"])
 def test_a_live_study_has_these_trials(
-    arm: str, config: Path, trials: Any, tmp_path: Path
+    arm: str, config: Path, trials: pd.DataFrame, tmp_path: Path
 ) -> None:
     url = f"sqlite:///{tmp_path / 'live.db'}"
     words = [
@@ -216,16 +219,18 @@ def test_a_live_study_has_these_trials(
             parser_of("study").parse_args([*words, "--arm", arm, "--trials", count])
         )
     study = optuna.load_study(study_name=f"carts/{arm}/run-002", storage=url)
-    known = trials.to_pandas().query(f"arm == '{arm}' and run == 2")
+    known = trials.query(f"arm == '{arm}' and run == 2")
     assert [trial.values[0] for trial in study.trials] == known["measured"].tolist()
     assert (
         json.loads((tmp_path / f"{arm}-run-002-best.json").read_text())
         == study.best_params
     )
     for more, match in (
-        ("--arm cmaes", "^arm: "),
+        ("--arm cmaes", "^arm: 'cmaes' .* cmaes-cold, in its place since"),
+        ("--arm dog", r"^stores\.flat: "),
+        ("--arch cpu", "^arch: "),
         ("--run 9", "^run: 9 .* 0 to 3"),
-        ("--seed 7", "^seed: 7 .* 5, as the study carts/"),
+        ("--seed 7", "^study carts/.*: seed: 7 .* 5, with which it was made"),
     ):
         asked = [*words, "--arm", arm, *more.split()]
         with refused(match):
@@ -237,7 +242,6 @@ def test_a_live_study_has_these_trials(
     [
         ('"speed_mps"', '"lift"', r"^objective\.cost: 'lift' .* speed_mps"),
         ("fell_cost = 4.0", "fell_cost = 0.0", r"^objective\.fell_cost: 0\.0"),
-        ('"worlds",', '"dog",', "^arm.*: 'dog' .* worlds, ranking"),
         ("wind =", "rain =", r"^world\.rain: .* only the keys wind"),
         ("seed = 5", 'seed = 5\nname = "../up"', "^name: "),
         ("runs = 4", "runs = 0", "^runs: 0"),
@@ -258,10 +262,10 @@ def test_configurations_that_are_refused(
 def test_arms_that_need_pytorch_are_left_out_where_it_is_missing(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(robots, "find_spec", lambda name: None)
+    monkeypatch.setattr(arms, "find_spec", lambda name: None)
     every = config.with_name("every.toml")
     every.write_text(re.sub("arms = .*", "", config.read_text()))
-    assert {*robots.ARMS} - {*read_robots(every).arms} == {*robots.NEED_TORCH}
-    assert capsys.readouterr().err.startswith("GPSampler is left out: it needs PyTorch")
-    with refused(r"^arm: 'gp' .* PyTorch installed"):
-        read_robots(config, arms="gp")
+    assert {*ARMS} - {*read_robots(every).arms} == {"gp-ranking"}
+    assert capsys.readouterr().err.startswith("gp-ranking is left out: it needs torch")
+    with refused(r"^arm: 'gp-ranking' .* another: it needs torch \(pip install torch"):
+        run_command(config, config.with_name("none"), "--arms", "gp-ranking")

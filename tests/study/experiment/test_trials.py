@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from study.experiment import trials
-from study.experiment.experiment import Experiment
+from study.experiment import walker
 from study.experiment.objective import Objective
-from study.experiment.trials import simulate_trials
+from study.experiment.walker import WalkerExperiment
 from study.sampler.draws import Purpose, stream
 from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
@@ -19,8 +18,8 @@ def test_a_walker_that_stands_or_falls_has_not_walked() -> None:
     rows = np.zeros(4, RESULT_DTYPE)
     rows["end_reason"] = COMPLETED, COMPLETED, FELL, DIVERGED
     rows["mean_speed_mps"] = 0.3, 0.29, 1.3, 1.3
-    assert trials.walked(rows).tolist() == [True, False, False, False]
-    assert trials.fell(rows).tolist() == [False, False, True, True]
+    assert walker.walked(rows).tolist() == [True, False, False, False]
+    assert walker.fell(rows).tolist() == [False, False, True, True]
 
 
 def test_a_walker_that_diverged_has_a_finite_cost() -> None:
@@ -28,7 +27,7 @@ def test_a_walker_that_diverged_has_a_finite_cost() -> None:
     rows["end_reason"] = DIVERGED
     rows["duration_s"] = 1.0
     rows["distance_m"] = rows["mean_speed_mps"] = np.nan, np.inf
-    clean = trials.finite(rows)
+    clean = walker.finite(rows)
     assert np.isnan(rows["distance_m"][0])  # the caller's rows are as they were
     for cost in ("smooth", "walking"):
         values = Objective(cost).costs(clean)
@@ -36,9 +35,11 @@ def test_a_walker_that_diverged_has_a_finite_cost() -> None:
         assert values[0] == values[1]
 
 
-def test_attributes_are_plain_values_and_make_a_sentence() -> None:
+def test_attributes_are_plain_values_and_make_a_sentence(
+    toy: WalkerExperiment,
+) -> None:
     rows = fake_walker.simulate(PUBLISHED_GAINS, duration_s=8.0).rows
-    found = trials.attributes(rows)
+    found = toy.attributes_of(rows[0])
     assert {name: type(value) for name, value in found.items()} == {
         "duration_s": float,
         "distance_m": float,
@@ -54,14 +55,16 @@ def test_attributes_are_plain_values_and_make_a_sentence() -> None:
     )
     known = {"duration_s": 8.0, "distance_m": 10.0, "mean_speed_mps": 1.25}
     for reason, words in (("completed", "walked"), ("fell", "fell after")):
-        text = trials.outcome_text(known | {"end_reason": reason})
+        text = walker.outcome_text(known | {"end_reason": reason})
         assert text == f"{words} 8.0 s, 10.0 m at 1.25 m/s"
 
 
-def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy: Experiment) -> None:
+def test_a_trial_is_on_the_body_and_the_ground_of_its_run(
+    toy: WalkerExperiment,
+) -> None:
     fake_walker.calls.clear()
     runs = [7, 0, 7]
-    rows = simulate_trials(toy, runs, np.tile(PUBLISHED_GAINS, (3, 1)))
+    rows = toy.simulate(runs, np.tile(PUBLISHED_GAINS, (3, 1)))
     (call,) = fake_walker.calls
     for place, run in enumerate(runs):
         body = Bodies.disturbed([stream(5, Purpose.BODY, run)], 0.15)

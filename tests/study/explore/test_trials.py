@@ -13,9 +13,9 @@ from optuna.trial import TrialState
 
 from storage.databases.studies import open_studies
 from study.experiment.arms import check_arms
-from study.experiment.experiment import read_experiment
 from study.experiment.gains import gains_at
 from study.experiment.live_study import run_study
+from study.experiment.walker import read_experiment
 from study.explore.page import page_of
 from study.explore.store_view import first_columns
 from study.explore.trials import Trials, open_rows

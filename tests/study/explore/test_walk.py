@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from storage.inputs.config import read_toml
-from study.experiment.experiment import Experiment, as_written, read_experiment
 from study.experiment.gains import gains_of_source, named_gains
+from study.experiment.walker import WalkerExperiment, as_written, read_experiment
 from study.explore import walk as walking
 from study.explore.strides import Cycle
 from study.explore.walk import Walk, chosen_setting, walk
@@ -25,7 +25,7 @@ from tests.study import synthetic_gait
 from tests.tools.running import run_tool
 
 
-def same_robot(one: Experiment, other: Experiment) -> None:
+def same_robot(one: WalkerExperiment, other: WalkerExperiment) -> None:
     """Body, world and ground have the same bits."""
     np.testing.assert_array_equal(one.body(0).mass_kg, other.body(0).mass_kg)
     np.testing.assert_array_equal(one.world(0).strength, other.world(0).strength)
@@ -34,7 +34,7 @@ def same_robot(one: Experiment, other: Experiment) -> None:
     assert simulations[0] == simulations[1]
 
 
-def reread(experiment: Experiment, folder: Path) -> Experiment:
+def reread(experiment: WalkerExperiment, folder: Path) -> WalkerExperiment:
     path = folder / "walk.toml"
     path.write_text(walking.to_toml(as_written(experiment)))
     return read_experiment(path)
