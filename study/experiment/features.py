@@ -182,7 +182,8 @@ def _in_families(
     for family in store.families:
         if column not in (kept := store.kept(family)):
             names = listed(kept, column) or "nothing, in a store older than 0.3.0"
-            allowed = f"a parameter, or what the worlds of {shortened(str(store.path))} keep: {names}"
+            path = shortened(str(store.path))
+            allowed = f"a parameter, or what the worlds of {path} keep: {names}"
             if _can_be_kept(store, column):
                 allowed += (
                     f'; a store of a configuration with kept = ["{column}"] has it'

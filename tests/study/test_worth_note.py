@@ -15,6 +15,7 @@ from study.experiment.compare import Request, compare
 from study.experiment.experiment import study_name
 from study.experiment.live_study import run_study
 from study.experiment.one_study import worth_of_study
+from tests.study import fake_walker
 
 TITLE = "## Are the features worth anything?"
 
