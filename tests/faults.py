@@ -14,7 +14,6 @@ import ast
 import json
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -25,6 +24,7 @@ from tqdm import tqdm
 
 from study.cli import run_command
 from study.options import MOST_WORKERS, Options
+from tests.processes import python
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("taichi_nmm", "storage", "study")
@@ -37,7 +37,9 @@ LEFT_OUT = (
 )
 LONGEST_S = 1200.0
 # Each operator stands for the one after the slash; of the first ones also the other way.
-EXCHANGED = "Lt/LtE Gt/GtE Eq/NotEq Is/IsNot In/NotIn Add/Sub Mult/Div And/Or BitAnd/BitOr"
+EXCHANGED = (
+    "Lt/LtE Gt/GtE Eq/NotEq Is/IsNot In/NotIn Add/Sub Mult/Div And/Or BitAnd/BitOr"
+)
 REPLACED = "FloorDiv/Mult Mod/Mult"
 PAIRS = [pair.split("/") for pair in f"{EXCHANGED} {REPLACED}".split()]
 PAIRS += [pair.split("/")[::-1] for pair in EXCHANGED.split()]
@@ -103,19 +105,15 @@ def changed(source: str, number: int) -> tuple[str, str]:
     """The source with the fault at a place, and the fault in words; all other bytes are kept."""
     node = list(places(ast.parse(source)))[number]
     new = faulty(node)
-    assert (
-        new is not None
-        and node.end_lineno is not None
-        and node.end_col_offset is not None
-    )
+    assert new is not None
+    assert node.end_lineno is not None and node.end_col_offset is not None
     lines = source.encode().splitlines(keepends=True)
     first, last = node.lineno - 1, node.end_lineno - 1
     before, after = lines[first][: node.col_offset], lines[last][node.end_col_offset :]
     text = f"({ast.unparse(ast.fix_missing_locations(new))})"
     lines[first : last + 1] = [before + text.encode() + after]
-    return b"".join(
-        lines
-    ).decode(), f"line {node.lineno}: {ast.unparse(node)} -> {text}"
+    words = f"line {node.lineno}: {ast.unparse(node)} -> {text}"
+    return b"".join(lines).decode(), words
 
 
 def tests_of(file: str) -> list[list[str]]:
@@ -135,18 +133,8 @@ def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]
     (copy / file).write_text(text)
     try:
         for paths in tests_of(file)[: 1 if near_only else 2]:
-            command = [
-                sys.executable,
-                "-m",
-                "pytest",
-                "-x",
-                "-q",
-                "--no-header",
-                *paths,
-            ]
-            done = subprocess.run(
-                command, cwd=copy, capture_output=True, text=True, timeout=LONGEST_S
-            )
+            words = ("-m", "pytest", "-x", "-q", "--no-header", *paths)
+            done = python(*words, cwd=copy, timeout=LONGEST_S)
             if done.returncode not in (0, 5):  # 5: the folder has no tests of this kind
                 noticed = done.stdout.strip().splitlines()[-2:-1] or ["?"]
                 break
@@ -171,11 +159,8 @@ def main() -> None:
     args = options.parse_args()
     kept = ROOT / "out" / f"faults-{args.seed}.jsonl"
     kept.parent.mkdir(exist_ok=True)
-    known = (
-        [json.loads(line) for line in kept.read_text().splitlines()]
-        if kept.exists()
-        else []
-    )
+    kept.touch()
+    known = [json.loads(line) for line in kept.read_text().splitlines()]
     done = {(row["file"], row["number"]) for row in known}
     open_places = [place for place in drawn(args.count, args.seed) if place not in done]
     bar = tqdm(total=args.count, initial=len(known))

@@ -5,8 +5,6 @@ import json
 import os
 import posixpath
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,6 +15,7 @@ import pytest
 
 from study import pictures
 from taichi_nmm import terrain
+from tests.processes import python
 from tests.test_public_doors import PACKAGES, public_names
 from tests.tools.running import ROOT
 
@@ -59,23 +58,12 @@ class Html(HTMLParser):
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the site, which is built without a warning."""
     folder = tmp_path_factory.mktemp("site")
-    command = [
-        sys.executable,
-        "-m",
-        "mkdocs",
-        "build",
-        "--strict",
-        "--site-dir",
-        str(folder),
-    ]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
-    done = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True
-    )
+    words = ("-m", "mkdocs", "build", "--strict", "--site-dir", folder)
+    done = python(*words, env=environment)
     assert done.returncode == 0, done.stderr
-    assert [
-        line for line in done.stderr.splitlines() if not line.startswith("INFO ")
-    ] == []
+    lines = done.stderr.splitlines()
+    assert [line for line in lines if not line.startswith("INFO ")] == []
     return folder
 
 
@@ -112,26 +100,23 @@ def test_every_public_name_has_its_entry(site: Path) -> None:
     with (site / "objects.inv").open("rb") as file:
         entries = mkdocstrings.Inventory.parse_sphinx(file)
     names = set(public_paths())
-    assert {
-        "taichi_nmm.simulate",
+    assert names > {
         "taichi_nmm.PUBLISHED_GAINS",
         "taichi_nmm.terrain.rough",
-    } < names
-    assert {"study.FeatureTable.from_arrays", "storage.Store.families"} < names
+        "study.FeatureTable.from_arrays",
+        "storage.Store.families",
+    }
     assert names - set(entries) == set()
 
 
 def test_links_lead_somewhere(site: Path, pages: dict[str, Html]) -> None:
     """Those of docstrings and of the theme, too."""
-    links, wrong = (
-        [(place, link) for place, page in pages.items() for link in page.links],
-        [],
-    )
+    links = [(place, link) for place, page in pages.items() for link in page.links]
+    wrong = []
     for place, link in links:
         parts = urlsplit(link)
-        if (
-            parts.scheme or parts.netloc or place == "404.html"
-        ):  # which is served anywhere
+        is_anywhere = place == "404.html"  # where it is served
+        if parts.scheme or parts.netloc or is_anywhere:
             continue
         file, anchor = unquote(parts.path), unquote(parts.fragment)
         there = posixpath.join(posixpath.dirname(place), file)
@@ -167,26 +152,19 @@ def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[str, Html]) ->
 def test_a_notebook_shows_its_output(
     notebook: Path, site: Path, pages: dict[str, Html]
 ) -> None:
-    cells = [
-        cell for cell in json.loads(notebook.read_text())["cells"] if "outputs" in cell
-    ]
-    assert all(
-        cell["outputs"] == [] and cell["execution_count"] is None for cell in cells
-    )
+    known = json.loads(notebook.read_text())["cells"]
+    cells = [cell for cell in known if "outputs" in cell]
+    for cell in cells:
+        assert (cell["outputs"], cell["execution_count"]) == ([], None)
     sources = ["".join(cell["source"]) for cell in cells]
     place = f"notebooks/{notebook.stem}.html"
-    drawn = [
-        address for address in pages[place].loads if address.startswith(notebook.stem)
-    ]
+    drawn = [each for each in pages[place].loads if each.startswith(notebook.stem)]
     assert len(drawn) == sum("\nImage(" in source for source in sources) > 0
     for address in drawn:
         assert (site / "notebooks" / address).read_bytes().startswith(b"\x89PNG")
     text = (site / place).read_text()
-    assert (
-        text.count('class="language-text')
-        >= sum("print(" in source for source in sources)
-        > 0
-    )
+    printing = sum("print(" in source for source in sources)
+    assert text.count('class="language-text') >= printing > 0
     assert "Traceback" not in text
 
 

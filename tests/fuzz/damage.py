@@ -31,10 +31,10 @@ def short(written: dict[str, Any]) -> Any:
 KNOWN = json.loads(
     (ASSETS / "damage.json").read_text(encoding="utf-8"), object_hook=short
 )
-VALUES: tuple[Any, ...] = tuple(KNOWN["values"])  # for JSON, TOML, Parquet and SQLite
-WORDS: tuple[str, ...] = tuple(
-    KNOWN["words"]
-)  # for text files, for a word or between two
+# Values for JSON, TOML, Parquet and SQLite; words for text files, for a word or between
+# two; cells of a column as a stranger's program writes it, kind by kind.
+VALUES: tuple[Any, ...] = tuple(KNOWN["values"])
+WORDS: tuple[str, ...] = tuple(KNOWN["words"])
 # Values for options, some of them names of files and folders of the world, or, with
 # half a character, of no UTF-8. None is an absolute path that can be written: the tests
 # may run as root.
@@ -94,22 +94,10 @@ def damaged_text(rng: Generator, text: str) -> bytes:
     return "".join(pieces).encode(encoding, errors="replace")
 
 
-KINDS_OF_CELLS = (  # of a column as a stranger's program writes it
-    ("inf", "-inf", "1e400", "1.5"),
-    ("0.1", "0.30000000000000004", "0,5", "1.10"),
-    ("14:30:00.010", "14:30:00.020", "14:29:59"),
-    ("2026-05-04 14:30:00.010", "2026-05-04 14:30:01", "2026-05-04T14:30:02Z"),
-    ("9007199254740993", "9007199254740992", "1700000000000000001"),
-    ("1", "2", "20"),
-    ("true", "false"),
-    ("", "nan", "n/a", "-"),
-)
-
-
 def damaged_cells(rng: Generator, text: str) -> bytes:
     """A CSV with the cells of a column replaced by others of one kind; some, or all of them."""
     rows = [line.split(",") for line in text.splitlines()]
-    place, kind = int(rng.integers(len(rows[0]))), pick(rng, KINDS_OF_CELLS)
+    place, kind = int(rng.integers(len(rows[0]))), pick(rng, KNOWN["cells"])
     share = pick(rng, (0.05, 0.5, 1.0))
     for row in rows[1:]:
         if place < len(row) and chance(rng, share):
@@ -209,28 +197,14 @@ def toml_value(value: Any) -> str:
     return json.dumps(value) if is_json else str(value)
 
 
+# All types by their names, and some that have none.
 TYPES = (
-    pa.int8(),
-    pa.int32(),
-    pa.int64(),
-    pa.uint64(),
-    pa.float16(),
-    pa.float32(),
-    pa.float64(),
-    pa.string(),
-    pa.large_string(),
-    pa.binary(),
-    pa.bool_(),
-    pa.null(),
-    pa.timestamp("s"),
+    *map(pa.type_for_alias, KNOWN["types"]),
     pa.list_(pa.float64()),
     pa.dictionary(pa.int32(), pa.string()),
     pa.decimal128(20, 2),
     pa.decimal128(20, 0),
     pa.timestamp("ns", "UTC"),
-    pa.time64("us"),
-    pa.date32(),
-    pa.duration("ms"),
 )
 
 
