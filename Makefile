@@ -16,27 +16,25 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-torso store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
+.PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
 
 STORES := store store-worlds
-PAPER := rough8-smooth rough6-walking rough8-walking risers $(foreach way,up down,ramp-$(way) ramp-$(way)-gentle) stairs-down
-STAIRS := stairs-up stairs-up-high stairs-up-short
-TORSO := $(foreach way,up down,ramp-$(way)-torso stairs-$(way)-torso)
+PAPER := rough8-smooth rough6-walking rough8-walking risers ramp-up ramp-up-gentle ramp-down stairs-down
+STAIRS := stairs-up stairs-up-high
 OUTSIDE := outside-bodies outside-weak outside-slippery outside-catches outside-gravel outside-limp outside-half-limp prosthesis prosthesis-known
 SPEED := $(foreach speed,07 08 09 10 11 12 13 14 15 16 08-rough 12-rough 16-rough,speed-$(speed))
 MUJOCO := $(foreach ground,level rough8 risers ramp-up ramp-down,$(foreach contact,soft middle hard,mujoco-$(ground)-$(contact)))
 
 # Each store and each comparison has a target. `make compare-risers` first makes the stores that it needs. All targets resume.
-$(STORES) store-torso store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis: .venv/installed
+$(STORES) store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis: .venv/installed
 	$(BIN)/python tools/precompute.py --config $@
 
 compare-%: $(STORES)
 	$(BIN)/python tools/compare.py --config $*
 
-$(addprefix compare-,$(TORSO)): store-torso
 $(addprefix compare-,$(STAIRS)): store-stairs
 $(addprefix compare-,$(SPEED)): store-speed
 compare-exo: store-exo
@@ -48,8 +46,8 @@ compare: $(STORES)
 	$(BIN)/python tools/compare.py --config rough8-smooth
 	$(BIN)/python tools/report.py out/compare/rough8-smooth
 
-results: $(addprefix compare-,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort)
-	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(TORSO) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
+results: $(addprefix compare-,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort)
+	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
 
 test: .venv/test-installed
 	$(BIN)/python -m pytest $(PARALLEL) --durations=25

@@ -137,7 +137,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         fake_walker.write_store(
             out / "store-worlds-steps", kept=["step_length_sd_m", "step_duration_sd_s"]
         )
-        fake_walker.write_store(out / "store-torso", searched=["theta_ref"])
         device = [each.name for each in DEVICE]
         fake_walker.write_store(
             out / "store-exo", searched=device, fixed_gains="reference"

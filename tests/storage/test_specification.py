@@ -36,11 +36,11 @@ def test_shipped_configs_are_valid() -> None:
         (),
         "flat",
     )
-    families = read_specification(read_toml(CONFIGS / "store-torso.toml")).families
+    families = read_specification(read_toml(CONFIGS / "quickstart-store.toml")).families
     assert [family.name for family in families] == ["blocks", "down", "rough", "up"]
     for each in families:
-        assert len(each.worlds.bodies) == len(each.worlds.terrains) == 4
-        assert (each.min_survival_s, each.horizon_s) == (5.0, 20.0)
+        assert len(each.worlds.bodies) == len(each.worlds.terrains) == 2
+        assert (each.min_survival_s, each.horizon_s) == (5.0, 10.0)
         assert each.rule.build == Build(0.15)
     for family, sign in ((families[1], -1), (families[3], 1)):
         slopes = np.diff(family.worlds.terrains[0].height_m) / 0.05 * sign

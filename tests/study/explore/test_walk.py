@@ -68,7 +68,7 @@ def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    "name", ["rough8-smooth", "mujoco-rough8-soft", "outside-weak", "ramp-up-torso"]
+    "name", ["rough8-smooth", "mujoco-rough8-soft", "outside-weak", "ramp-up"]
 )
 def test_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
     experiment = read_experiment(config_path(name))
