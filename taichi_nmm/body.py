@@ -63,9 +63,8 @@ SIDES = ("left", "right")
 OF_A_LEG = ("thigh", "shank", "foot")
 FACTOR_NAMES = ("hat", *(f"{name}_{side}" for side in SIDES for name in OF_A_LEG))
 
-LARGEST_DISTURBANCE = (
-    0.15  # of mass and inertia; of half the length for the centre of mass
-)
+# The paper's: of mass and inertia; of half the length for the centre of mass.
+LARGEST_DISTURBANCE = 0.15
 MOST_DISTURBANCE = 0.9  # of a configuration; beyond it masses come near zero
 FACTORS = (0.05, 20.0)  # of a configuration, of masses and inertias
 AS_NOMINAL = (1.0,) * len(SEGMENTS)
@@ -104,7 +103,8 @@ class Collection:
         """Take the arrays as float64; `one` is a row, and `of_a_row` the shape of a field's row."""
         name = type(self).__name__.lower()
         for key, given in vars(self).items():
-            values, shape = checks.numbers(f"{name}.{key}", given), of_a_row(key)
+            values = checks.numbers(f"{name}.{key}", given)
+            shape = of_a_row(key)
             if values.ndim != 1 + len(shape) or values.shape[1:] != shape:
                 allowed = "[" + ", ".join(["n", *map(str, shape)]) + "]"
                 raise InputError(f"{name}.{key}.shape", values.shape, allowed)
@@ -242,7 +242,8 @@ def read_body(table: Table) -> Build:
 
 def _read_factors(table: Table, otherwise: tuple[float, ...]) -> tuple[float, ...]:
     """Factors of all segments; `otherwise` those that are not named."""
-    given, names = table.unread, ("all", *OF_A_LEG, *FACTOR_NAMES)
+    given = table.unread
+    names = ("all", *OF_A_LEG, *FACTOR_NAMES)
     named = {name: table.number(name, 1.0, *FACTORS) for name in names}
     table.done()
     factors = []

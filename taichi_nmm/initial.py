@@ -22,13 +22,11 @@ from taichi_nmm.kernel.swing import HOLD
 from taichi_nmm.terrain import Terrain
 
 SPEED_MPS = 1.3  # of the hip
-STANCE_LEG_RATE_RADPS = (
-    1.3  # of thigh and shank: the leg, 1 m long, pivots about its foot
-)
+# Thigh and shank turn so: the leg, 1 m long, pivots about its foot.
+STANCE_LEG_RATE_RADPS = 1.3
 PENETRATION_M = 0.005  # depth of the stance foot's lowest point in the ground
-JOINTS_RAD = np.deg2rad(
-    [[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]]
-)  # hip, knee, ankle; left, right
+# Hip, knee and ankle of the left leg, then of the right.
+JOINTS_RAD = np.deg2rad([[-5.0, 5.0, -5.0], [-30.0, 5.0, 0.0]])
 
 
 def initial_rows(terrain: Terrain) -> NDArray[np.float64]:

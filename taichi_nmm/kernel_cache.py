@@ -15,9 +15,8 @@ from pathlib import Path
 
 from storage.inputs.errors import InputError
 
-COMPILER = (
-    "quadrants" if sys.version_info >= (3, 14) else "taichi"
-)  # as in pyproject.toml
+# pyproject.toml has the same rule.
+COMPILER = "quadrants" if sys.version_info >= (3, 14) else "taichi"
 PREFIX = {"taichi": "TI_", "quadrants": "QD_"}[COMPILER]  # of its variables
 CACHE_VARIABLE = f"{PREFIX}OFFLINE_CACHE_FILE_PATH"  # the compiler's own
 DEFAULT_CACHE = Path(".cache") / COMPILER  # of the home

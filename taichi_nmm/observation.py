@@ -94,6 +94,7 @@ def require_within(field: str, values: NDArray[np.float64], largest: float) -> N
         raise InputError(field, float(outside[0]), allowed)
 
 
+# Columns of `Observation`'s arrays; 0 is one of [n].
 WIDTHS = {
     "joint_rad": JOINTS,
     "joint_rate_radps": JOINTS,
@@ -105,14 +106,15 @@ WIDTHS = {
     "leg_angle_rad": LEGS,
     "com_ahead_m": LEGS,
     "com_speed_mps": 0,
-}  # of `Observation`'s arrays; 0: [n]
+}
+# Senses of both legs, by their first rows.
 AS_SENSED = {
     "contact": Sense.contact,
     "load_n": Sense.load,
     "leg_length_m": Sense.leg_length,
     "leg_angle_rad": Sense.leg_angle,
     "com_ahead_m": Sense.com_ahead,
-}  # rows of two legs
+}
 
 
 def sense_rows(arrays: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:

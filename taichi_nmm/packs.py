@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import State, Sums, WalkerRows
 
-PACKS_A_COPY = (
-    16  # no second copy of all rows, and what is turned round stays in the cache
-)
+# So few that there is no second copy of all rows, and what is turned stays in the
+# cache.
+PACKS_A_COPY = 16
 
 
 class Packs:
@@ -42,9 +42,8 @@ class Packs:
         grounds = np.zeros(count, dtype=np.int32) if terrains is None else terrains
         # Batch row of each occupied lane; the last pack's rest are idle copies.
         self.walkers = np.arange(count)
-        self.rows = self.fold(
-            rows.astype(real), starts
-        )  # [pack, row, lane], the kernel's
+        # The kernel's own order: [pack, row, lane].
+        self.rows = self.fold(rows.astype(real), starts)
         self.constants = self.fold(constants.astype(real))  # [pack, row, lane]
         self.terrains = self.fold(grounds[:, None])[:, 0, :].copy()  # [pack, lane]
         self._final = np.zeros((count, State.count), dtype=real)

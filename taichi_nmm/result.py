@@ -53,9 +53,8 @@ COLUMNS = tomllib.loads(
 OUTCOME_FIELDS: Fields = tuple(COLUMNS["outcome"].items())
 SCORE_FIELDS: Fields = tuple(COLUMNS["score"].items())  # the determinants of gait
 SUMMARY_FIELDS: Fields = tuple(COLUMNS["summary"].items())
-FURTHER_FIELDS: Fields = tuple(
-    COLUMNS["further"].items()
-)  # in a store by its `kept` alone
+# A store has these where its `kept` names them.
+FURTHER_FIELDS: Fields = tuple(COLUMNS["further"].items())
 
 ENERGY, OF_MUSCLES = "cost_of_transport_powered_jpkgpm", "cost_of_transport_jpkgpm"
 """What a gait of the least energy has the least of, unless a goal names another column:

@@ -19,9 +19,8 @@ OWN_ENGINE = "taichi"
 ENGINES = (OWN_ENGINE, "mujoco")
 LIMITS_AS_STOPS = "stops"
 LIMITS = (LIMITS_AS_STOPS, "mujoco")
-STEPS_PER_TIME_CONSTANT = (
-    5  # MuJoCo computes a shorter contact otherwise than it is given
-)
+# MuJoCo computes a shorter contact otherwise than it is given.
+STEPS_PER_TIME_CONSTANT = 5
 
 
 @dataclass(frozen=True)

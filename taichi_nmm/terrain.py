@@ -42,10 +42,11 @@ GRID_X_M: NDArray[np.float64] = GRID_START_M + GRID_SPACING_M * np.arange(
 P = ParamSpec("P")
 
 TABLE = "a readable table of x_m,height_m"
+# Names of a file's two columns, in metres.
 HEADERS = (
     ("x_m", "height_m"),
     ("x", "height"),
-)  # of a file's columns: metres, in this order
+)
 
 # Above any ground that a configuration can make (stairs: 2.9 km). Up to here float32
 # tells heights of 0.5 mm apart, a twentieth of the depth of a foot at rest; not much

@@ -291,9 +291,8 @@ class Walker:
         """Sixteen disturbed walkers on rough ground for a second, the same for all stores."""
         from scipy.stats import qmc  # it takes long to import
 
-        stream = np.random.SeedSequence(
-            CANARY_SEED, spawn_key=(100, 0)
-        )  # as a store's points have
+        # The key is that of a store's points.
+        stream = np.random.SeedSequence(CANARY_SEED, spawn_key=(100, 0))
         sequence = qmc.Sobol(
             d=len(GAINS), scramble=True, rng=np.random.default_rng(stream)
         )

@@ -110,7 +110,8 @@ def _row_each(
     field: str, given: ArrayLike, group: tuple[Parameter, ...], count: int
 ) -> NDArray[np.float64]:
     """Gains of `count` walkers, [n, gain], from theirs or from those of all."""
-    rows, size = gain_rows(given, group, field), len(group)
+    rows = gain_rows(given, group, field)
+    size = len(group)
     if len(rows) not in (1, count):
         raise InputError(f"{field}.shape", rows.shape, f"[{count}, {size}] or [{size}]")
     return rows[np.arange(count) % len(rows)]

@@ -335,10 +335,11 @@ MUSCLE_NAMES = tuple(f"{muscle}_{side}" for side in SIDES for muscle in MUSCLES)
 RANGES = tuple(each.name for each in fields(WorldRanges) if each.name in LIMITS)
 NOMINAL = WorldRanges()
 STREAMS = tuple(LIMITS)  # in this order; a new one comes last
+# These belong to our own engine's contact law.
 OWN_CONTACT = (
     "contact_stiffness",
     "relaxation_speed",
-)  # numbers of our own engine's contact law
+)
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
 
 
@@ -423,9 +424,8 @@ def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generato
         if isinstance(seed, np.random.SeedSequence)
         else np.random.SeedSequence(seed)
     )
-    unused = np.random.SeedSequence(
-        known.entropy, spawn_key=known.spawn_key
-    )  # of no child yet
+    # One of the same numbers that has spawned no child yet.
+    unused = np.random.SeedSequence(known.entropy, spawn_key=known.spawn_key)
     streams = map(np.random.default_rng, unused.spawn(len(STREAMS)))
     return dict(zip(STREAMS, streams, strict=True))
 

@@ -118,8 +118,8 @@ def actuate(
             const,
             work,
         )
-        save(packs, turn, 0, State, lanes, state)
-        save(packs, turn, WalkerRows.fibres, Muscle, lanes, fibres)
+        save(packs, turn, 0, lanes, state)
+        save(packs, turn, WalkerRows.fibres, lanes, fibres)
         save_slots(packs, turn, tick, lanes, delay)
         p, place = seat(turn, packs.shape[2], lanes)
         for lane in range(lanes):

@@ -50,9 +50,8 @@ if TYPE_CHECKING:
 else:
     Rows = ti.template()  # a local array [row, lane], or some rows of one, by reference
     Static = ti.template()  # known when the kernel is compiled
-    Array = (
-        ti.types.ndarray()
-    )  # a NumPy array, passed to a kernel without a copy on a CPU
+    # A NumPy array, passed to a kernel without a copy on a CPU.
+    Array = ti.types.ndarray()
 
 _running: Settings | None = None
 _arch = "cpu"
@@ -63,9 +62,8 @@ _program: Any = None  # the compiler's, in which our kernels are compiled
 _is_ours = False  # whether we have begun it
 _options: dict[str, Any] = {}  # by which they are compiled
 _width = 0  # numbers of a register, by which they are vectorised; 0: LLVM chooses
-_session = (
-    0  # how often kernels were forgotten; those bound in an earlier session are gone
-)
+# How often kernels were forgotten: those bound in an earlier session are gone.
+_session = 0
 
 
 def start(settings: Settings) -> None:
@@ -161,9 +159,8 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
             aborts the process), or a GPU's driver cannot take it.
     """
     if kernel.__name__ in _compiled:
-        with program.in_force(
-            _program, _options, _width
-        ):  # it looks for the kernel by options
+        # The compiler looks for the kernel by its options.
+        with program.in_force(_program, _options, _width):
             kernel(*arguments)
         return
     _require_main_thread()
@@ -194,10 +191,8 @@ class BoundKernel:
         Raises:
             InputError: as `launch`.
         """
-        self._kernel, self._arguments = (
-            kernel,
-            arguments,
-        )  # the arrays must outlive the launches
+        self._kernel = kernel
+        self._arguments = arguments  # the arrays must outlive the launches
         self._bind()
 
     def launch(self, **numbers: int) -> None:
@@ -205,9 +200,8 @@ class BoundKernel:
         if program.living() is not self._program:  # a script has called ti.init since
             assert _running is not None
             start(_running)
-        if (
-            self._session != _session
-        ):  # Taichi was started again, and has forgotten the kernel
+        # Taichi was started again, and has forgotten the kernel.
+        if self._session != _session:
             self._bind()
         if _arch != "cpu":
             names = [argument.name for argument in compiler.parameters(self._primal)]

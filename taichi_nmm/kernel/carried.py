@@ -145,11 +145,11 @@ def drive(
             const,
             work,
         )
-        save(packs, p, 0, State, lanes, state)
-        save(packs, p, WalkerRows.fibres, Muscle, lanes, fibres)
+        save(packs, p, 0, lanes, state)
+        save(packs, p, WalkerRows.fibres, lanes, fibres)
         save_slots(packs, p, tick, lanes, delay)
-        save(packs, p, WalkerRows.events, Gait, lanes, events)
-        save(packs, p, WalkerRows.sums, Sums, lanes, sums)
+        save(packs, p, WalkerRows.events, lanes, events)
+        save(packs, p, WalkerRows.sums, lanes, sums)
         for lane in range(lanes):
             power_w = 0.0
             for m in ti.static(range(MUSCLE_COUNT)):
@@ -202,5 +202,5 @@ def follow(
             const,
             work,
         )
-        save(packs, p, 0, State, lanes, state)
-        save(packs, p, WalkerRows.sums, Sums, lanes, sums)
+        save(packs, p, 0, lanes, state)
+        save(packs, p, WalkerRows.sums, lanes, sums)

@@ -16,9 +16,8 @@ from typing import Any
 from taichi_nmm.kernel.layout import Layout
 from taichi_nmm.kernel_cache import COMPILER, settled_environment
 
-os.environ.setdefault(
-    f"ENABLE_{COMPILER.upper()}_HEADER_PRINT", "0"
-)  # the output is the commands'
+# Standard output is the commands'.
+os.environ.setdefault(f"ENABLE_{COMPILER.upper()}_HEADER_PRINT", "0")
 with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
     ti: Any = import_module(COMPILER)
 

@@ -12,12 +12,10 @@ from taichi_nmm.kernel.elementary import larger, latch, smaller
 from taichi_nmm.kernel.layout import CONTACTS, LEGS
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
-STATIC_DEFLECTION_M = (
-    0.01  # Geyer & Herr 2010: kn = M g / this; kt the same, as in the walker T
-)
-FRICTION_DAMPING_S = (
-    0.02  # ct = this times kt; ours, for the anchored spring (docs/walker.md)
-)
+# Geyer & Herr 2010: kn = M g / this; kt the same, as in the walker T.
+STATIC_DEFLECTION_M = 0.01
+# ct = this times kt; ours, for the anchored spring (docs/walker.md).
+FRICTION_DAMPING_S = 0.02
 
 LAST_CELL = float(GRID_NODES - 2)
 ANKLE_SHARE_OF_BALL = -HEEL_OFFSET_M / (BALL_OFFSET_M - HEEL_OFFSET_M)
@@ -35,9 +33,8 @@ def find_cells(lane, state: Rows, work: Rows):
 def find_cell(lane, p: Static, x, work: Rows):
     """The cell that holds x is that of point p; the ground is level outside of the grid."""
     cell = (x - GRID_START_M) * (1.0 / GRID_SPACING_M)
-    clamped = smaller(
-        larger(0.0, cell), LAST_CELL + 1.0
-    )  # NaN to 0: it becomes an index
+    # NaN becomes 0, since the cell becomes an index.
+    clamped = smaller(larger(0.0, cell), LAST_CELL + 1.0)
     left = smaller(ti.floor(clamped), LAST_CELL)
     work.cell[p, lane] = left
     work.along_cell[p, lane] = clamped - left

@@ -18,9 +18,8 @@ from taichi_nmm.terrain import GRID_SPACING_M
 
 SOLE_RADIUS_M = 0.01
 PLANES_PER_SOLE = 2
-PLANES = (
-    PLANES_PER_SOLE * CONTACTS
-)  # in the order of the soles: heel and ball, left, then right
+# Planes lie in the order of the soles: heel and ball, left, then right.
+PLANES = PLANES_PER_SOLE * CONTACTS
 
 UNUSED_M = 1.0  # under a sole's centre a level plane supports nothing
 NOWHERE_M = 1e30  # farther than any ground

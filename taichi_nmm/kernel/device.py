@@ -35,9 +35,8 @@ def assist(lane, state: Rows, const: Rows, work: Rows):
     for leg in ti.static(range(LEGS)):
         down = on_ground(lane, leg, state) > 0.5
         strike = down & (state.device_air[leg, lane] >= DEBOUNCE_TICKS)
-        before = state.device_clock[
-            leg, lane
-        ]  # ticks since the last strike; 0: none yet
+        # `before` are ticks since the last strike; 0 says that there was none.
+        before = state.device_clock[leg, lane]
         stride = ti.select(strike, before, state.device_stride[leg, lane])
         clock = ti.select(strike, 1.0, ti.select(before > 0.0, before + 1.0, 0.0))
         share = clock / larger(stride, 1.0)

@@ -67,10 +67,10 @@ def load_terrains(terrains: Rows, turn, lanes: Static):
 
 
 @ti.func
-def save(packs: Rows, turn, first: Static, layout: Static, lanes: Static, source: Rows):
+def save(packs: Rows, turn, first: Static, lanes: Static, source: Rows):
     """Copy a local array back into a block of a turn's rows."""
     p, place = seat(turn, packs.shape[2], lanes)
-    for row in range(layout.count):
+    for row in range(source.count):
         for lane in range(lanes):
             packs[p, first + row, place + lane] = source[row, lane]
 
@@ -154,11 +154,11 @@ def advance(
                 const,
                 work,
             )
-        save(packs, turn, 0, State, lanes, state)
-        save(packs, turn, WalkerRows.fibres, Muscle, lanes, fibres)
-        save(packs, turn, WalkerRows.delay, Delay, lanes, delay)
-        save(packs, turn, WalkerRows.events, Gait, lanes, events)
-        save(packs, turn, WalkerRows.sums, Sums, lanes, sums)
+        save(packs, turn, 0, lanes, state)
+        save(packs, turn, WalkerRows.fibres, lanes, fibres)
+        save(packs, turn, WalkerRows.delay, lanes, delay)
+        save(packs, turn, WalkerRows.events, lanes, events)
+        save(packs, turn, WalkerRows.sums, lanes, sums)
 
 
 @ti.kernel

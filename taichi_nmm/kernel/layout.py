@@ -2,8 +2,8 @@
 
 Legs are in the order left, right; contacts heel left, ball left, heel right, ball
 right; joint stops knee left, ankle left, knee right, ankle right; muscles `MUSCLES`
-left, then right; segments as in `body.SEGMENT_NAMES`. A block's row is the name plus
-the index within the block.
+left, then right; segments as in `body.SEGMENT_NAMES`. Kernels, the host and the tests
+say `state.q[1, lane]`, where `state` are the named rows of a `Layout`.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -66,6 +66,7 @@ class NamedRows:
     _data_oriented = True  # the compiler leaves an object of such a class as it is
 
     def __init__(self, layout: Layout, rows: Any) -> None:
+        self.count = layout.count
         self._rows = rows
         for name, (first, size) in layout.blocks.items():
             if isinstance(size, Layout):
@@ -196,8 +197,8 @@ _shared = Layout(
 )
 _look_up = Layout(
     _shared.count,
-    cell=CONTACTS
-    + 1,  # of the terrain's grid under each contact point, and under the hip
+    # Of the terrain's grid, under each contact point and under the hip.
+    cell=CONTACTS + 1,
     along_cell=CONTACTS + 1,  # how far along it, 0 to 1
     slope_per_rise=CONTACTS + 1,  # 1/m; 0 outside of the grid
 )
@@ -242,9 +243,8 @@ Work = _shared | _look_up | _control | _contraction | _dynamics
 
 LONG, MID = Signal.force_vas, Signal.force_ham - Signal.force_vas  # how many signals
 SHORT = Signal.count - LONG - MID
-Delay = Layout(
-    long=20 * LONG, mid=10 * MID, short=5 * SHORT
-)  # a slot a tick of each signal
+# Each signal has a slot a tick.
+Delay = Layout(long=20 * LONG, mid=10 * MID, short=5 * SHORT)
 # Each kind of ring: its first signal, number of signals, ticks of delay, first row.
 RINGS = (
     (0, LONG, 20, Delay.long),
@@ -302,8 +302,8 @@ Gait = Layout(
     vertical_peak=LEGS,
     braking_peak=LEGS,
     propulsion_peak=LEGS,
-    torque_peak=3
-    * LEGS,  # on hip, knee and ankle since the last take-off, of either sign, N m
+    # On hip, knee and ankle since the last take-off, of either sign, N m.
+    torque_peak=3 * LEGS,
     tick_takeoff=LEGS,  # of the last committed take-off, for the event list
     last_strike_tick=1,  # of either leg
 )

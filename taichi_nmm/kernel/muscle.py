@@ -27,15 +27,13 @@ ECCENTRIC = 1.5  # N: force at the largest lengthening speed
 SHAPE = 5.0  # K of the force-velocity curve
 ACTIVATION_TIME_S = 0.010
 ACTIVATION_FLOOR = 0.01
-BEYOND_ECCENTRIC = (
-    100.0  # slope of the force-velocity curve beyond v = 1, keeps it monotone
-)
+# The slope of the force-velocity curve beyond v = 1 keeps it monotone.
+BEYOND_ECCENTRIC = 100.0
 ECCENTRIC_SHAPE = 7.56 * SHAPE
 FASTEST_LENGTHENING = 3.0  # over vmax
 SHORTEST_FIBRE = 0.05
-BUFFER = (
-    2.0 / WIDTH
-)  # slope of the buffer's root: it reaches Fmax w/2 below the length 1 - w
+# The slope of the buffer's root, which reaches Fmax w/2 below the length 1 - w.
+BUFFER = 2.0 / WIDTH
 # Alexander 1997, metabolic power over a Fmax vmax at a shortening speed u over vmax:
 # 0.23 - 0.16 exp(-8 u) while shortening, 0.01 - 0.11 u + 0.06 exp(23 u) while lengthening.
 SHORTENING_POWER, SHORTENING_DECAY, SHORTENING_RATE = 0.23, 0.16, -8.0
@@ -242,9 +240,8 @@ def contract(lane, m, data: Rows, own: Static, muscle: Rows, const: Rows, work: 
         muscle.length[row, lane] = larger(length, SHORTEST_FIBRE)
         power = strength
         if ti.static(own):
-            power *= stretch / (
-                data[T_STRAIN] * const.tightness[row, lane]
-            )  # its fibre's
+            # The power is its own fibre's.
+            power *= stretch / (data[T_STRAIN] * const.tightness[row, lane])
         work.metabolic_power[row, lane] = power * (
             muscle.activation[row, lane] * data[T_POWER] * metabolic_rate(v)
         )

@@ -157,7 +157,8 @@ def in_force(program: Any, ours: dict[str, Any], width: int) -> Iterator[None]:
     Raises:
         InputError: the script has declared fields without a place.
     """
-    runtime, config = impl.get_runtime(), program.config()
+    runtime = impl.get_runtime()
+    config = program.config()
     try:
         runtime.materialize()  # the script's fields, while its own options hold
     except RuntimeError as error:

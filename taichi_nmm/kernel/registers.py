@@ -23,20 +23,19 @@ from storage.inputs.errors import InputError
 
 VARIABLE = "TAICHI_NMM_WIDE_REGISTERS"  # 0 switches this off, as `Settings.wide_registers` does
 TAICHI_VERSION = (1, 7, 4)
+# How many float32 numbers a register holds, by a processor's feature.
 WIDTHS = {
     "avx512vl": 16,
     "avx2": 8,
-}  # float32 numbers in a register, by a processor's feature
+}
 
-SETTING = (
-    "_ZN4llvm16VectorizerParams19VectorizationFactorE"  # 0: the vectoriser chooses
-)
-NEIGHBOUR = (
-    "PyInit_taichi_python"  # a function of the library, whose address Python can tell
-)
-ELF_HEADER = (
-    "<40xQ10xHH"  # where sections are described, bytes of a description, how many
-)
+# LLVM's setting; at 0 the vectoriser chooses.
+SETTING = "_ZN4llvm16VectorizerParams19VectorizationFactorE"
+# A function of the library, whose address Python can tell: the setting lies as far
+# from it as in the file.
+NEIGHBOUR = "PyInit_taichi_python"
+# The header says where sections are described, in how many bytes, and how many.
+ELF_HEADER = "<40xQ10xHH"
 SECTION = "<4xI16xQQI"  # kind, start, length, section of names
 SYMBOL_TABLE = 2  # a kind of section
 SYMBOL = struct.Struct("<I4xQQ")  # where its name is, address, length

@@ -91,9 +91,8 @@ def step(
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)
                 dynamics.revise_contacts(lane, const, work)
-            if (
-                highest(work.changed, lanes) == 0.0
-            ):  # a further pass would change nothing
+            # A further pass would change nothing.
+            if highest(work.changed, lanes) == 0.0:
                 break
         for lane in range(lanes):
             contact.drag_anchors(lane, step_s, state, const, work)

@@ -107,7 +107,8 @@ class Both:
         backend.start(settings)
         self.packs = simulator.start_packs(batch, settings)
         self.walk = simulator.launcher(batch, settings)
-        self.substeps, self.blends = settings.substeps, blends(step_s)
+        self.substeps = settings.substeps
+        self.blends = blends(step_s)
         self.table = muscle_table(step_s)
         self.heights = np.array([ground.height_m for ground in batch.terrains])
         self.numpys = np.ascontiguousarray(self.rows().T)
@@ -152,7 +153,8 @@ def assert_close(ours: Array, numpys: Array) -> None:
 
 @STEPS_S
 def test_a_walk(step_s: float) -> None:
-    both, walker = Both(step_s), interpreted_walker()
+    both = Both(step_s)
+    walker = interpreted_walker()
     both.walk(both.packs, 0, WALK_TICKS)
     with np.errstate(all="ignore"):
         for tick in range(WALK_TICKS):
@@ -206,10 +208,13 @@ def random_senses(rng: np.random.Generator) -> Array:
 @STEPS_S
 def test_actuation(step_s: float) -> None:
     (actuation,) = interpreted("actuation")
-    both, rng = Both(step_s), np.random.default_rng(9)
-    torques, largest = both.output(3 * LEGS), 0.0
+    both = Both(step_s)
+    rng = np.random.default_rng(9)
+    torques = both.output(3 * LEGS)
+    largest = 0.0
     for tick, within in both.steps():
-        senses, commands = random_senses(rng), int(within == 0)
+        senses = random_senses(rng)
+        commands = int(within == 0)
         folded = both.packs.fold(senses)
         both.launch(actuate, both.table, folded, torques, tick, commands, *both.blends)
         actuation.step(
@@ -250,8 +255,10 @@ def random_motion(rng: np.random.Generator, start: Array) -> Array:
 def test_bodies_that_another_engine_moves(step_s: float) -> None:
     """Both kernels, before and after the other engine's step; some walkers fall."""
     (carried,) = interpreted("carried")
-    both, rng = Both(step_s), np.random.default_rng(10)
-    start, drives = both.state.q.copy(), both.output(Drive.count)
+    both = Both(step_s)
+    rng = np.random.default_rng(10)
+    start = both.state.q.copy()
+    drives = both.output(Drive.count)
     activation, load = both.blends
     for tick, within in both.steps():
         commands, ends = int(within == 0), int(within == both.substeps - 1)

@@ -13,9 +13,8 @@ from tests.parity import numpy_dynamics
 pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
-States = tuple[
-    Array, Array, Array, Bodies
-]  # q, qdot [n, 9], joint torques [n, 6] and n bodies
+# q, qdot [n, 9], joint torques [n, 6] and n bodies.
+States = tuple[Array, Array, Array, Bodies]
 
 STATES = 1000
 LARGEST_RATE_PS = 10.0  # m/s and rad/s; walking stays below
@@ -134,8 +133,7 @@ def test_no_torque_between_segments_moves_the_whole(states: States) -> None:
     moment = numpy_dynamics.moment_about_com(q, acceleration, bodies) + np.sum(
         spin, axis=1
     )
-    scale = np.sum(
-        np.abs(force), axis=(1, 2)
-    )  # arms are about a metre: of force and moment alike
+    # Arms are about a metre, so the scale is one of force and of moment.
+    scale = np.sum(np.abs(force), axis=(1, 2))
     assert np.max(np.abs(net) / scale[:, None]) <= ROUNDING
     assert np.max(np.abs(moment) / scale) <= ROUNDING

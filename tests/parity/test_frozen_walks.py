@@ -72,7 +72,8 @@ def walked(engine: str) -> NDArray[np.void]:
 
 @pytest.mark.parametrize("engine", WALKERS)
 def test_walks_are_those_of_0_2_0(engine: str) -> None:
-    rows, known = walked(engine), pq.read_table(frozen(engine))
+    rows = walked(engine)
+    known = pq.read_table(frozen(engine))
     added = {ENERGY}  # since 0.4.0
     assert {*known.column_names} == {*(Walker(Settings()).columns.names or ())} - added
     assert (rows["step_count"] > 0).sum() > len(rows) / 2

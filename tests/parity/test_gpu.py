@@ -20,7 +20,8 @@ from taichi_nmm.walkers import Batch
 from tests.parity.test_compiler import walking_batch
 
 WALKERS = 64  # two warps
-START_TICK, MARKS = 100, (101, 150, 600)
+START_TICK = 100
+MARKS = (101, 150, 600)
 TOLERANCE = 1e-9  # of each row, or of 1: rounding, in float64
 DEVICE = slice(State.device_air, State.device_torque)
 
@@ -34,10 +35,8 @@ def walked(
     """Rows of all walkers at the later ticks, [n, row] each, from `rows` at the first one."""
     settings = Settings(arch=arch, precision="float64")
     backend.start(settings)
-    packs, launch = (
-        simulator.start_packs(batch, settings),
-        simulator.launcher(batch, settings),
-    )
+    packs = simulator.start_packs(batch, settings)
+    launch = simulator.launcher(batch, settings)
     if rows is not None:
         packs.rows[...] = packs.fold(rows)
     return [

@@ -168,7 +168,9 @@ def tendon_force(muscle: Element, strain: Array) -> Array:
     x = (stiffness * x_toe - toe + y_joint - slope * x_joint) / (stiffness - slope)
     corners.append(np.array([x, y_joint + slope * (x - x_joint)]))
     ends = [np.zeros(2), np.array([x_joint, y_joint]), np.array([x_toe, toe])]
-    c, u, points = 0.1 + 0.8 * curviness, np.linspace(0.0, 1.0, 3000), []
+    c = 0.1 + 0.8 * curviness
+    u = np.linspace(0.0, 1.0, 3000)
+    points = []
     for start, corner, end in zip(ends, corners, ends[1:], strict=False):
         near, far = (1 - c) * start + c * corner, (1 - c) * end + c * corner
         points.append(
@@ -201,7 +203,8 @@ def moment_arms(case: Case, muscle: Element) -> dict[int, Array]:
 def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(
     case: Case,
 ) -> None:
-    states, muscles = case.table(STATES), case.muscles
+    states = case.table(STATES)
+    muscles = case.muscles
     assert set(NAMES) - set(muscles) in (set(), MISSING)
     for name, muscle in muscles.items():
         length = computed(
@@ -246,7 +249,8 @@ def test_opensim_itself_computes_the_walkers_forces(
     states = opensim.StatesTrajectory.createFromStatesTable(model, table)
     muscles = [model.getMuscles().get(n) for n in range(model.getMuscles().getSize())]
     assert {muscle.getName() for muscle in muscles} == set(case.muscles)
-    forces, errors = {each.getName(): list[float]() for each in muscles}, list[float]()
+    forces = {each.getName(): list[float]() for each in muscles}
+    errors = list[float]()
     arms = {each.getName(): [list[float]() for _ in JOINTS] for each in muscles}
     for sample in range(0, states.getSize(), 20):
         state = states.get(sample)
@@ -275,7 +279,8 @@ def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(
     case: Case,
 ) -> None:
     """At the middles of the intervals, of which motors and the walker's torques are the means."""
-    walk, torques = case.trajectory, np.zeros_like(case.trajectory.joint_torque_nm)
+    walk = case.trajectory
+    torques = np.zeros_like(case.trajectory.joint_torque_nm)
     for name, muscle in case.muscles.items():
         for joint, arm in moment_arms(case, muscle).items():
             torques[:, joint] += arm * case.force(name)
@@ -311,7 +316,8 @@ def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(
 def test_the_rate_of_a_path_is_that_of_its_length(case: Case) -> None:
     for muscle in case.muscles.values():
         values, rates = (coordinates(case, muscle, kind) for kind in ("value", "speed"))
-        function, step = muscle.find(".//length_function/*"), 1e-6
+        function = muscle.find(".//length_function/*")
+        step = 1e-6
         later, earlier = (
             computed(
                 function,

@@ -129,9 +129,8 @@ def test_a_build_of_other_masses_is_drawn_and_read_back() -> None:
         Build(inertia=build.mass),
     ):
         assert read_body(Table(each.document(), "body")) == each
-    assert Build(0.15).document() == {
-        "disturbance": 0.15
-    }  # what is not said changes no digest
+    # What is not said changes no digest.
+    assert Build(0.15).document() == {"disturbance": 0.15}
 
 
 @cases("bad-bodies.toml", "table", "message")

@@ -60,7 +60,8 @@ def test_batch_of_one(whole: NDArray[np.void], walker: int) -> None:
 
 
 def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
-    index, width = np.arange(200), registers.width()
+    index = np.arange(200)
+    width = registers.width()
     for threads, wide in ((1, True), (2, True), (1, False)):
         settings = Settings(arch="cpu", threads=threads, wide_registers=wide)
         assert rows(index, settings).tobytes() == whole[:200].tobytes()

@@ -34,11 +34,12 @@ def test_what_was_not_measured_is_unknown_and_never_zero() -> None:
     rows["duration_s"], rows["step_duration_mean_s"] = (0.4, 5.0, 5.0), (0.0, 0.6, 0.6)
     rows["mean_speed_mps"], rows["step_count"] = (-0.25, 1.2, 1.2), (0, 1, 8)
     rows["step_length_mean_m"] = (0.0, 0.7, 0.7)
+    # Only the left leg of the second walker stepped.
     rows["step_length_asymmetry"] = (
         0.0,
         1.0,
         0.02,
-    )  # of the second, only the left leg stepped
+    )
     rows["trunk_mean_rad"], rows["human_deviation"] = 0.0, (9.0, 2.0, 1.0)
     measured = (
         "knee_peak_swing_rad",

@@ -178,10 +178,8 @@ def test_grounds_at_the_bounds_end_walks_with_a_code(engine: str) -> None:
         terrain.Terrain("high", np.full(terrain.GRID_NODES, high)),
         terrain.stairs(1.0, 0.1, 0.0),
     ]
-    settings, gains = (
-        Settings(engine=engine, arch="cpu"),
-        [PUBLISHED_GAINS] * len(cliffs),
-    )
+    settings = Settings(engine=engine, arch="cpu")
+    gains = [PUBLISHED_GAINS] * len(cliffs)
     result = walked(gains, 0.5, settings=settings, terrains=cliffs, record=[0, 1])
     assert set(result.end_reason) <= {"completed", "fell", "diverged"}
     ended = result["end_reason"] != DIVERGED
@@ -204,9 +202,8 @@ def test_every_kind_of_input_reaches_the_walker() -> None:
         terrain_index=[0, 0, 1, 0],
     )
     assert len(set(result["hip_x_m"].tolist())) == 4
-    assert (
-        result.rows[:1].tobytes() == walked(duration_s=3.0).rows.tobytes()
-    )  # alone on the flat
+    # The first one walks as alone on the flat.
+    assert result.rows[:1].tobytes() == walked(duration_s=3.0).rows.tobytes()
 
 
 def test_gains_go_over_to_others_on_a_straight_line() -> None:
@@ -220,7 +217,8 @@ def test_gains_go_over_to_others_on_a_straight_line() -> None:
         Switch(2.0, PUBLISHED_GAINS, over_s=0.001),
     ]
     batch = check_batch(gains)
-    schedule, packs = Schedule(batch, settings, switches), start_packs(batch, settings)
+    schedule = Schedule(batch, settings, switches)
+    packs = start_packs(batch, settings)
     for tick, factor, ticks in (
         (0, 1.0, 250),
         (900, 1.0, 100),
@@ -249,7 +247,8 @@ def test_gains_go_over_to_others_on_a_straight_line() -> None:
 def test_a_walk_with_a_switch_is_that_of_the_first_gains_until_then(
     engine: str,
 ) -> None:
-    settings, reference = Settings(arch="cpu", engine=engine), load_gains("reference")
+    settings = Settings(arch="cpu", engine=engine)
+    reference = load_gains("reference")
     plain, same, other = (
         walked(duration_s=1.5, settings=settings, record=[0], switches=switches)
         for switches in (

@@ -304,9 +304,8 @@ def test_each_ground_draws_an_option_that_is_a_pair() -> None:
         slopes.append(float(made.height(59.0) - made.height(9.0)) / 50.0)
         np.testing.assert_array_equal(made.height_m, ground.draw(seed).height_m)
     assert -0.08 <= min(slopes) < -0.07 and 0.07 < max(slopes) <= 0.08
-    assert abs(np.mean(slopes)) < 3 * 0.16 / np.sqrt(
-        12 * 200
-    )  # of a uniform distribution
+    # Three standard errors of a uniform distribution's mean.
+    assert abs(np.mean(slopes)) < 3 * 0.16 / np.sqrt(12 * 200)
     assert len({hash(ground), hash(Ground("rough", {"slope": [-0.08, 0.07]}))}) == 2
     assert pickle.loads(pickle.dumps(ground)) == ground
     # A drawn option changes no other draw.

@@ -17,10 +17,11 @@ from taichi_nmm.parameters import (
 from taichi_nmm.result import COMPLETED, DIVERGED, ENERGY, FELL, RESULT_DTYPE
 from taichi_nmm.walker_simulator import MEASURES, Walker, array_digest
 
+# Digests by the purpose of the draws.
 DIGESTS = {
     101: "5e8565d00aa2dc6f",
     103: "7dcc02119a2f7fec",
-}  # by the purpose of the draws
+}
 
 
 @pytest.mark.parametrize(
@@ -77,9 +78,8 @@ def test_a_store_has_further_columns_where_it_names_them() -> None:
     assert [*plain.columns.descr, (names[0], "<f8")] == walker.columns.descr
     assert "kept" not in plain.document()
     assert ENERGY in plain.outcomes and ENERGY in (plain.columns.names or ())
-    assert (
-        Walker.read(Table({"kept": [ENERGY]}), "cpu") == plain
-    )  # as it had to be named once
+    # As it had to be named once.
+    assert Walker.read(Table({"kept": [ENERGY]}), "cpu") == plain
     for wrong in ("end_reason", "mean_speed_mps", "activation"):
         with pytest.raises(
             InputError, match=f"^kept: '{wrong}' .* a list of duration_s, .*_cubed"
@@ -146,9 +146,8 @@ def test_worlds_of_a_seed_are_those_of_0_2_0(purpose: int, digest: str) -> None:
     ]
     drawn = Walker(Settings()).read_worlds(Table(family)).draw(seeds)
     heights = [terrain.height_m for terrain in drawn.terrains]
-    surroundings = list(vars(drawn.surroundings).values())[
-        :7
-    ]  # without the newer catches
+    # The newer catches are left out.
+    surroundings = list(vars(drawn.surroundings).values())[:7]
     parts = (*vars(drawn.bodies).values(), *surroundings, *heights)
     assert array_digest(*parts)[:16] == digest
     walker = Walker(Settings()).read_worlds

@@ -122,7 +122,8 @@ LIBRARY, VERSION = compiler.core.__file__, registers.TAICHI_VERSION
 @pytest.mark.skipif(not registers._address_of_setting(LIBRARY), reason="another system")
 def test_only_this_library_of_this_version_is_told(tmp_path: Path) -> None:
     setting = ctypes.c_uint32.from_address(registers._address_of_setting(LIBRARY) or 0)
-    before, cut = setting.value, tmp_path / "cut"
+    before = setting.value
+    cut = tmp_path / "cut"
     cut.write_bytes(Path(LIBRARY).read_bytes()[:4096])
     for other in ("/proc/self/exe", os.devnull, __file__, str(cut), "none"):
         assert not registers.tell_vectoriser(5, other, VERSION)

@@ -45,7 +45,8 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
     (dynamics,) = interpreted("dynamics")
     rng = np.random.default_rng(5)
     q, qdot = rng.uniform(-1.0, 1.0, (2, WALKERS, COORDINATES))
-    seeds, ticks = rng.integers(2**24, size=WALKERS), 1000 * SLOTS
+    seeds = rng.integers(2**24, size=WALKERS)
+    ticks = 1000 * SLOTS
     const = Const.of(np.zeros((Const.count, WALKERS)))
     work = Work.of(np.zeros((Work.count, WALKERS)))
     const.noise_seed[:] = seeds
@@ -57,9 +58,8 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
     ]
     relative = (LEVERS_M * (turn * qdot[:, 3:]).reshape(WALKERS, 2, 3)).sum(axis=2)
     speed = qdot[:, :1] + relative  # of the balls, forward
-    forces = np.array(
-        [pulls(int(seed), LARGEST_NS, ticks) for seed in seeds]
-    )  # [n, t, leg]
+    # Forces are [n, t, leg].
+    forces = np.array([pulls(int(seed), LARGEST_NS, ticks) for seed in seeds])
     forces[0] = 0.0
     with np.errstate(over="ignore"):
         for tick in range(ticks):
@@ -102,7 +102,8 @@ def test_a_catch_in_the_air_takes_its_impulse_and_its_moment(
         record_rate_hz=1000,
     ).trajectories[0]
     assert len(flown.q) == round(FLIGHT_S * 1000) and not flown.ground_force_n.any()
-    state, body = (flown.q, flown.qdot, Bodies.nominal()), Bodies.nominal()
+    state = (flown.q, flown.qdot, Bodies.nominal())
+    body = Bodies.nominal()
     force = pulls(SEED, 4.0, len(flown.q))
     assert (force != 0.0).sum(axis=0).tolist() == [20, 20]
     com_z = (numpy_dynamics.com_positions(flown.q, body)[:, :, 1] * body.mass_kg).sum(

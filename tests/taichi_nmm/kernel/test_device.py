@@ -120,7 +120,8 @@ def test_it_takes_work_from_the_muscles_that_do_the_same(
     assert (result["survived_fraction"] == 1.0).all()
     alone, helped = sum(result[f"activation_{name}_mean"] for name in muscles)
     assert 0.5 * alone < helped < 0.98 * alone
-    walk, joint = result.trajectories[0], 0 if motion == "hip_extension" else 2
+    walk = result.trajectories[0]
+    joint = 0 if motion == "hip_extension" else 2
     torque = walk.device_torque_nm[:, joint]
     assert torque.max() == pytest.approx(curve[0], abs=0.1)
     assert not np.delete(walk.device_torque_nm, [joint, joint + 3], axis=1).any()
@@ -158,10 +159,8 @@ def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(
 ) -> None:
     """Its ankle is where the spring alone balances the foot, which in the air weighs little."""
     foot = taichi_nmm.Prosthesis("right", 600.0, 1.0, 0.1)
-    worlds, settings = (
-        taichi_nmm.WorldRanges(prosthesis=foot).draw([1]),
-        taichi_nmm.Settings,
-    )
+    worlds = taichi_nmm.WorldRanges(prosthesis=foot).draw([1])
+    settings = taichi_nmm.Settings
     (walked,) = taichi_nmm.simulate(
         PUBLISHED_GAINS,
         worlds=worlds,
@@ -174,9 +173,8 @@ def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(
     in_the_air = ~walked.stance[:, 1] & (walked.time_s > 0.1) & (walked.time_s < 0.4)
     np.testing.assert_allclose(walked.joint_rad[in_the_air, 5], 0.1, atol=0.02)
     rate = walked.qdot[:, 8] - walked.qdot[:, 7]
-    angle = (
-        walked.joint_rad[:, 5] - settings.physics_step_s * rate
-    )  # where the last step began
+    # The angle at which the last step began.
+    angle = walked.joint_rad[:, 5] - settings.physics_step_s * rate
     free = (angle > np.deg2rad(-20.0)) & (angle < np.deg2rad(40.0))  # of the stops
     torque_nm = 600.0 * (0.1 - angle) - 1.0 * rate
     np.testing.assert_allclose(

@@ -47,7 +47,8 @@ def test_blocks_follow_each_other_and_each_gain_has_a_row_of_its_name() -> None:
 def test_each_leg_is_controlled_by_its_own_gains() -> None:
     """By stance reflexes and swing: one leg as that of a walker whose legs both have its gains."""
     reflexes, swing = interpreted("reflexes", "swing")
-    rng, lane = np.random.default_rng(5), np.arange(50)
+    rng = np.random.default_rng(5)
+    lane = np.arange(50)
     both = rng.uniform(lower_bounds(), upper_bounds(), (2, 16))
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (3, 1))
     low_level[0, -16:] = (both[0] - both[1]) / both.sum(axis=0)

@@ -87,10 +87,12 @@ def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(
 @cache
 def isometric(m: int, own: bool) -> Any:
     """Contract muscle m at fixed joint angles until it rests: walkers of ACTIVATIONS together."""
-    walker, lanes = interpreted_walker(), np.arange(len(ACTIVATIONS))
+    walker = interpreted_walker()
+    lanes = np.arange(len(ACTIVATIONS))
     muscle = walker.muscle
     fibres, work = interpreted_rows(RESTING_RAD, len(lanes))
-    data, worlds = list(MUSCLE_DATA.values())[m], Worlds.nominal(len(lanes))
+    data = list(MUSCLE_DATA.values())[m]
+    worlds = Worlds.nominal(len(lanes))
     if own:  # a fibre 10 % shorter, a tendon 2 % longer
         fibre, slack = 0.9 * data.optimal_length_m, 1.02 * data.slack_length_m
         data = replace(data, optimal_length_m=fibre, slack_length_m=slack)
@@ -182,14 +184,17 @@ def walking_states(ticks: int) -> Problem:
     walker = interpreted_walker()
     muscle = walker.muscle
     muscle.ITERATIONS = CONVERGED
-    find_range, met, recorded = muscle.speed_range, [], []
+    find_range = muscle.speed_range
+    met = []
+    recorded = []
 
     def recording(*arguments: Any) -> Any:
         met.append(np.array(np.broadcast_arrays(*arguments)))
         return find_range(*arguments)
 
     muscle.speed_range = recording
-    flat, step_s = terrain.flat(), 1e-3
+    flat = terrain.flat()
+    step_s = 1e-3
     batch = check_batch(sobol_points(SEED, 0, WALKERS, GAINS))
     rows = WalkerRows.of(np.tile(initial_rows(flat)[:, None], WALKERS))
     const = Const.of(constant_rows(batch, Settings()).T)
@@ -256,7 +261,8 @@ def test_fibre_speed_converges_on_walking_states() -> None:
 @pytest.mark.parametrize("joint", range(3), ids=["hip", "knee", "ankle"])
 def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
     """A torque is minus the length's slope times Fmax over rho (rho scales length only)."""
-    joints, step = interpreted_walker().joints, 1e-6
+    joints = interpreted_walker().joints
+    step = 1e-6
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     turn = step * np.eye(3)[joint]
     slopes = (unit_lengths(*(angles + turn)) - unit_lengths(*(angles - turn))) / (
