@@ -135,9 +135,9 @@ Muscle = Layout(
     force=MUSCLE_COUNT,  # over the nominal Fmax
 )
 
-# Never written by a step: each gain by its name (`Const.K_SOL`, of the left leg, then
-# the right), coefficients of the body, and the world. A_i and B_ij multiply the
-# directions of the links in the mass matrix: see `dynamics`.
+# Never written by a step: each gain by its name (`const.K_SOL[leg, lane]`), coefficients
+# of the body, and the world. A_i and B_ij multiply the directions of the links in the
+# mass matrix: see `dynamics`.
 Const = Layout(
     **dict.fromkeys(GAIN_NAMES, LEGS),
     **dict.fromkeys((each.name for each in (*FIXED, *DEVICE)), 1),
