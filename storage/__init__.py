@@ -1,4 +1,4 @@
-"""The Parquet store of gait scores, and Optuna's study databases.
+"""The Parquet store of a simulator's scores, and Optuna's study databases.
 
 Importing this package loads neither Taichi nor Optuna, and Arrow when a name below is
 first used; `storage.precompute` fills a store, `storage.databases` has the databases,
@@ -10,18 +10,33 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from storage.function_simulator import FunctionSimulator
+    from storage.inputs.errors import InputError
+    from storage.mujoco_simulator import MujocoSimulator
     from storage.precompute import make_store
+    from storage.simulator import Simulator, Uniform
     from storage.store import Store, merge, open_store
 
-__all__ = ["FunctionSimulator", "Store", "make_store", "merge", "open_store"]
+__all__ = [
+    "FunctionSimulator",
+    "InputError",
+    "MujocoSimulator",
+    "Simulator",
+    "Store",
+    "Uniform",
+    "make_store",
+    "merge",
+    "open_store",
+]
 
-_MODULES = {
-    "FunctionSimulator": "storage.function_simulator",
-    "Store": "storage.store",
-    "make_store": "storage.precompute",
-    "merge": "storage.store",
-    "open_store": "storage.store",
+_PLACES = {
+    "storage.function_simulator": ("FunctionSimulator",),
+    "storage.inputs.errors": ("InputError",),
+    "storage.mujoco_simulator": ("MujocoSimulator",),
+    "storage.precompute": ("make_store",),
+    "storage.simulator": ("Simulator", "Uniform"),
+    "storage.store": ("Store", "merge", "open_store"),
 }
+_MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

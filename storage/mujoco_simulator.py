@@ -23,6 +23,7 @@ from optuna.distributions import (
     IntDistribution,
 )
 
+from storage.commit import writable
 from storage.function_simulator import (
     ENDED,
     SEED,
@@ -35,6 +36,7 @@ from storage.function_simulator import (
 from storage.inputs import checks
 from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed, one_line, shortened
+from storage.inputs.reading import is_file
 from storage.mujoco_herd import Herd, Robot, SensedState
 from storage.mujoco_worlds import (
     Floats,
@@ -102,6 +104,14 @@ def gymnasium_model(file: str) -> Path:
     return folder / file
 
 
+def a_model(field: str, value: Any) -> Any:
+    """A function that makes a model, as it is; or the path of a file that can be one."""
+    if callable(value):
+        return value
+    with writable(Path(checks.path(field, value)), field):
+        return Path(value).resolve()
+
+
 of_one_run = checks.checked(
     point=checks.by_name(checks.anything),
     world=checks.by_name(checks.number()),
@@ -113,7 +123,9 @@ class MujocoSimulator(FunctionSimulator):
     """Robots of an MJCF model in MuJoCo. It pickles, if its functions are of a module."""
 
     @checks.checked(
+        model=a_model,
         controller=checks.function,
+        worlds=checks.optional(checks.by_name(checks.number())),
         control_step_s=checks.optional(checks.number(1e-5, 1.0)),
         fallen=checks.optional(checks.function),
         start_qpos=checks.optional(checks.each(checks.number())),
@@ -167,7 +179,7 @@ class MujocoSimulator(FunctionSimulator):
                 raise InputError(
                     f"worlds.{name}", given[name], f"one of {listed(WORLDS, name)}"
                 )
-        self.model = Path(model).resolve() if isinstance(model, str | Path) else model
+        self.model = Path(model) if isinstance(model, str) else model
         self._fallen, self._root_name = fallen, root
         self._start_qpos = (
             None if start_qpos is None else np.array(start_qpos, dtype=np.float64)
@@ -476,9 +488,8 @@ class MujocoSimulator(FunctionSimulator):
             return 1
         import mujoco
 
-        return int(
-            mujoco.mj_name2id(self._plain, mujoco.mjtObj.mjOBJ_BODY, self._root_name)
-        )
+        kind, name = mujoco.mjtObj.mjOBJ_BODY, self._root_name
+        return int(mujoco.mj_name2id(self._plain, kind, one_line(name)))
 
     def _spec(self) -> Any:
         """The model as it came, and what every run of it needs."""
@@ -487,7 +498,7 @@ class MujocoSimulator(FunctionSimulator):
         try:
             if not isinstance(self.model, Path):
                 spec = self.model()
-            elif self.model.is_file():
+            elif is_file(self.model):
                 spec = mujoco.MjSpec.from_file(str(self.model))
             else:
                 allowed = "an MJCF file, or a function that returns an MjSpec"

@@ -38,8 +38,8 @@ def within_bounds(
         unit: points of the unit cube, [n, p].
         parameters: p of them.
     """
-    pairs = zip(map(_uniform, parameters), unit.T, strict=True)
-    return np.column_stack([each.of_unit(column) for each, column in pairs])
+    pairs = zip(parameters, unit.T, strict=True)
+    return np.column_stack([_from_unit(each, column) for each, column in pairs])
 
 
 def in_unit_cube(
@@ -51,8 +51,8 @@ def in_unit_cube(
         points: in units of the parameters, [n, p].
         parameters: p of them.
     """
-    pairs = zip(map(_uniform, parameters), points.T, strict=True)
-    return np.column_stack([each.to_unit(column) for each, column in pairs])
+    pairs = zip(parameters, points.T, strict=True)
+    return np.column_stack([_to_unit(each, column) for each, column in pairs])
 
 
 def sobol_points(
@@ -76,6 +76,31 @@ def sobol_points(
         # of two.
         warnings.filterwarnings("ignore", message="The balance properties")
         return within_bounds(sequence.random(count), parameters)
+
+
+def _from_unit(parameter: Parameter, unit: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values at some places of the range, 0 to 1, in the parameter's unit, [n]."""
+    each = _uniform(parameter)
+    low, high = _ends(each)
+    values = low * (high / low) ** unit if each.log else low + unit * (high - low)
+    if each.step:
+        values = each.low + each.step * np.rint((values - each.low) / each.step)
+    return np.clip(values, each.low, each.high)
+
+
+def _to_unit(parameter: Parameter, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The places of some values in the range, from 0 to 1, [n]."""
+    each = _uniform(parameter)
+    low, high = _ends(each)
+    if each.log:
+        return np.asarray(np.log(values / low) / np.log(high / low))
+    return (values - low) / (high - low)
+
+
+def _ends(parameter: Uniform) -> tuple[float, float]:
+    """Half a step beyond the bounds, so that all steps are as likely."""
+    half = parameter.step / 2
+    return parameter.low - half, parameter.high + half
 
 
 def _uniform(parameter: Parameter) -> Uniform:

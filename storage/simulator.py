@@ -77,34 +77,6 @@ class Uniform(NamedTuple):
     step: float = 0.0
     distribution: str = ""
 
-    def of_unit(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values at some places of the range, in the parameter's unit, [n].
-
-        Args:
-            unit: places from 0, the lower bound, to 1, the upper one, [n].
-        """
-        low, high = self._ends
-        values = low * (high / low) ** unit if self.log else low + unit * (high - low)
-        if self.step:
-            values = self.low + self.step * np.rint((values - self.low) / self.step)
-        return np.clip(values, self.low, self.high)
-
-    def to_unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The places of some values in the range, from 0 to 1, [n].
-
-        Args:
-            values: in the parameter's unit, from `low` to `high`, [n].
-        """
-        low, high = self._ends
-        if self.log:
-            return np.asarray(np.log(values / low) / np.log(high / low))
-        return (values - low) / (high - low)
-
-    @property
-    def _ends(self) -> tuple[float, float]:
-        """Half a step beyond the bounds, so that all steps are as likely."""
-        return self.low - self.step / 2, self.high + self.step / 2
-
 
 class WorldRule(Protocol):
     """Draws worlds, such as grounds of one kind with random options."""
@@ -410,13 +382,8 @@ def check_simulator(simulator: Simulator) -> None:
             raise _fault(simulator, f"scores that are numbers; {name!r} is none")
     if not simulator.parameters:
         raise _fault(simulator, "one parameter at least")
-    for name, low, high in (
-        (each.name, each.low, each.high) for each in simulator.parameters
-    ):
-        if not (np.isfinite([low, high]).all() and low < high):
-            raise _fault(
-                simulator, f"parameters with low < high; {name} has {low}, {high}"
-            )
+    for each in simulator.parameters:
+        _check_parameter(simulator, each)
     every = ["row", *(each.name for each in simulator.parameters), *names]
     for name in every:
         if every.count(name) > 1:
@@ -424,6 +391,22 @@ def check_simulator(simulator: Simulator) -> None:
                 "other names than 'row' for parameters and columns, each once, not "
             )
             raise _fault(simulator, f"{allowed}{name!r}")
+
+
+def _check_parameter(simulator: Simulator, parameter: Parameter) -> None:
+    """Refuse bounds between which no value can be drawn."""
+    name = checks.text(f"{SIMULATOR_KEY}.parameters", parameter.name)
+    a_number = checks.that(checks.is_number, "a number")
+    low = a_number(f"{name}.low", parameter.low)
+    high = a_number(f"{name}.high", parameter.high)
+    if not (np.isfinite([low, high]).all() and low < high):
+        allowed = f"parameters with low < high; {name} has {low}, {high}"
+        raise _fault(simulator, allowed)
+    if isinstance(parameter, Uniform):
+        checks.flag(f"{name}.log", parameter.log)
+        checks.number(0.0, high - low)(f"{name}.step", parameter.step)
+        if parameter.log and low <= 0.0:
+            raise _fault(simulator, f"a logarithmic {name} from above 0, not {low}")
 
 
 def run_points(

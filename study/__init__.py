@@ -7,21 +7,39 @@ first used.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from taichi_nmm.neighbours import require_neighbours
+from study.neighbours import require_neighbours
 
 if TYPE_CHECKING:
+    from storage.inputs.errors import InputError
+    from study.bench.bench import Bench
     from study.experiment.features import world_table
+    from study.sampler.prediction import Best, Prediction
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
+    from study.sampler.table_policy import TableExhaustedError
 
-__all__ = ["DoGSampler", "FeatureKernelSampler", "FeatureTable", "world_table"]
+__all__ = [
+    "Bench",
+    "Best",
+    "DoGSampler",
+    "FeatureKernelSampler",
+    "FeatureTable",
+    "InputError",
+    "Prediction",
+    "TableExhaustedError",
+    "world_table",
+]
 
-_MODULES = {
-    "DoGSampler": "study.sampler.sampler",
-    "FeatureKernelSampler": "study.sampler.sampler",
-    "FeatureTable": "study.sampler.table",
-    "world_table": "study.experiment.features",
+_PLACES = {
+    "storage.inputs.errors": ("InputError",),
+    "study.bench.bench": ("Bench",),
+    "study.experiment.features": ("world_table",),
+    "study.sampler.prediction": ("Best", "Prediction"),
+    "study.sampler.sampler": ("DoGSampler", "FeatureKernelSampler"),
+    "study.sampler.table": ("FeatureTable",),
+    "study.sampler.table_policy": ("TableExhaustedError",),
 }
+_MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 require_neighbours("storage")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from storage.inputs.errors import InputError
+    from storage.inputs.version import __version__ as __version__
     from taichi_nmm.body import Bodies
     from taichi_nmm.controller import Controller, Muscles
     from taichi_nmm.observation import Observation
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
     from taichi_nmm.terrain import Terrain
     from taichi_nmm.walkers import Switch
     from taichi_nmm.world import Exoskeleton, Prosthesis, WorldRanges, Worlds
-
-__version__ = "0.4.0"
 
 __all__ = [
     "END_REASONS",
@@ -66,10 +65,12 @@ __all__ = [
 ]
 
 _PLACES = {
-    "body": ("Bodies",),
-    "controller": ("Controller", "Muscles"),
-    "errors": ("InputError",),
-    "parameters": (
+    "storage.inputs.errors": ("InputError",),
+    "storage.inputs.version": ("__version__",),
+    "taichi_nmm.body": ("Bodies",),
+    "taichi_nmm.controller": ("Controller", "Muscles"),
+    "taichi_nmm.observation": ("Observation",),
+    "taichi_nmm.parameters": (
         "GAINS",
         "GAIN_NAMES",
         "PUBLISHED_GAINS",
@@ -77,7 +78,7 @@ _PLACES = {
         "load_all_gains",
         "load_gains",
     ),
-    "result": (
+    "taichi_nmm.result": (
         "END_REASONS",
         "MUSCLES",
         "Result",
@@ -85,25 +86,22 @@ _PLACES = {
         "smooth_cost",
         "walking_cost",
     ),
-    "observation": ("Observation",),
-    "settings": ("Settings",),
-    "simulator": ("forward_dynamics", "simulate"),
-    "terrain": ("Terrain",),
-    "walkers": ("Switch",),
-    "world": ("Exoskeleton", "Prosthesis", "WorldRanges", "Worlds"),
+    "taichi_nmm.settings": ("Settings",),
+    "taichi_nmm.simulator": ("forward_dynamics", "simulate"),
+    "taichi_nmm.terrain": ("Terrain",),
+    "taichi_nmm.walkers": ("Switch",),
+    "taichi_nmm.world": ("Exoskeleton", "Prosthesis", "WorldRanges", "Worlds"),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name, or one of the modules, at its first use (PEP 562)."""
-    if name == "InputError":
-        return import_module("storage.inputs.errors").InputError
-    if name in _MODULES:
-        return getattr(import_module(f"taichi_nmm.{_MODULES[name]}"), name)
-    if name in _PLACES:
+    if f"taichi_nmm.{name}" in _PLACES:
         return import_module(f"taichi_nmm.{name}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:

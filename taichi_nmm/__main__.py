@@ -3,15 +3,18 @@
 The only module of this package that imports `study`.
 """
 
+import runpy
 import sys
+from pathlib import Path
 
-from taichi_nmm.neighbours import require_neighbours
+# By its path: the name `study` may be a user's.
+NEIGHBOURS = Path(__file__).resolve().parents[1] / "study" / "neighbours.py"
 
 
 def main() -> None:
     """Run the command that the process was called with, and leave with its exit code."""
     try:
-        require_neighbours("study", "storage")
+        runpy.run_path(str(NEIGHBOURS))["require_neighbours"]("study", "storage")
     except ImportError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)

@@ -22,13 +22,14 @@ import study
 import taichi_nmm
 from storage.inputs.errors import InputError
 from storage.precompute import precompute
-from storage.simulator import Simulator
+from storage.simulator import Simulator, check_simulator
 from study.experiment.objective import Objective
 from taichi_nmm import terrain
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.result import RESULT_DTYPE
-from tests.storage import fake, robot
+from tests.storage import fake, robot, toy
 from tests.storage.inputs.test_errors import Unspeakable
+from tests.study.bench import robot as bench_robot
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
 
@@ -41,9 +42,20 @@ class Door(NamedTuple):
     arguments: dict[str, Any]
 
 
+ASSETS = Path(__file__).parent / "assets"
 PACKAGES = (taichi_nmm, storage, study)
-# Made by us, of values that were checked.
-CONTAINERS = {"InputError", "Muscles", "Result", "Store", "Trajectory"}
+# Made by us, of values that were checked; or made by nobody.
+CONTAINERS = {
+    "Best",
+    "InputError",
+    "Muscles",
+    "Prediction",
+    "Result",
+    "Simulator",
+    "Store",
+    "TableExhaustedError",
+    "Trajectory",
+}
 HOOKS = (BaseSampler, Simulator)  # whose members Optuna and stores call
 BOX = {"x": FloatDistribution(0, 1)}
 
@@ -250,6 +262,85 @@ def store_doors(store: Path, folder: Path) -> list[Door]:
     ]
 
 
+def robot_doors() -> list[Door]:
+    robots = {
+        "model": ASSETS / "cart.xml",
+        "controller": still,
+        "parameters": BOX,
+        "fallen": never,
+    }
+    herd = storage.MujocoSimulator(**robots)
+
+    # How long a run lasts is the caller's to choose, be it for ever.
+    def states(point: Any, world: Any) -> Any:
+        return herd.states(point, world, 0.01)
+
+    def trial(point: Any, world: Any) -> Any:
+        return herd.trial(point, world, 0.01)
+
+    one_run = {"point": {"x": 0.5}, "world": {}}
+    return [
+        door(storage.MujocoSimulator, **robots),
+        door(states, **one_run)._replace(name="MujocoSimulator.states"),
+        door(trial, **one_run)._replace(name="MujocoSimulator.trial"),
+        door(parameter, name="x", low=1.0, high=2.0)._replace(name="Uniform"),
+    ]
+
+
+def still(point: Any, sensed: Any, memory: Any) -> Any:
+    return np.zeros((len(sensed.x_m), 1))
+
+
+def never(sensed: Any) -> Any:
+    return np.zeros(len(sensed.x_m), dtype=bool)
+
+
+def parameter(
+    name: Any, low: Any, high: Any, log: Any = False, step: Any = 0.5
+) -> None:
+    """A store checks the parameters of a simulator before it draws any."""
+
+    class Cart(toy.Cart):
+        parameters = (storage.Uniform(name, low, high, log, step),)
+
+    check_simulator(Cart())
+
+
+def bench_doors(folder: Path) -> list[Door]:
+    path = bench_robot.write(folder)
+    bench = study.Bench.new(path, "me")
+    params = {"stiffness": 100.0, "damping": 1.0}
+    bench.add([(params, 1.0)])
+    pending = bench.next()[0].number
+    told = {"value": 1.0, "columns": {"torque": 1.0}}
+
+    def undone(entry: None) -> None:
+        """The trial is pending again, for the next call."""
+        bench.undo()
+
+    return [
+        door(study.Bench, path=path),
+        door(study.Bench.new, path=path),
+        door(bench.abort, undone, number=pending),
+        door(bench.add, rows=[(params, 1.0)]),
+        door(bench.add_new, rows=[]),
+        door(bench.best),
+        door(bench.context, undone, name="snow"),
+        door(bench.correct, number=0, **told),
+        door(bench.doubts),
+        door(bench.expected, params=[params]),
+        door(bench.look),
+        door(bench.next),
+        door(bench.pending),
+        door(bench.record, undone, number=pending, **told),
+        door(bench.repeat),
+        door(bench.shown),
+        door(bench.simulated),
+        door(bench.undo),
+        door(bench.worth),
+    ]
+
+
 def table_doors(folder: Path) -> list[Door]:
     frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
     frame.to_parquet(folder / "frame.parquet")
@@ -347,6 +438,8 @@ def test_one_line_or_success(
         *walker_doors(),
         *ground_doors(tmp_path),
         *store_doors(store, tmp_path),
+        *robot_doors(),
+        *bench_doors(tmp_path),
         *table_doors(tmp_path),
         *sampler_doors(),
     ]

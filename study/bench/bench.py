@@ -6,7 +6,7 @@ is best, and `doubts` what was perhaps entered wrongly.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,19 @@ class Own:
         )
 
 
+_a_trial = checks.that(
+    lambda row: (
+        isinstance(row, Own)
+        or (
+            isinstance(row, tuple)
+            and 2 <= len(row) <= len(fields(Own))
+            and isinstance(row[0], Mapping)
+        )
+    ),
+    "a trial: (parameters by name, value), or an Own",
+)
+
+
 class Bench:
     """A file of a bench, with the entries in its database.
 
@@ -103,6 +116,7 @@ class Bench:
             file.
     """
 
+    @checks.checked(path=checks.path, operator=checks.optional(checks.text))
     def __init__(self, path: str | Path, operator: str | None = None) -> None:
         self.plan: Plan = read_plan(Path(path))
         self.operator = operator or operator_here()
@@ -260,6 +274,7 @@ class Bench:
             found += _with_expectations(advice, trials)
         return found
 
+    @checks.checked(params=checks.each(checks.by_name(checks.anything)))
     def expected(self, params: Sequence[Mapping[str, Any]]) -> list[str]:
         """What is expected of each candidate by now, in a sentence.
 
@@ -348,6 +363,7 @@ class Bench:
             state.trial(number, finished=False)
             self._add("abort", {"trial": number, "note": note})
 
+    @checks.checked(rows=checks.each(_a_trial))
     def add(self, rows: Sequence[Own | tuple[Any, ...]]) -> list[int]:
         """Enter trials that nobody proposed, as `Own` has them; their numbers.
 
@@ -361,6 +377,7 @@ class Bench:
         own = [row if isinstance(row, Own) else Own(*row) for row in rows]
         return self._add_own(own, twice=True)[0]
 
+    @checks.checked(rows=checks.each(checks.instance(Own)))
     def add_new(self, rows: Sequence[Own]) -> tuple[list[int], list[int]]:
         """The same for those that are not there yet, such as the rows of a file that has grown.
 
@@ -501,6 +518,7 @@ class Bench:
                 raise InputError(name, params[name], str(of)) from None
         return found
 
+    @checks.checked(number=checks.optional(WHOLE))
     def doubts(self, number: int | None = None) -> list[str]:
         """What was perhaps entered wrongly, a line each.
 

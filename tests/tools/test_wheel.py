@@ -169,6 +169,7 @@ def test_the_sampler_alone_is_light(
 ) -> None:
     wheel = built(source / "study" / "hub", tmp_path_factory.mktemp("alone"))
     parts = zipfile.ZipFile(wheel)
+    assert not [name for name in parts.namelist() if name.startswith("taichi_nmm/")]
     (metadata,) = (name for name in parts.namelist() if name.endswith("METADATA"))
     needed = re.findall(
         r"^Requires-Dist: (\w+)[^;\n]*$", parts.read(metadata).decode(), re.M

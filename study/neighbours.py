@@ -2,8 +2,7 @@
 
 `study` and `storage` are common names: where the working directory comes first on
 Python's path, a `study.py` in it is imported in place of the package, and the error
-that follows explains nothing. So this module imports nothing of theirs, and refuses in
-the words of `storage.inputs.errors.InputError` by itself.
+that follows explains nothing. So this file imports the standard library alone.
 """
 
 from importlib.util import find_spec
@@ -20,16 +19,12 @@ def require_neighbours(*names: str) -> None:
     """
     for name in names:
         spec = find_spec(name)
-        places = (
-            []
-            if spec is None
-            else [spec.origin, *(spec.submodule_search_locations or ())]
-        )
-        found = next((Path(place).resolve() for place in places if place), None)
-        if found not in (None, BESIDE / name / "__init__.py"):
-            allowed = (
-                f"another name, or working directory: it hides {name} of taichi-nmm"
-            )
+        if spec is None:
+            continue
+        places = [spec.origin, *(spec.submodule_search_locations or ())]
+        found = next(Path(place).resolve() for place in places if place)
+        if found != BESIDE / name / "__init__.py":
+            said = f"{name}: {str(found)!r} cannot be used; allowed: another name, or"
             raise ImportError(
-                f"{name}: {str(found)!r} cannot be used; allowed: {allowed}", name=name
+                f"{said} working directory: it hides {name} of taichi-nmm"
             )

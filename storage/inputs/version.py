@@ -1,0 +1,3 @@
+"""The version of the project, which both of its distributions read from this file."""
+
+__version__ = "0.4.0"
