@@ -28,9 +28,8 @@ from study.sampler.space import Number, Space, first_not_taken
 from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
 
 if TYPE_CHECKING:
-    from storage.foreign_tables import (
-        ForeignTable,
-    )  # slow to load: where a file is read
+    # Slow to load: where a file is read.
+    from storage.foreign_tables import ForeignTable
 
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -59,17 +58,15 @@ def checked_rows(
     if not parameters:
         raise InputError("table.parameters", "none", "at least one column")
     bounds, space = bounds or {}, space or {}
-    for field, given in (("table.bounds", bounds), ("table.space", space)):
-        for name in given:
-            if name not in parameters:
-                raise InputError(
-                    field, name, f"one of {listed(sorted(parameters), name)}"
-                )
+    for field, named in (("table.bounds", bounds), ("table.space", space)):
+        unknown = [name for name in named if name not in parameters]
+        if unknown:
+            allowed = f"one of {listed(sorted(parameters), unknown[0])}"
+            raise InputError(field, unknown[0], allowed)
     for name, ends in bounds.items():
         if name in space:
-            raise InputError(
-                f"table.bounds.{name}", ends, "none beside space=, which has the name"
-            )
+            allowed = "none beside space=, which has the name"
+            raise InputError(f"table.bounds.{name}", ends, allowed)
     worlds = None if outcomes is None else Worlds.of(outcomes, better)
     if worlds is None and better is not None:
         raise InputError("table.better", better, "none without outcomes")
@@ -88,25 +85,16 @@ def checked_rows(
     raw = np.empty((len(matrix), len(parameters)))
     distributions: dict[str, BaseDistribution] = {}
     for (name, values), column in zip(parameters.items(), raw.T, strict=True):
-        column[:], distribution = _parameter_column(
-            name, values, len(matrix), space.get(name)
-        )
+        given = space.get(name)
+        column[:], own = _parameter_column(name, values, len(matrix), given)
         if name in bounds:
-            if isinstance(distribution, CategoricalDistribution):
+            if isinstance(own, CategoricalDistribution):
                 allowed = "none: the parameter is categorical"
                 raise InputError(f"table.bounds.{name}", bounds[name], allowed)
-            distribution = _within(distribution, *bounds[name])
-        own = distributions[name] = distribution
-        if (
-            isinstance(own, Number)
-            and (row := first_not_taken(own, column, own)) is not None
-        ):
-            value = float(column[row])
-            is_inside = own.low <= value <= own.high
-            allowed = (
-                f"a value of {own}" if is_inside else f"{own.low:g} to {own.high:g}"
-            )
-            raise InputError(f"table.{name}[{row}]", value, allowed)
+            own = _within(own, *bounds[name])
+        distributions[name] = own
+        if isinstance(own, Number):
+            _require_inside(name, own, column)
         if isinstance(own, FloatDistribution):  # beyond an end by rounding alone
             np.clip(column, own.low, own.high, out=column)
     return Rows(
@@ -116,6 +104,18 @@ def checked_rows(
         features=matrix,
         worlds=worlds,
     )
+
+
+def _require_inside(name: str, own: Number, column: Floats) -> None:
+    """Refuse a number of a column [n] that its distribution has not."""
+    row = first_not_taken(own, column, own)
+    if row is None:
+        return
+    value = float(column[row])
+    allowed = f"{own.low:g} to {own.high:g}"
+    if own.low <= value <= own.high:
+        allowed = f"a value of {own}"
+    raise InputError(f"table.{name}[{row}]", value, allowed)
 
 
 def _parameter_column(
@@ -129,24 +129,22 @@ def _parameter_column(
         column = np.asarray(checks.unmasked(values))
     except ValueError:  # lists of different lengths
         raise InputError(f"table.{name}.shape", "ragged", "[n], n at least 1") from None
-    if (
-        column.dtype.kind in "US"
-    ):  # made words of numbers and gaps among words, if there were any
+    if column.dtype.kind in "US":
+        # NumPy made words of numbers and gaps among words, if there were any.
         column = np.asarray(values, dtype=object)
     if column.ndim != 1 or not len(column):
         raise InputError(f"table.{name}.shape", column.shape, "[n], n at least 1")
     if len(column) != length:
-        raise InputError(
-            f"table.{name}.shape", column.shape, f"({length},), as the features"
-        )
+        allowed = f"({length},), as the features"
+        raise InputError(f"table.{name}.shape", column.shape, allowed)
     if column.dtype.kind == "O" and given is None:
         column = _without_decimals(column)
     may_hide_flags = column.dtype.kind in "iuf" and isinstance(values, list | tuple)
     if may_hide_flags and any(isinstance(value, bool) for value in values):  # type: ignore[union-attr]
         column = np.array(values, dtype=object)
-    if isinstance(given, CategoricalDistribution) or (
-        given is None and column.dtype.kind not in "iuf"
-    ):
+    if given is None and column.dtype.kind not in "iuf":
+        return _choices(name, column, given)
+    if isinstance(given, CategoricalDistribution):
         return _choices(name, column, given)
     try:
         if column.dtype.kind in "mM":
@@ -156,9 +154,8 @@ def _parameter_column(
         raise InputError(f"table.{name}", str(column[0]), "numbers") from None
     bad = np.flatnonzero(~np.isfinite(numbers))
     if len(bad):
-        raise InputError(
-            f"table.{name}[{bad[0]}]", float(numbers[bad[0]]), "a finite number"
-        )
+        field = f"table.{name}[{bad[0]}]"
+        raise InputError(field, float(numbers[bad[0]]), "a finite number")
     for row in np.flatnonzero(np.abs(numbers) >= LARGEST_EXACT).tolist():
         value: Any = column[row]
         if column.dtype.kind == "f" and isinstance(values, list | tuple):
@@ -189,9 +186,8 @@ def _without_decimals(column: NDArray[Any]) -> NDArray[Any]:
     decimals = [value for value in listed if isinstance(value, Decimal)]
     if not decimals or not all(isinstance(value, Decimal | Real) for value in listed):
         return column
-    if all(value == int(value) for value in listed) and all(
-        value.as_tuple().exponent == 0 for value in decimals
-    ):
+    are_whole = all(value == int(value) for value in listed)
+    if are_whole and all(value.as_tuple().exponent == 0 for value in decimals):
         return np.array([int(value) for value in listed])
     return np.array([float(value) for value in listed])
 
@@ -251,9 +247,8 @@ def _choices(
     for row, value in enumerate(listed):
         if value not in index:
             raise InputError(f"table.{name}[{row}]", value, f"one of {choices}")
-    return np.array(
-        [index[value] for value in listed]
-    ), given or CategoricalDistribution(choices)
+    places = np.array([index[value] for value in listed])
+    return places, given or CategoricalDistribution(choices)
 
 
 def _require_told_apart(name: str, values: Sequence[Any]) -> None:

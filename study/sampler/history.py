@@ -372,8 +372,10 @@ def distribution_misfit(
 
 def run_otherwise(trial: FrozenTrial, values: Mapping[str, Any]) -> str | None:
     """The first parameter of which a trial ran another value than this; None without any."""
-    for name in filter(trial.params.__contains__, values):
-        ran, value = trial.params[name], values[name]
+    for name, value in values.items():
+        if name not in trial.params:
+            continue
+        ran = trial.params[name]
         try:
             if ran != value and ran != as_suggested(trial.distributions[name], value):
                 return name

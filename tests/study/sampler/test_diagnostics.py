@@ -60,10 +60,10 @@ with warnings.catch_warnings(action="ignore"):  # one feature is constant
     TABLE = new_table()
 
 
-def add(study, row, value):
-    """A finished trial of a row of the table."""
-    params = TABLE.rows.as_parameters(row)
-    study.add_trial(create_trial(params=params, distributions=dict(SPACE), value=value))
+def add(study, row, value, **limits):
+    """A finished trial of a row of the table, and its limits by name."""
+    known = {"params": TABLE.rows.as_parameters(row), "distributions": SPACE}
+    study.add_trial(create_trial(value=value, constraints=limits, **known))
 
 
 def drawn_rows(trials, rng=None):
@@ -319,5 +319,6 @@ def test_turns_that_are_left_to_the_parameters_are_said():
     assert "left to the parameters" not in str(worth_of(study))
     for row in (101, 102, 103):
         add(study, row, 9.0)
+    add(study, 104, -999.0, limit=1.0)  # it is broken, and no success
     assert "left to the parameters" in str(worth_of(study))
     assert "left to the parameters" not in str(worth_of(study, kernel="rbf"))
