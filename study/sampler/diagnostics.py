@@ -73,9 +73,8 @@ class RankCorrelation:
         if spread == 0:
             return None
         value = float(np.clip(a @ b / spread, -1.0, 1.0))
-        most = 1.0 - 12.0 / (
-            n**3 - n
-        )  # 1 - 6 sum d^2 / (n^3 - n), two neighbours exchanged
+        # 1 - 6 sum d^2 / (n^3 - n), two neighbours exchanged.
+        most = 1.0 - 12.0 / (n**3 - n)
         inner = min(max(value, -most), most)
         z, error = atanh(inner), sqrt((1.0 + inner**2 / 2.0) / (n - 3))
         low, high = tanh(z - NORMAL_95 * error), tanh(z + NORMAL_95 * error)

@@ -103,9 +103,8 @@ class Policy:
         seed: int,
         independent: BaseSampler,
     ) -> None:
-        self.function = (
-            function  # of points; None: they have no features, but rows may have
-        )
+        # Of points; None: they have no features, but rows may have.
+        self.function = function
         self.options = options
         self.seed = seed
         self.independent = independent  # for what is not proposed here
@@ -123,9 +122,8 @@ class Policy:
 
     def remember(self, trial: FrozenTrial, proposal: Proposal) -> None:
         """Keep what was proposed for a trial, and forget the oldest if they are many."""
-        self._proposals[trial.number, trial.datetime_start] = (
-            proposal  # also of several studies
-        )
+        # Trials of several studies may have one number.
+        self._proposals[trial.number, trial.datetime_start] = proposal
         if len(self._proposals) > REMEMBERED:
             self._proposals.pop(next(iter(self._proposals)), None)
 
@@ -273,9 +271,8 @@ def one_thread() -> AbstractContextManager[Any]:
 @cache
 def _thread_pools() -> ThreadpoolController:
     """The BLAS libraries of this process, found once: NumPy's, and SciPy's own."""
-    import_module(
-        "scipy.linalg"
-    )  # SciPy loads its library with this module, at first use
+    # SciPy loads its library with this module, at first use.
+    import_module("scipy.linalg")
     return ThreadpoolController()
 
 
@@ -285,6 +282,5 @@ def set_attributes(
     """Leave notes in a running trial: samplers are given no public way, Optuna's own do this."""
     for key, value in attributes.items():
         study._storage.set_trial_user_attr(trial._trial_id, key, value)
-        trial.user_attrs[key] = (
-            value  # which the objective sees, as it does what it sets itself
-        )
+        # The objective sees it, as it does what it sets itself.
+        trial.user_attrs[key] = value

@@ -18,9 +18,8 @@ from study.sampler.worlds import Ensemble
 
 SHOWN_CANDIDATES = 10
 LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
-LEAST_SPREAD = (
-    1e-6  # of worlds, in standard deviations of the table: below, they agree by chance
-)
+# The spread of worlds, in standard deviations of the table: below, they agree by chance.
+LEAST_SPREAD = 1e-6
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 
 

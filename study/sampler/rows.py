@@ -169,9 +169,8 @@ class Rows:
 
     def _pool(self, centre: Floats) -> Whole:
         """Places of the rows that are nearest to a point of the unit cube [e]."""
-        squares = self._lengths - 2.0 * (
-            self.unit @ centre
-        )  # less |centre|^2, which all share
+        # Less |centre|^2, which all share.
+        squares = self._lengths - 2.0 * (self.unit @ centre)
         count = min(NEAR_POOL, len(squares))
         return np.argpartition(squares, count - 1)[:count]
 

@@ -88,9 +88,8 @@ class Space:
         if not is_number(value):
             return None
         try:
-            number = float(
-                distribution.to_internal_repr(value)
-            )  # also outside of the range
+            # A number outside of the range is one, too.
+            number = float(distribution.to_internal_repr(value))
         except (TypeError, ValueError, OverflowError):
             return None
         is_other = isinstance(value, int) and int(number) != value  # beyond 2^53
@@ -228,9 +227,8 @@ def standing_for(
     near = printed
     if abs(nearest - value) <= max(printed, GRID_TOLERANCE * span):
         gap = np.abs(column[column != nearest] - nearest).min(initial=span)
-        if (
-            distribution.log
-        ):  # or the least of 1e-9 to 1 would be all that is below 1e-6
+        # Else the least of 1e-9 to 1 would be all that is below 1e-6.
+        if distribution.log:
             gap = min(gap, abs(nearest))
         near = max(printed, GRID_TOLERANCE * gap)
     return away <= near, away / span

@@ -36,9 +36,8 @@ from study.sampler.transforms import NormalScores, Points, Scale, Standard
 CANDIDATES = 2048  # points anywhere, a trial
 INCUMBENTS = 5  # best trials that points are near to
 LOCAL_SHARE = 4  # one point near them for so many anywhere
-REFINEMENTS = (
-    3  # rounds of points near the best candidates, where features cost nothing
-)
+# Rounds of points near the best candidates, where features cost nothing.
+REFINEMENTS = 3
 
 
 class SpacePolicy(Policy):

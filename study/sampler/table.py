@@ -263,9 +263,8 @@ class FeatureTable:
     def rows(self) -> Rows:
         """The content, read again from the file where this process has not got it."""
         if self._rows is None:
-            assert (
-                self._file is not None
-            )  # only tables of a file are pickled without content
+            # Only tables of a file are pickled without content.
+            assert self._file is not None
             rows = self._file.read()
             if rows.digest() != self.digest:
                 raise InputError(

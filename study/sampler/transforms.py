@@ -18,9 +18,8 @@ QUARTERS = -LARGEST / 4, LARGEST / 4  # so that excess, and two of them, are fin
 MOST = 2.0**500
 INFINITE = 1e6  # times the usual size of a limit: what is larger stands for infinity
 USUAL_EXPONENT = 20  # of 2: limits from 1e-6 to 1e6 stay as they are, to the bit
-LEAST_GAPS = (
-    0.02  # share of missing values from which having none is a feature of its own
-)
+# Share of missing values from which having none is a feature of its own.
+LEAST_GAPS = 0.02
 NOTHING: Floats = np.empty(0)
 PATIENCE = 3  # trials without a better cost
 

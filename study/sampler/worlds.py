@@ -167,9 +167,8 @@ def matrix_of(field: str, given: Any, count: str) -> Floats:
     With count "w" they may be of several goals, [n, w, k].
     """
     try:
-        if (
-            np.asarray(given).dtype.kind in "mMc"
-        ):  # NumPy would count nanoseconds, and drop parts
+        # NumPy would count nanoseconds, and drop parts.
+        if np.asarray(given).dtype.kind in "mMc":
             raise TypeError
         matrix = np.array(checks.unmasked(given), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -192,12 +191,10 @@ class Ensemble:
         # How many worlds of one weight tell as much, less one: of one world nothing is
         # known of how far others are from it.
         self.freedom = 1.0 / float((worlds.weights**2).sum()) - 1.0
-        self.kept: dict[
-            Any, Any
-        ] = {}  # what was computed of it, for whoever asks again
-        self.in_costs = (
-            worlds.better is None
-        )  # whether outcomes and values have one unit
+        # What was computed of it, for whoever asks again.
+        self.kept: dict[Any, Any] = {}
+        # Whether outcomes and values have one unit.
+        self.in_costs = worlds.better is None
         # Units of their own may have any zero: no logarithm.
         self._least = float(costs.min()) if self.in_costs else 0.0
         own = self._spread(costs)

@@ -18,9 +18,8 @@ from study.sampler.transforms import Points
 from tests.study.conftest import refused
 from tests.study.sampler.studies import params_of, study_of
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:FeatureTable"
-)  # features that are constant
+# Features that are constant.
+pytestmark = pytest.mark.filterwarnings("ignore:FeatureTable")
 
 ROWS = 200
 NAMES = ("error", "nothing", "constant")

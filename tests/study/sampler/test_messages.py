@@ -271,9 +271,8 @@ def test_a_range_that_shrinks_is_an_error_where_it_leaves_the_row_out(table):
     study = study_of(table, bowl, 2)
     study.enqueue_trial(table.rows.as_parameters(3))
     study.optimize(shrunk, n_trials=1)
-    study.optimize(
-        bowl, n_trials=1
-    )  # what another trial suggested is no fault of this one
+    # What another trial suggested is no fault of this one.
+    study.optimize(bowl, n_trials=1)
     with refused(r"b: .* a range that holds all rows: row \d+ has"):
         study.optimize(shrunk, n_trials=1)
 

@@ -42,9 +42,8 @@ def test_every_decimal_of_a_grid_is_its_row(start, end, step):
     column = np.arange(start, end + 0.5 * step, step)
     rows = rows_like({"x": column})
     decimals = [round(start + number * step, 10) for number in range(len(column))]
-    assert (
-        sum(decimal not in column for decimal in decimals) > 1
-    )  # else there is nothing to see
+    # Else there is nothing to see.
+    assert sum(decimal not in column for decimal in decimals) > 1
     assert [rows.find({"x": decimal}) for decimal in decimals] == list(
         range(len(column))
     )

@@ -129,17 +129,15 @@ def test_a_fixed_parameter_is_drawn_around_where_the_table_need_not_fit():
     assert_rows_were_run(study)
 
 
-@pytest.mark.parametrize(
-    ("value", "tried"), [(0.25, 5), (0.5, 18)]
-)  # some rows, or all
+# Some rows are tried, or all.
+@pytest.mark.parametrize(("value", "tried"), [(0.25, 5), (0.5, 18)])
 def test_points_near_the_table_keep_the_fixed_value(value, tried):
     enqueued = [*map(row, range(tried)), {"a": value}]
     options = {"feature_function": compute, "off_grid": 40}
     last = study_of(TABLE, both, tried + 1, enqueued=enqueued, **options).trials[-1]
     assert last.params["a"] == value
-    assert (
-        last.user_attrs["row"] == -1 or last.params["b"] == 0.0
-    )  # that is row 6 again
+    # A point of the table is row 6 again.
+    assert last.user_attrs["row"] == -1 or last.params["b"] == 0.0
     own = compute(np.array([[value, last.params["b"]]]))[0]
     assert last.user_attrs["features"] == pytest.approx(own)
 

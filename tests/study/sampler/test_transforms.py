@@ -18,9 +18,8 @@ CLIFF = np.array([-1.0, 0.0, 2.0, 1e6, 2.0])
 def test_the_cost_is_the_logarithm_of_the_excess_in_typical_units():
     expected = np.log1p((CLIFF + 1.0) / 3.0)  # 3: the median of 1, 3, 3, 1e6
     assert_allclose(log_excess(CLIFF, CLIFF), expected)
-    assert_allclose(
-        log_excess(1e3 * CLIFF - 7.0, 1e3 * CLIFF - 7.0), expected
-    )  # whatever its unit
+    # Whatever its unit.
+    assert_allclose(log_excess(1e3 * CLIFF - 7.0, 1e3 * CLIFF - 7.0), expected)
     assert_allclose(log_excess(np.full(4, 3.0), np.full(4, 3.0)), 0.0)
 
 
@@ -55,9 +54,8 @@ def blom(rows, values):
     known = rows[~np.isnan(rows)]
     ranks = []
     for value in values:
-        with_it = rankdata(
-            np.append(known, value)
-        )  # it is itself among those that are equal
+        # It is itself among those that are equal.
+        with_it = rankdata(np.append(known, value))
         among = with_it[-1] if value in known else with_it[-1] - 0.5
         ranks.append(among - 0.5 * (value in known))
     clipped = np.clip(ranks, 1, len(known))
@@ -79,9 +77,8 @@ def test_normal_scores_are_scipys_of_each_column_alone(seed):
     rows, others = (
         np.column_stack([drawn(n), drawn(n + 50)]) for n in (seed, seed + 100)
     )
-    others = np.concatenate(
-        [others, rows, [[-1e9, 1e9], [1e9, -1e9]]]
-    )  # on, between, beyond them
+    # On, between, beyond them.
+    others = np.concatenate([others, rows, [[-1e9, 1e9], [1e9, -1e9]]])
     scores = NormalScores.of(rows)
     found, own = scores.standard(others), scores.own
     assert np.array_equal(own, scores.standard(rows))  # to the bit
@@ -97,9 +94,8 @@ def test_a_constant_is_zero_wherever_it_is_asked_and_without_rows_all_are(value)
     rows = np.array([[value], [value], [NAN]])
     standard = NormalScores.of(rows).standard(np.array([[value], [1e9], [-1e9], [NAN]]))
     assert not standard[:, 0].any()
-    assert_allclose(
-        standard[:, 1], [-np.sqrt(0.5)] * 3 + [np.sqrt(2.0)]
-    )  # a third has a gap
+    # A third has a gap.
+    assert_allclose(standard[:, 1], [-np.sqrt(0.5)] * 3 + [np.sqrt(2.0)])
     assert (
         not NormalScores.of(np.empty((0, 2))).standard(np.array([[value, NAN]])).any()
     )

@@ -25,9 +25,8 @@ ROWS = 215  # hardly more than trials: the end of the table is fought for
 def small_table():
     rng = np.random.default_rng(0)
     columns = {"a": rng.uniform(size=ROWS), "b": rng.uniform(size=ROWS)}
-    return FeatureTable.from_arrays(
-        columns, np.round(columns["a"], 1)
-    )  # ten scores: many ties
+    # Ten scores: many ties.
+    return FeatureTable.from_arrays(columns, np.round(columns["a"], 1))
 
 
 def open_storage(kind, folder):
