@@ -21,6 +21,7 @@ from study.sampler.transforms import (
     Columns,
     Points,
     log_excess,
+    new_columns,
     of_log_excess,
     squarable,
 )
@@ -222,9 +223,9 @@ class Model:
     def _columns(self, points: Points) -> Columns:
         features, coordinates = points.features.shape[1], points.coordinates.shape[1]
         if self.ensemble is None:
-            return Columns.of(features, coordinates)
+            return new_columns(features, coordinates)
         beside, worlds = self.ensemble.columns.shape[1], self.ensemble.parts.shape[1]
-        return Columns.of(features - beside, coordinates, worlds)
+        return new_columns(features - beside, coordinates, worlds)
 
     def _learned(self, covariance: Covariance, x: Floats, y: Floats) -> Floats:
         """The constants, computed once for the same covariance and trials."""

@@ -10,7 +10,7 @@ from optuna.trial import FrozenTrial
 
 from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats
-from study.sampler.gp import JITTER, Posterior
+from study.sampler.gp import JITTER, Posterior, seen_by
 from study.sampler.transforms import Points
 
 LEAST_TRIALS = 5
@@ -334,7 +334,7 @@ def likeness_of(model: Model, names: tuple[str, ...]) -> Likeness:
     term, variance, _ = next(posterior.covariance.valued(posterior.theta))
     noisy = posterior.gram() + (posterior.noise + JITTER) * np.eye(len(posterior.y))
     solved = np.linalg.solve(noisy, posterior.y)
-    slopes = sqrt(variance) * (term.seen(posterior.x).T @ solved)
+    slopes = sqrt(variance) * (seen_by(term, posterior.x).T @ solved)
     return Likeness(len(model.costs), names, tuple(slopes.tolist()))
 
 

@@ -172,10 +172,6 @@ class Term:
     variance: Constant
     scales: tuple[Constant, ...] = ()
 
-    def seen(self, x: Floats) -> Floats:
-        """Its columns of rows [n, p], a view of them."""
-        return x[:, self.columns.start : self.columns.stop]
-
 
 @dataclass(frozen=True)
 class Covariance:
@@ -240,7 +236,7 @@ class Covariance:
         k: Any = 0.0
         parts: list[tuple[float, Floats, Pull]] = []
         for term, variance, scales in self.valued(theta):
-            shape, pull = shape_of(term.seen(x), scales)
+            shape, pull = shape_of(seen_by(term, x), scales)
             parts.append((variance, shape, pull))
             k = k + variance * shape
 
@@ -265,7 +261,7 @@ class Covariance:
         curved = []
         for term, variance, scales in self.valued(theta):
             if len(scales):
-                left = _left(_scaled(term.seen(a), scales)).T
+                left = _left(_scaled(seen_by(term, a), scales)).T
                 curved.append((term, variance, scales, left))
             else:
                 weights[term.columns.start : term.columns.stop] += variance
@@ -276,7 +272,7 @@ class Covariance:
         def cross(x: Floats) -> AnyFloats:
             total = (slopes @ x[:, straight].T).astype(precision, copy=False)
             for term, variance, scales, left in curved:
-                half = left @ _right(_scaled(term.seen(x), scales))
+                half = left @ _right(_scaled(seen_by(term, x), scales))
                 k = half.astype(precision, copy=False)
                 np.exp(k, out=k)
                 k *= variance
@@ -289,7 +285,7 @@ class Covariance:
         """k(x, x) of rows [m, p], [m], or a number where it is the same for all."""
         total: Any = 0.0
         for term, variance, scales in self.valued(theta):
-            seen = term.seen(x)
+            seen = seen_by(term, x)
             shape = 1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen)
             total = total + variance * shape
         return total
@@ -330,6 +326,11 @@ def new_covariance(
         terms.append(Term(columns.coordinates, SIGNAL, (scale,) * count))
     noise = FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
     return Covariance(tuple(terms), noise)
+
+
+def seen_by(term: Term, x: Floats) -> Floats:
+    """The columns of rows [n, p] that a term looks at, a view of them."""
+    return x[:, term.columns.start : term.columns.stop]
 
 
 def shape_of(x: Floats, scales: Floats) -> tuple[Floats, Pull]:

@@ -49,16 +49,6 @@ class Placed:
     parameters: Floats
     rows: Whole
 
-    @classmethod
-    def of(cls, found: list[tuple[FrozenTrial, Floats, int]], d: int) -> "Placed":
-        """Trials, each with its d parameters and its row."""
-        parameters = np.array([each for _, each, _ in found], dtype=np.float64)
-        return cls(
-            trials=tuple(trial for trial, _, _ in found),
-            parameters=parameters.reshape(-1, d),
-            rows=np.array([row for _, _, row in found], dtype=np.int64),
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class History:
@@ -150,14 +140,24 @@ def read_history(
     costs = np.column_stack(columns)
     settled = values_of(before)
     return History(
-        done=Placed.of(done, len(space)),
-        running=Placed.of(running, len(space)),
+        done=_placed(done, len(space)),
+        running=_placed(running, len(space)),
         cost=costs[:, 0],
         costs=costs,
         signs=np.array(signs),
         tried=tried,
         unplaced=tuple(unplaced),
         fixed={name: settled[name] for name in space.names if name in settled},
+    )
+
+
+def _placed(found: list[tuple[FrozenTrial, Floats, int]], d: int) -> Placed:
+    """Trials, each with its d parameters and its row."""
+    parameters = np.array([each for _, each, _ in found], dtype=np.float64)
+    return Placed(
+        trials=tuple(trial for trial, _, _ in found),
+        parameters=parameters.reshape(-1, d),
+        rows=np.array([row for _, _, row in found], dtype=np.int64),
     )
 
 

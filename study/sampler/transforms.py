@@ -43,16 +43,14 @@ class Columns:
     mean: range
     coordinates: range
 
-    @classmethod
-    def of(
-        cls, features: int, coordinates: int, worlds: int | None = None
-    ) -> "Columns":
-        """The columns that follow from these counts; worlds None: nothing is known of any."""
-        beside = (0, 0, 0) if worlds is None else (worlds, 1, 1)
-        counts = (features, *beside, coordinates)
-        ends = accumulate(counts)
-        parts = zip(ends, counts, strict=True)
-        return cls(*(range(end - count, end) for end, count in parts))
+
+def new_columns(features: int, coordinates: int, worlds: int | None = None) -> Columns:
+    """The columns that follow from these counts; worlds None: nothing is known of any."""
+    beside = (0, 0, 0) if worlds is None else (worlds, 1, 1)
+    counts = (features, *beside, coordinates)
+    ends = accumulate(counts)
+    parts = zip(ends, counts, strict=True)
+    return Columns(*(range(end - count, end) for end, count in parts))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from study.sampler import gp
 from study.sampler.acquisition import along_feature
-from study.sampler.transforms import Columns, Points
+from study.sampler.transforms import Points, new_columns
 from tests.study.sampler import reference
 
 LAYOUT = (3, 4, 4)  # features, coordinates, parameters
@@ -17,7 +17,7 @@ X = np.random.default_rng(0).standard_normal((12, 7))
 
 def covariance_of(form, layout=LAYOUT):
     features, coordinates, parameters = layout
-    columns = Columns.of(features, coordinates)
+    columns = new_columns(features, coordinates)
     return gp.new_covariance(reference.FORMS[form], columns, parameters)
 
 
