@@ -47,6 +47,13 @@ def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:
     return path
 
 
+def change(file: Path, old: str, new: str) -> None:
+    """Replace some words of a file."""
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
 def cost(params: dict[str, float], stiffness: float = 150.0) -> float:
     """What a trial shows, on a ground that wants this stiffness."""
     softness = abs(np.log(params["stiffness"] / stiffness))

@@ -24,6 +24,7 @@ from study.experiment.objective import Term
 from study.sampler.table_policy import TableExhaustedError
 from tests.cases import asset, cases
 from tests.study.bench import robot
+from tests.study.bench.robot import change
 from tests.study.conftest import refused
 from tests.tools.kills import DATABASE, FORK, Death, in_process
 
@@ -179,9 +180,9 @@ def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> 
     assert bench.add([Own(near, robot.cost(near))]) == [3]
     assert bench.best().number == 3
     bad = {"stiffness": 1e5}, {"damping": 57.3}, {"damping": "0.91"}, {"mass": 1.0}
-    for change in bad:
-        with refused("|".join(change)):
-            bench.add([Own(near | change, 1.0)])
+    for wrong in bad:
+        with refused("|".join(wrong)):
+            bench.add([Own(near | wrong, 1.0)])
     assert len(bench.state.trials) == 4
 
 
@@ -196,13 +197,6 @@ def test_proposals_keep_within_the_limits_of_safety(tmp_path: Path) -> None:
     change(path, "least_success = 0.05", "least_success = 1.0")
     with refused("safety: 'no candidate within the limits'"):
         Bench(path).next()
-
-
-def change(file: Path, old: str, new: str) -> None:
-    """Replace some words of a file."""
-    text = file.read_text()
-    assert old in text
-    file.write_text(text.replace(old, new))
 
 
 def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) -> None:
