@@ -11,6 +11,7 @@ from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import optuna
 import pytest
@@ -35,12 +36,8 @@ from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
 
 LIVE = ("dog", "cmaes-cold", "cmaes-warm", "worlds", "random", "tpe")
-RESUMED = (
-    "dog",
-    "cmaes-cold",
-    "cmaes-warm",
-    "tpe",
-)  # each kind of sampler with a memory
+# Each kind of sampler with a memory.
+RESUMED = ("dog", "cmaes-cold", "cmaes-warm", "tpe")
 TRIALS = 16  # beyond a generation of 12
 
 
@@ -48,10 +45,11 @@ def run(
     experiment: WalkerExperiment,
     arm: str,
     trials: int,
-    storage: BaseStorage,
+    storage: BaseStorage | None = None,
     number: int = 0,
 ) -> list[FrozenTrial]:
-    """The finished trials of a study that is run until it has so many."""
+    """The finished trials of a study that is run until it has so many; None: in memory."""
+    storage = storage or InMemoryStorage()
     study = run_study(experiment, find_arm(arm), number, trials, storage)
     return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
@@ -65,17 +63,13 @@ def interrupted(
     experiment: WalkerExperiment,
     arm: str,
     storage: BaseStorage,
-    monkeypatch: pytest.MonkeyPatch,
-    error: type[BaseException] = KeyboardInterrupt,
+    error: type[BaseException],
 ) -> None:
     """Run 1, stopped in trials 1, 5, 6, and 14 of which some were repeated before."""
     for call in (1, 5, 1, 9):
-        monkeypatch.setitem(
-            vars(taichi_nmm), "simulate", fake_walker.stopped_in_call(call, error)
-        )
-        with pytest.raises(error):
+        stopped = fake_walker.stopped_in_call(call, error)
+        with mock.patch.dict(vars(taichi_nmm), simulate=stopped), pytest.raises(error):
             run(experiment, arm, TRIALS, storage, 1)
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
 
 
 def test_the_cost_is_that_of_the_run_and_the_configured_one(
@@ -84,10 +78,10 @@ def test_the_cost_is_that_of_the_run_and_the_configured_one(
     costs = {"smooth": taichi_nmm.smooth_cost, "walking": taichi_nmm.walking_cost}
     for cost, function in costs.items():
         experiment = replace(toy, objective=Objective(cost))
-        (trial,) = run(experiment, "random", 1, InMemoryStorage(), 2)
+        (trial,) = run(experiment, "random", 1, number=2)
         gains = fake_walker.gain_rows(list(trial.params.values()))
-        assert trial.value == function(experiment.simulate([2], gains))[0]
-        assert trial.value != function(experiment.simulate([1], gains))[0]
+        other, own = (function(experiment.simulate([run], gains))[0] for run in (1, 2))
+        assert trial.value == own != other
 
 
 def test_a_study_says_what_its_objective_is_called(toy: WalkerExperiment) -> None:
@@ -117,9 +111,7 @@ def assert_same(
 
 
 @pytest.mark.slow
-def test_live_study_as_compared(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_live_study_as_compared(comparisons: Comparisons) -> None:
     """Also when it is run in pieces, and stopped in the middle by Ctrl-C or the simulator."""
     toy = comparisons.experiment
     comparisons.run("compared", arms=RESUMED, runs=2, trials=TRIALS)
@@ -127,21 +119,17 @@ def test_live_study_as_compared(
     database = open_studies(f"sqlite:///{comparisons.folder}/studies.db")
     pieces = open_studies(f"sqlite:///{comparisons.folder}/pieces.db")
     for arm in RESUMED:
-        assert_same(run(toy, arm, TRIALS, InMemoryStorage(), 1), frame, arm, toy.names)
         for trials in (1, 4, 13, TRIALS, 3):  # the last: a finished study is left alone
             found = run(toy, arm, trials, pieces, 1)
             assert len(found) == (TRIALS if trials == 3 else trials)
         assert_same(found, frame, arm, toy.names)
-        for storage, error in (
-            (database, KeyboardInterrupt),
-            (InMemoryStorage(), RuntimeError),
-        ):
-            interrupted(toy, arm, storage, monkeypatch, error)
+        name = study_name("toy", arm, 1)
+        memory = InMemoryStorage()
+        for storage, error in ((database, KeyboardInterrupt), (memory, RuntimeError)):
+            interrupted(toy, arm, storage, error)
             trials = run(toy, arm, TRIALS, storage, 1)
             assert_same(trials, frame, arm, toy.names)
-            study = optuna.load_study(
-                study_name=study_name("toy", arm, 1), storage=storage
-            )
+            study = optuna.load_study(study_name=name, storage=storage)
             assert len(study.trials) == TRIALS + 4
 
 
@@ -153,7 +141,7 @@ def test_every_arm_of_the_registry_runs_live_as_compared(
     comparisons.run("compared", arms=tuple(ARMS), runs=2, trials=3)
     frame = comparisons.table("compared").to_pandas()
     for arm in ARMS:
-        assert_same(run(toy, arm, 3, InMemoryStorage(), 1), frame, arm, toy.names)
+        assert_same(run(toy, arm, 3, number=1), frame, arm, toy.names)
 
 
 @pytest.mark.slow
@@ -162,22 +150,21 @@ def test_a_trial_found_running_is_run_again(
     toy: WalkerExperiment, arm: str, tmp_path: Path
 ) -> None:
     """Killed while it was simulated, when it had one of 16 parameters, or none."""
-    whole = run(toy, arm, TRIALS, InMemoryStorage())
+    whole = run(toy, arm, TRIALS)
     storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
     found = find_arm(arm)
+    seed = toy.sampler_seed(arm, 0)
     for trials, suggested in ((4, 16), (7, 1), (13, 0)):
         run(toy, arm, trials, storage)
         study = open_study(toy, found, 0, storage)
-        task = Task(toy, toy.sampler_seed(arm, 0), trials, found.store, found.feature)
+        task = Task(toy, seed, trials, found.store, found.feature)
         study.sampler = found.new_sampler(task)
         trial = study.ask()
         for name, ends in list(toy.space.items())[:suggested]:
             trial.suggest_float(name, ends.low, ends.high)
-    trials = run(toy, arm, TRIALS, storage)
-    assert facts(trials) == facts(whole)
-    states = [trial.state for trial in study.get_trials(deepcopy=False)]
-    assert states.count(TrialState.FAIL) == 3
-    assert TrialState.RUNNING not in states and TrialState.WAITING not in states
+    assert facts(run(toy, arm, TRIALS, storage)) == facts(whole)
+    states = sorted(trial.state.name for trial in study.get_trials(deepcopy=False))
+    assert states == ["COMPLETE"] * TRIALS + ["FAIL"] * 3
 
 
 class Marks:
@@ -196,61 +183,52 @@ def test_nothing_of_a_database_is_unpickled(
     toy: WalkerExperiment, arm: str, tmp_path: Path
 ) -> None:
     """Optuna's CMA-ES looks for its state in the latest trial that has one."""
-    whole = run(toy, arm, 14, InMemoryStorage())  # beyond a generation
-    assert all(
-        not trial.system_attrs for trial in whole
-    )  # nothing for others to unpickle
+    whole = run(toy, arm, 14)  # beyond a generation
+    assert not any(trial.system_attrs for trial in whole)  # for others to unpickle
     storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
     run(toy, arm, 12, storage)
-    state = pickle.dumps(Marks(tmp_path / "unpickled")).hex()
+    state = json.dumps(pickle.dumps(Marks(tmp_path / "unpickled")).hex())
     study = open_study(toy, find_arm(arm), 0, storage)
+    written = [
+        (trial._trial_id, "cma:optimizer:0", state)
+        for trial in study.get_trials(deepcopy=False)
+    ]
     storage.engine.dispose()
     with closing(sqlite3.connect(tmp_path / "studies.db")) as connection, connection:
-        connection.executemany(
-            "INSERT INTO trial_system_attributes (trial_id, key, value_json) VALUES (?, ?, ?)",
-            [
-                (trial._trial_id, "cma:optimizer:0", json.dumps(state))
-                for trial in study.trials
-            ],
-        )
+        columns = "trial_system_attributes (trial_id, key, value_json)"
+        connection.executemany(f"INSERT INTO {columns} VALUES (?, ?, ?)", written)
     again = open_studies(f"sqlite:///{tmp_path}/studies.db")
     assert facts(run(toy, arm, 14, again)) == facts(whole)
     assert not (tmp_path / "unpickled").exists()
 
 
-def test_gains_that_were_not_proposed_are_refused(toy: WalkerExperiment) -> None:
-    """A trial that another has queued, or finished, in a study whose sampler is asked again."""
-    message = r"cmaes-cold, run 0, trial 2: 'other gains' .*another --out or --storage"
-    middle = {name: 0.5 * (ends.low + ends.high) for name, ends in toy.space.items()}
-    for finished in (False, True):
-        storage = InMemoryStorage()
-        run(toy, "cmaes-cold", 2, storage)
-        study = open_study(toy, find_arm("cmaes-cold"), 0, storage)
-        if finished:
-            written = study.trials[0].user_attrs  # what any walk comes to
-            told: dict[str, Any] = {"value": 1.0, "user_attrs": written}
-            study.add_trial(
-                optuna.create_trial(params=middle, distributions=toy.space, **told)
-            )
-        else:
-            study.enqueue_trial(middle)
-        with refused(message):
-            run(toy, "cmaes-cold", 4, storage)
-
-
-def test_a_repetition_is_not_queued_twice(
-    toy: WalkerExperiment, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("is_finished", [False, True])
+def test_gains_that_were_not_proposed_are_refused(
+    toy: WalkerExperiment, is_finished: bool
 ) -> None:
+    """A trial that another has queued, or finished, in a study whose sampler is asked again."""
+    storage = InMemoryStorage()
+    run(toy, "cmaes-cold", 2, storage)
+    study = open_study(toy, find_arm("cmaes-cold"), 0, storage)
+    middle = {name: 0.5 * (ends.low + ends.high) for name, ends in toy.space.items()}
+    study.enqueue_trial(middle)
+    if is_finished:
+        trial = study.ask(toy.space)
+        for name, written in study.trials[0].user_attrs.items():  # of any walk
+            trial.set_user_attr(name, written)
+        study.tell(trial, 1.0)
+    message = r"cmaes-cold, run 0, trial 2: 'other gains' .*another --out or --storage"
+    with refused(message):
+        run(toy, "cmaes-cold", 4, storage)
+
+
+def test_a_repetition_is_not_queued_twice(toy: WalkerExperiment) -> None:
     storage = InMemoryStorage()
     study = open_study(toy, find_arm("random"), 0, storage)
     OneStudy(toy, find_arm("random"), 0, study).ask()
-    monkeypatch.setattr(
-        optuna.Study, "tell", lambda *_, **__: 1 / 0
-    )  # killed in between
-    with pytest.raises(ZeroDivisionError):
+    killed = mock.patch.object(optuna.Study, "tell", side_effect=ZeroDivisionError)
+    with killed, pytest.raises(ZeroDivisionError):  # in between
         run(toy, "random", 3, storage)
-    monkeypatch.undo()
-    monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     run(toy, "random", 3, storage)
     states = [trial.state for trial in study.trials]
     assert states == [TrialState.FAIL] + [TrialState.COMPLETE] * 3
@@ -285,7 +263,7 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: WalkerExperiment) -
     """Also in pieces; it is then left alone, whatever is asked for."""
     until = replace(toy, until_walker=True)
     for arm in ("random", "dog", "cmaes-cold"):
-        whole = run(toy, arm, TRIALS, InMemoryStorage())
+        whole = run(toy, arm, TRIALS)
         walked = [bool(trial.user_attrs["walked"]) for trial in whole]
         count = walked.index(True) + 1 if any(walked) else TRIALS
         storage = InMemoryStorage()
@@ -296,33 +274,29 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: WalkerExperiment) -
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("changed", "message"),
     [
-        (
-            {"seed": 7},
-            r"study toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made",
-        ),
-        ({"ground": Ground("flat")}, r"run-000: terrain\.name: 'flat' .* 'rough"),
-        (
-            {"flat": "other"},
-            r"run-000: stores\.flat: '\w+' .* allowed: '\w+', with which it was made",
-        ),
+        ("seed", r"toy/dog/run-000: seed: 7 .* allowed: 5, with which it was made"),
+        ("conditions", r"run-000: terrain\.name: 'flat' .* 'rough"),
+        ("stores", r"run-000: stores\.flat: '\w+' .* '\w+', with which it was made"),
     ],
 )
 def test_another_setting_is_named(
-    change: dict[str, Any], message: str, toy: WalkerExperiment, tmp_path: Path
+    changed: str, message: str, toy: WalkerExperiment, tmp_path: Path
 ) -> None:
+    fake_walker.write_store(tmp_path / "other", seed=4)
+    values = {
+        "seed": 7,
+        "conditions": replace(toy.conditions, ground=Ground("flat")),
+        "stores": {**toy.stores, "flat": tmp_path / "other"},
+    }
+    other = replace(toy, **{changed: values[changed]})
     storage = InMemoryStorage()
     run(toy, "dog", 2, storage)
-    if "ground" in change:
-        change = {"conditions": replace(toy.conditions, **change)}
-    elif "flat" in change:
-        fake_walker.write_store(tmp_path / "other", seed=4)
-        change = {"stores": {**toy.stores, "flat": tmp_path / "other"}}
     with refused(message):
-        run(replace(toy, **change), "dog", 3, storage)
+        run(other, "dog", 3, storage)
     assert len(run(toy, "dog", 2, storage)) == 2  # nothing was added
-    assert len(run(replace(toy, **change), "random", 2, storage)) == 2  # another study
+    assert len(run(other, "random", 2, storage)) == 2  # another study
 
 
 def test_a_study_of_another_program_is_refused(toy: WalkerExperiment) -> None:
@@ -341,18 +315,15 @@ def test_live_studies_and_comparisons_leave_each_other(
     url = f"sqlite:///{tmp_path}/studies.db"
     request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2)
     compare(toy, request, lambda progress: None)
-    with refused(
-        r"study: 'toy/dog/run-000' .* another --storage: .* of a comparison"
-    ) as live:
+    with refused(r"study: 'toy/dog/run-000' .* --storage: .* of a comparison") as live:
         run(toy, "dog", 3, open_studies(url))
     assert len(str(live.value)) < 200
-    assert (
-        len(run(toy, "dog", 3, open_studies(url), 1)) == 3
-    )  # a run that it does not have
+    # A run that it does not have.
+    assert len(run(toy, "dog", 3, open_studies(url), 1)) == 3
     with refused("a database without toy/dog/run-001, .* a live") as other:
         compare(toy, replace(request, runs=2), lambda progress: None)
     assert len(str(other.value)) < 200 + len(url)
-    study = optuna.load_study(study_name="toy/dog/run-000", storage=open_studies(url))
+    study = optuna.load_study(study_name="toy/dog/run-000", storage=url)
     assert len(study.trials) == 2
 
 
