@@ -2,9 +2,6 @@
 
 import json
 import urllib.request
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -28,7 +25,7 @@ SCRIPT = (
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Two arms, two runs; one study has a picture, of a walk that was never simulated."""
     out = tmp_path_factory.mktemp("browser") / "tiny"
     tiny, url = experiment(), f"sqlite:///{out}/studies.db"
@@ -50,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def address(folder: Path) -> Iterator[str]:
+def address(folder):
     """Of the command's server."""
     with serving("-m", "taichi_nmm", "dashboard", folder, "--port", 0) as said:
         lines = dict(said.readline().split(maxsplit=1) for _ in range(3))
@@ -58,14 +55,14 @@ def address(folder: Path) -> Iterator[str]:
 
 
 @pytest.fixture(scope="module")
-def studies(address: str) -> dict[str, int]:
+def studies(address):
     """Ids of the studies by name."""
     with urllib.request.urlopen(f"{address}/api/studies", timeout=30) as answer:
         listed = json.load(answer)["study_summaries"]
     return {study["study_name"]: study["study_id"] for study in listed}
 
 
-def test_the_list_shows_the_studies(page: Any, address: str) -> None:
+def test_the_list_shows_the_studies(page, address):
     page.goto(f"{address}/dashboard")
     for name in ("tiny/dog/run-000", "tiny/random/run-001", "tiny/summary"):
         page.get_by_text(name).first.wait_for()
@@ -77,9 +74,7 @@ def test_the_list_shows_the_studies(page: Any, address: str) -> None:
     assert page.get_by_text("tiny/random/run-001").is_visible()
 
 
-def test_a_best_trial_shows_its_picture(
-    page: Any, address: str, studies: dict[str, int]
-) -> None:
+def test_a_best_trial_shows_its_picture(page, address, studies):
     page.goto(
         f"{address}/dashboard/studies/{studies['tiny/dog/run-000']}/trials?numbers=1"
     )
@@ -91,9 +86,7 @@ def test_a_best_trial_shows_its_picture(
     save(page, "trial")
 
 
-def test_the_summary_leads_to_studies(
-    page: Any, address: str, studies: dict[str, int]
-) -> None:
+def test_the_summary_leads_to_studies(page, address, studies):
     page.goto(f"{address}/dashboard/studies/{studies['tiny/summary']}/note")
     row = page.locator("tr", has_text="dog").first
     row.wait_for()

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -28,7 +27,7 @@ QUICK = [
 
 
 @pytest.mark.slow
-def test_help_and_import_load_nothing_that_is_slow() -> None:
+def test_help_and_import_load_nothing_that_is_slow():
     code = f"""
 import sys
 import study, taichi_nmm.conditions, taichi_nmm.kernel.layout
@@ -51,7 +50,7 @@ for words in {QUICK!r}:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_of_a_command_is_described(name: str) -> None:
+def test_every_option_of_a_command_is_described(name):
     parser = parser_of(name)
     assert parser.prog == f"taichi-nmm {name}"
     assert (parser.description or "").partition("\n")[0].endswith(".")
@@ -60,8 +59,8 @@ def test_every_option_of_a_command_is_described(name: str) -> None:
 
 
 def test_an_unknown_command_is_one_line_that_lists_them(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    capsys,
+):
     with pytest.raises(SystemExit, check=lambda end: end.code == 2):
         main(["wlak"])
     line = f"error: command: 'wlak' cannot be used; allowed: {', '.join(COMMANDS)}\n"
@@ -69,9 +68,7 @@ def test_an_unknown_command_is_one_line_that_lists_them(
 
 
 @pytest.mark.parametrize("word", ["a\nb", "\x1b[31m", "\udcff", "a\u2028b", "x" * 9999])
-def test_an_unknown_option_is_one_safe_line(
-    word: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_unknown_option_is_one_safe_line(word, capsys):
     with pytest.raises(SystemExit, check=lambda end: end.code == 2):
         Options(__file__).parse_args([f"--{word}"])
     said = capsys.readouterr().err
@@ -81,9 +78,7 @@ def test_an_unknown_option_is_one_safe_line(
     assert said.removesuffix("\n").isprintable() and len(said) < 600
 
 
-def test_two_dashes_are_no_value_and_a_configuration_may_have_a_name_that_no_file_can() -> (
-    None
-):
+def test_two_dashes_are_no_value_and_a_configuration_may_have_a_name_that_no_file_can():
     options = Options(__file__)
     options.add_argument("--run", type=int)
     with pytest.raises(InputError, match="run: '--' cannot be used"):
@@ -95,11 +90,11 @@ def test_two_dashes_are_no_value_and_a_configuration_may_have_a_name_that_no_fil
     "words", ["--nothing -- next", "--foo --bar next", "--a --a next"]
 )
 def test_names_that_no_bench_has_are_one_line(
-    words: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-) -> None:
+    words,
+    monkeypatch,
+    capsys,
+    tmp_path,
+):
     """Also where a name stands in the place of another one's number."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:

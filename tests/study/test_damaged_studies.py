@@ -15,7 +15,6 @@ from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
 from study.experiment.gains import gains_of_trial
 from study.experiment.live_study import check_study, run_study
-from study.experiment.walker import WalkerExperiment
 from tests.cases import cases
 from tests.study import fake_walker
 from tests.study.conftest import refused
@@ -25,7 +24,7 @@ OF_DOG = r"^(storage|study toy/dog/run-000)"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A folder with a live study of two trials, and two finished comparisons by their arms."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
@@ -42,18 +41,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def url(made: Path, tmp_path: Path) -> str:
+def url(made, tmp_path):
     """Of a copy of the study."""
     return f"sqlite:///{shutil.copy(made / 'studies.db', tmp_path)}"
 
 
 @pytest.fixture
-def check(toy: WalkerExperiment, url: str, tmp_path: Path) -> Callable[[], None]:
+def check(toy, url, tmp_path):
     """What a command looks at before it goes on with this study."""
     return lambda: check_study(toy, find_arm("dog"), 0, url, tmp_path / "out")
 
 
-def edit(url: str, *commands: str) -> bytes:
+def edit(url, *commands):
     """The file after some SQL."""
     file = Path(url.removeprefix("sqlite:///"))
     with closing(sqlite3.connect(file)) as connection:
@@ -65,9 +64,7 @@ def edit(url: str, *commands: str) -> bytes:
 
 
 @cases("unreadable-studies.toml", "command")
-def test_what_cannot_be_read_is_one_line(
-    url: str, check: Callable[[], None], command: str
-) -> None:
+def test_what_cannot_be_read_is_one_line(url, check, command):
     before = edit(url, command)
     for read in (check, lambda: gains_of_trial("toy/dog/run-000/1", url)):
         with refused(OF_DOG):
@@ -76,18 +73,14 @@ def test_what_cannot_be_read_is_one_line(
 
 
 @cases("unwritten-studies.toml", "command", "message")
-def test_unwritten_parts(
-    url: str, check: Callable[[], None], command: str, message: str
-) -> None:
+def test_unwritten_parts(url, check, command, message):
     before = edit(url, command)
     with refused(f"study toy/dog/run-000{message}"):
         check()
     assert edit(url) == before
 
 
-def test_a_schema_that_is_no_text_is_one_line(
-    url: str, check: Callable[[], None]
-) -> None:
+def test_a_schema_that_is_no_text_is_one_line(url, check):
     file = Path(url.removeprefix("sqlite:///"))
     content = edit(url).replace(b"CREATE TABLE trials", b"CREATE \xc5ABLE trials")
     file.write_bytes(content)
@@ -96,9 +89,7 @@ def test_a_schema_that_is_no_text_is_one_line(
     assert file.read_bytes() == content
 
 
-def test_a_name_too_long_for_a_lock_is_refused_at_once(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_a_name_too_long_for_a_lock_is_refused_at_once(toy, tmp_path):
     long = replace(toy, name="x" * 240)
     with refused(r"^storage: .*File name too long"):
         check_study(
@@ -110,18 +101,16 @@ def test_a_name_too_long_for_a_lock_is_refused_at_once(
 # Databases of comparisons.
 
 
-def compared(toy: WalkerExperiment, out: Path, arm: str) -> None:
+def compared(toy, out, arm):
     request = Request(out, arms=(arm,), runs=1, trials=2)
     compare(toy, request, lambda progress: None, summarise=lambda *_: "")
 
 
 @pytest.fixture
-def refuses_before_it_works(
-    toy: WalkerExperiment, made: Path, tmp_path: Path
-) -> Refuses:
+def refuses_before_it_works(toy, made, tmp_path):
     """A finished comparison whose table is gone, and whose database is damaged, writes nothing."""
 
-    def refuses(arm: str, damage: Callable[[str], bytes], message: str) -> None:
+    def refuses(arm, damage, message):
         out = Path(shutil.copytree(made / arm, tmp_path / "out"))
         (out / "trials.parquet").unlink()
         before = damage(f"sqlite:///{out}/studies.db")
@@ -137,17 +126,15 @@ OF_SUMMARY = r"^(storage|study toy/summary: note): "
 
 
 @cases("damaged-comparisons.toml", "arm", "command")
-def test_no_table_after_a_refusal(
-    refuses_before_it_works: Refuses, arm: str, command: str
-) -> None:
+def test_no_table_after_a_refusal(refuses_before_it_works, arm, command):
     message = {"dog": OF_DOG, "random": OF_SUMMARY}[arm]
     refuses_before_it_works(arm, lambda url: edit(url, command), message)
 
 
 def test_a_damaged_page_is_refused_before_the_work(
-    refuses_before_it_works: Refuses,
-) -> None:
-    def damage(url: str) -> bytes:
+    refuses_before_it_works,
+):
+    def damage(url):
         content = edit(url)[:-4096] + b"\xff" * 4096  # SQLite's page
         Path(url.removeprefix("sqlite:///")).write_bytes(content)
         return content

@@ -2,7 +2,6 @@
 
 import io
 import json
-from pathlib import Path
 from typing import Any
 from wsgiref.util import setup_testing_defaults
 from wsgiref.validate import validator
@@ -12,13 +11,11 @@ import pytest
 from optuna.storages import InMemoryStorage
 
 from study.commands.dashboard import guarded_dashboard
-from study.loopback import Application, guarded
+from study.loopback import guarded
 from tests.cases import asset
 
 
-def get(
-    application: Application, path: str, **changes: str
-) -> tuple[int, dict[str, str], bytes]:
+def get(application, path, **changes):
     """Status, headers by lower-case name, and body; changes are of the environment."""
     environment: dict[str, Any] = {
         "PATH_INFO": path,
@@ -52,7 +49,7 @@ PLACE = "/artifacts/0/0"  # of the files of the one trial
 
 
 @pytest.fixture
-def storage() -> InMemoryStorage:
+def storage():
     """Of a study whose database names files of a folder."""
     storage = InMemoryStorage()
     trial = optuna.create_study(storage=storage, study_name="a").ask()
@@ -70,7 +67,7 @@ def storage() -> InMemoryStorage:
 
 
 @pytest.fixture
-def dashboard(storage: InMemoryStorage, tmp_path: Path) -> Application:
+def dashboard(storage, tmp_path):
     artifacts = tmp_path / "artifacts"
     artifacts.mkdir()
     for name in (PICTURE, PAGE, VECTOR):
@@ -89,16 +86,14 @@ def dashboard(storage: InMemoryStorage, tmp_path: Path) -> Application:
         for value in values
     ],
 )
-def test_only_we_are_answered(
-    dashboard: Application, header: str, value: str, status: int
-) -> None:
+def test_only_we_are_answered(dashboard, header, value, status):
     for path in ("/api/studies", "/dashboard", f"{PLACE}/{PICTURE}"):
         assert get(dashboard, path, **{header: value})[0] == status
 
 
 def test_pictures_are_served_as_such_and_to_our_pages_alone(
-    dashboard: Application,
-) -> None:
+    dashboard,
+):
     status, headers, body = get(dashboard, f"{PLACE}/{PICTURE}")
     assert (status, headers["content-type"], body) == (200, "image/png", HTML)
     assert headers["x-content-type-options"] == "nosniff"  # however it may look
@@ -106,10 +101,10 @@ def test_pictures_are_served_as_such_and_to_our_pages_alone(
 
 
 @pytest.mark.parametrize("path", ["/api/studies", f"{PLACE}/{PICTURE}"])
-def test_no_answer_is_for_other_pages_to_read(path: str, tmp_path: Path) -> None:
+def test_no_answer_is_for_other_pages_to_read(path, tmp_path):
     """Whatever a version of the dashboard says of who may."""
 
-    def generous(environment: dict[str, Any], start: Any) -> list[bytes]:
+    def generous(environment, start):
         start(
             "200 OK",
             [("Access-Control-Allow-Origin", "*"), ("Content-Type", "image/png")],
@@ -126,15 +121,13 @@ def test_no_answer_is_for_other_pages_to_read(path: str, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "status"), [(PAGE, 403), (VECTOR, 403), (LINK, 404), (GONE, 404)]
 )
-def test_nothing_else_is_served(
-    dashboard: Application, name: str, status: int, end: str
-) -> None:
+def test_nothing_else_is_served(dashboard, name, status, end):
     found, headers, body = get(dashboard, f"{PLACE}/{name}{end}")
     assert (found, headers["content-type"]) == (status, "text/plain; charset=utf-8")
     assert b"secret" not in body and HTML not in body
 
 
-def test_without_a_folder_there_are_no_files(storage: InMemoryStorage) -> None:
+def test_without_a_folder_there_are_no_files(storage):
     dashboard = guarded_dashboard(storage, None)
     assert get(dashboard, f"{PLACE}/{PICTURE}")[0] == 404
     assert get(dashboard, "/api/studies")[0] == 200

@@ -15,8 +15,8 @@ from unittest import mock
 
 import optuna
 import pytest
-from optuna.storages import BaseStorage, InMemoryStorage
-from optuna.trial import FrozenTrial, TrialState
+from optuna.storages import InMemoryStorage
+from optuna.trial import TrialState
 
 import taichi_nmm
 from storage.databases.studies import open_studies
@@ -29,11 +29,11 @@ from study.experiment.live_study import open_study, run_study
 from study.experiment.objective import Objective
 from study.experiment.one_study import OneStudy
 from study.experiment.samplers import Task
-from study.experiment.walker import ATTRIBUTES, WalkerExperiment
+from study.experiment.walker import ATTRIBUTES
 from study.options import config_path
 from taichi_nmm.terrain import Ground
 from tests.study import fake_walker
-from tests.study.conftest import Comparisons, refused
+from tests.study.conftest import refused
 
 LIVE = ("dog", "cmaes-cold", "cmaes-warm", "worlds", "random", "tpe")
 # Each kind of sampler with a memory.
@@ -42,29 +42,29 @@ TRIALS = 16  # beyond a generation of 12
 
 
 def run(
-    experiment: WalkerExperiment,
-    arm: str,
-    trials: int,
-    storage: BaseStorage | None = None,
-    number: int = 0,
-) -> list[FrozenTrial]:
+    experiment,
+    arm,
+    trials,
+    storage=None,
+    number=0,
+):
     """The finished trials of a study that is run until it has so many; None: in memory."""
     storage = storage or InMemoryStorage()
     study = run_study(experiment, find_arm(arm), number, trials, storage)
     return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
 
-def facts(trials: list[FrozenTrial]) -> list[Any]:
+def facts(trials):
     """All that a trial says but its number and its times."""
     return [(trial.params, trial.value, trial.user_attrs) for trial in trials]
 
 
 def interrupted(
-    experiment: WalkerExperiment,
-    arm: str,
-    storage: BaseStorage,
-    error: type[BaseException],
-) -> None:
+    experiment,
+    arm,
+    storage,
+    error,
+):
     """Run 1, stopped in trials 1, 5, 6, and 14 of which some were repeated before."""
     for call in (1, 5, 1, 9):
         stopped = fake_walker.stopped_in_call(call, error)
@@ -73,8 +73,8 @@ def interrupted(
 
 
 def test_the_cost_is_that_of_the_run_and_the_configured_one(
-    toy: WalkerExperiment,
-) -> None:
+    toy,
+):
     costs = {"smooth": taichi_nmm.smooth_cost, "walking": taichi_nmm.walking_cost}
     for cost, function in costs.items():
         experiment = replace(toy, objective=Objective(cost))
@@ -84,7 +84,7 @@ def test_the_cost_is_that_of_the_run_and_the_configured_one(
         assert trial.value == own != other
 
 
-def test_a_study_says_what_its_objective_is_called(toy: WalkerExperiment) -> None:
+def test_a_study_says_what_its_objective_is_called(toy):
     """One of before gets the name when it goes on; a name of the user's stays."""
     storage, name = InMemoryStorage(), study_name("toy", "random", 0)
     optuna.create_study(storage=storage, study_name=name)
@@ -95,9 +95,7 @@ def test_a_study_says_what_its_objective_is_called(toy: WalkerExperiment) -> Non
         study.set_metric_names(["mine"])
 
 
-def assert_same(
-    trials: list[FrozenTrial], frame: Any, arm: str, names: tuple[str, ...]
-) -> None:
+def assert_same(trials, frame, arm, names):
     """The trials of a study are run 1 of the table, to the bit."""
     rows = frame[(frame.arm == arm) & (frame.run == 1)].to_dict("records")
     assert len(trials) == len(rows)
@@ -111,7 +109,7 @@ def assert_same(
 
 
 @pytest.mark.slow
-def test_live_study_as_compared(comparisons: Comparisons) -> None:
+def test_live_study_as_compared(comparisons):
     """Also when it is run in pieces, and stopped in the middle by Ctrl-C or the simulator."""
     toy = comparisons.experiment
     comparisons.run("compared", arms=RESUMED, runs=2, trials=TRIALS)
@@ -135,8 +133,8 @@ def test_live_study_as_compared(comparisons: Comparisons) -> None:
 
 @pytest.mark.slow
 def test_every_arm_of_the_registry_runs_live_as_compared(
-    comparisons: Comparisons,
-) -> None:
+    comparisons,
+):
     toy = comparisons.experiment
     comparisons.run("compared", arms=tuple(ARMS), runs=2, trials=3)
     frame = comparisons.table("compared").to_pandas()
@@ -146,9 +144,7 @@ def test_every_arm_of_the_registry_runs_live_as_compared(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", LIVE)
-def test_a_trial_found_running_is_run_again(
-    toy: WalkerExperiment, arm: str, tmp_path: Path
-) -> None:
+def test_a_trial_found_running_is_run_again(toy, arm, tmp_path):
     """Killed while it was simulated, when it had one of 16 parameters, or none."""
     whole = run(toy, arm, TRIALS)
     storage = open_studies(f"sqlite:///{tmp_path}/studies.db")
@@ -170,18 +166,16 @@ def test_a_trial_found_running_is_run_again(
 class Marks:
     """What leaves a file behind when it is unpickled."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file):
         self.file = file
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self):
         return Path.touch, (self.file,)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if arm.replayed])
-def test_nothing_of_a_database_is_unpickled(
-    toy: WalkerExperiment, arm: str, tmp_path: Path
-) -> None:
+def test_nothing_of_a_database_is_unpickled(toy, arm, tmp_path):
     """Optuna's CMA-ES looks for its state in the latest trial that has one."""
     whole = run(toy, arm, 14)  # beyond a generation
     assert not any(trial.system_attrs for trial in whole)  # for others to unpickle
@@ -203,9 +197,7 @@ def test_nothing_of_a_database_is_unpickled(
 
 
 @pytest.mark.parametrize("is_finished", [False, True])
-def test_gains_that_were_not_proposed_are_refused(
-    toy: WalkerExperiment, is_finished: bool
-) -> None:
+def test_gains_that_were_not_proposed_are_refused(toy, is_finished):
     """A trial that another has queued, or finished, in a study whose sampler is asked again."""
     storage = InMemoryStorage()
     run(toy, "cmaes-cold", 2, storage)
@@ -222,7 +214,7 @@ def test_gains_that_were_not_proposed_are_refused(
         run(toy, "cmaes-cold", 4, storage)
 
 
-def test_a_repetition_is_not_queued_twice(toy: WalkerExperiment) -> None:
+def test_a_repetition_is_not_queued_twice(toy):
     storage = InMemoryStorage()
     study = open_study(toy, find_arm("random"), 0, storage)
     OneStudy(toy, find_arm("random"), 0, study).ask()
@@ -235,16 +227,14 @@ def test_a_repetition_is_not_queued_twice(toy: WalkerExperiment) -> None:
 
 
 @pytest.mark.parametrize("look", range(1, 9))
-def test_a_trial_of_the_others(
-    toy: WalkerExperiment, look: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trial_of_the_others(toy, look, monkeypatch):
     """Of a crew, another process tells its trial right after some look of ours at the study."""
     storage, get_trials, looks = InMemoryStorage(), optuna.Study.get_trials, count(1)
     arm = find_arm("random")
     other = live_study.LiveStudy(toy, arm, 0, open_study(toy, arm, 0, storage))
     gains = other.ask()
 
-    def looked(study: optuna.Study, *args: Any, **options: Any) -> list[FrozenTrial]:
+    def looked(study, *args, **options):
         found = get_trials(study, *args, **options)
         if next(looks) == look:
             live_study._simulated(toy, other, gains)
@@ -259,7 +249,7 @@ def test_a_trial_of_the_others(
     assert [trial.state for trial in study.trials] == [TrialState.COMPLETE]
 
 
-def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: WalkerExperiment) -> None:
+def test_a_study_ends_with_its_first_walker_if_it_is_to(toy):
     """Also in pieces; it is then left alone, whatever is asked for."""
     until = replace(toy, until_walker=True)
     for arm in ("random", "dog", "cmaes-cold"):
@@ -281,9 +271,7 @@ def test_a_study_ends_with_its_first_walker_if_it_is_to(toy: WalkerExperiment) -
         ("stores", r"run-000: stores\.flat: '\w+' .* '\w+', with which it was made"),
     ],
 )
-def test_another_setting_is_named(
-    changed: str, message: str, toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_another_setting_is_named(changed, message, toy, tmp_path):
     fake_walker.write_store(tmp_path / "other", seed=4)
     values = {
         "seed": 7,
@@ -299,7 +287,7 @@ def test_another_setting_is_named(
     assert len(run(other, "random", 2, storage)) == 2  # another study
 
 
-def test_a_study_of_another_program_is_refused(toy: WalkerExperiment) -> None:
+def test_a_study_of_another_program_is_refused(toy):
     storage, there = InMemoryStorage(), "toy/dog/run-001"
     optuna.create_study(storage=storage, study_name=there).ask()
     with refused(r"study: 'toy/dog/run-001' .* of another program"):
@@ -309,9 +297,7 @@ def test_a_study_of_another_program_is_refused(toy: WalkerExperiment) -> None:
 
 
 @pytest.mark.slow
-def test_live_studies_and_comparisons_leave_each_other(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_live_studies_and_comparisons_leave_each_other(toy, tmp_path):
     url = f"sqlite:///{tmp_path}/studies.db"
     request = Request(tmp_path / "out", url, ("dog",), runs=1, trials=2)
     compare(toy, request, lambda progress: None)
@@ -327,7 +313,7 @@ def test_live_studies_and_comparisons_leave_each_other(
     assert len(study.trials) == 2
 
 
-def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
+def test_the_lines_to_look_at_it_name_what_is_not_the_default():
     gains, out = Path("out/a best.json"), Path("out")
     words = "-m taichi_nmm walk --gains 'out/a best.json' --config my.toml"
     assert film_command(gains, Path("my.toml")).endswith(words)
@@ -339,9 +325,7 @@ def test_the_lines_to_look_at_it_name_what_is_not_the_default() -> None:
     assert line.endswith("--artifacts out") and "secret" not in line
 
 
-def test_the_lines_name_the_python_in_use(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lines_name_the_python_in_use(tmp_path, monkeypatch):
     """By a path that is short where it can be, and never one by way of `..`."""
     monkeypatch.setattr("sys.executable", str(tmp_path / "my env" / "bin" / "python"))
     (tmp_path / "elsewhere").mkdir()

@@ -60,7 +60,7 @@ def test_every_arm_over_features_can_tell(toy):
         assert (worth is not None) == arm.name.startswith(("dog", "worlds"))
 
 
-def notes(url: str) -> dict[str, str]:
+def notes(url):
     """Of each study of a database."""
     storage = open_studies(url)
     names = trial_counts(storage)

@@ -20,7 +20,6 @@ from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import ENERGY, OF_MUSCLES
 from tests.study import fake_walker
 from tests.study.experiment.test_front import front
-from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT
 
 FLAT = ROOT / "configs" / "flat.toml"
@@ -33,16 +32,14 @@ WALKS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 FALLS = WALKS | {"K_SOL": 0.5, "K_VAS": 0.2}
 
 
-def gains_file(folder: Path, gains: Any) -> Path:
+def gains_file(folder, gains):
     path = folder / "gains.json"
     path.write_text(json.dumps(gains))
     return path
 
 
 @pytest.mark.slow
-def test_the_reference_walks_100_s_and_json_is_one_object(
-    tmp_path: Path, tool: Tool
-) -> None:
+def test_the_reference_walks_100_s_and_json_is_one_object(tmp_path, tool):
     report = tool.json("walk", "--out", tmp_path, "--movie-seconds", 1)
     assert report["end_reason"] == "completed" and report["duration_s"] == 100.0
     assert report["mean_speed_mps"] == pytest.approx(1.30, abs=0.05)
@@ -59,9 +56,7 @@ def test_the_reference_walks_100_s_and_json_is_one_object(
 
 
 @pytest.mark.slow
-def test_a_faller_is_shown_too(
-    tmp_path: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_faller_is_shown_too(tmp_path, tool, monkeypatch):
     monkeypatch.chdir(tmp_path)
     gains = gains_file(tmp_path, FALLS)
     words = f"--gains {gains} --config flat --duration 3 --movie-seconds".split()
@@ -79,7 +74,7 @@ def test_a_faller_is_shown_too(
 
 
 @pytest.mark.slow
-def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) -> None:
+def test_mujoco_moves_the_body_and_opens_its_file(tmp_path, tool):
     """An existing file is replaced; another engine makes another walk, and the same file."""
     model, folder = tmp_path / "walker.xml", tmp_path / "opensim"
     model.write_text("old")
@@ -111,18 +106,14 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path: Path, tool: Tool) ->
 
 
 @pytest.fixture
-def walk(
-    tmp_path: Path, tool: Tool, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
-) -> Walk:
+def walk(tmp_path, tool, simulator, monkeypatch):
     """Runs the command, with simulator and painters replaced; returns what it prints as JSON."""
     for name in ("write_strip", "write_gait_cycle", "write_movie"):
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
-def test_a_result_is_taken_as_gains_and_low_level_gains_count(
-    walk: Walk, tmp_path: Path
-) -> None:
+def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk, tmp_path):
     first = walk("--gains", gains_file(tmp_path, FALLS | {"theta_ref": 0.2}))
     assert walk("--gains", gains_file(tmp_path, first)) == first
     assert first["gains"] == FALLS | {"theta_ref": 0.2}
@@ -134,9 +125,7 @@ def test_a_result_is_taken_as_gains_and_low_level_gains_count(
     assert fake_walker.calls[-1]["low_level_gains"][fake_walker.THETA_REF] == 0.5
 
 
-def test_two_walks_are_never_in_one_folder(
-    walk: Walk, tool: Tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_walks_are_never_in_one_folder(walk, tool, tmp_path, monkeypatch):
     """By default another name for each; a picture that this walk does not make is in the way."""
     monkeypatch.chdir(tmp_path)
     weak = tmp_path / "weak.toml"
@@ -164,9 +153,7 @@ def test_two_walks_are_never_in_one_folder(
     assert film.read_text() == "a healthy walk"
 
 
-def test_a_store_without_the_motors_energy_says_so(
-    walk: Walk, tool: Tool, tmp_path: Path
-) -> None:
+def test_a_store_without_the_motors_energy_says_so(walk, tool, tmp_path):
     """As version 0.3 made stores: the muscles' energy counts then, and a line says it."""
     store = tmp_path / "store"
     old = tmp_path / "old.parquet"
@@ -182,7 +169,7 @@ def test_a_store_without_the_motors_energy_says_so(
     }
     write_table(old, table, footer)
 
-    def gains(*words: object) -> Any:
+    def gains(*words):
         return tool.json("walk", "--speed", 1.1, "--out", tmp_path / "out", *words)[
             "gains"
         ]
@@ -198,9 +185,7 @@ def test_a_store_without_the_motors_energy_says_so(
     assert tool.err.count("\n") == 1
 
 
-def test_the_front_of_a_store_is_listed(
-    tmp_path: Path, tool: Tool, simulator: Simulator
-) -> None:
+def test_the_front_of_a_store_is_listed(tmp_path, tool, simulator):
     experiment = front(tmp_path)
     words = ("walk", "--front", "--store", experiment.stores["worlds"])
     config = ("--config", tmp_path / "kept" / "toy.toml")
@@ -213,9 +198,7 @@ def test_the_front_of_a_store_is_listed(
     tool.refuses("store: None .* lists rows", "walk", "--front", *config)
 
 
-def test_of_several_speeds_each_has_its_part_of_the_walk(
-    walk: Walk, tmp_path: Path
-) -> None:
+def test_of_several_speeds_each_has_its_part_of_the_walk(walk, tmp_path):
     store = tmp_path / "store"
     fake_walker.write_plain_store(store)
     slow, fast = (
@@ -232,9 +215,7 @@ def test_of_several_speeds_each_has_its_part_of_the_walk(
     ("words", "seed", "run"),
     [("", None, 0), ("--run 3", None, 3), ("--seed 523001", 523001, 0)],
 )
-def test_a_run_and_a_seed_have_their_own_body_and_ground(
-    walk: Walk, words: str, seed: int | None, run: int
-) -> None:
+def test_a_run_and_a_seed_have_their_own_body_and_ground(walk, words, seed, run):
     walk("--config", "rough8", *words.split())
     experiment = read_experiment(ROUGH8, seed=seed)
     call = fake_walker.calls[-1]
@@ -255,9 +236,7 @@ damping_nmsprad = 1
 
 
 @pytest.mark.slow
-def test_the_world_of_the_walk_is_in_the_files_of_other_programs(
-    tmp_path: Path, tool: Tool
-) -> None:
+def test_the_world_of_the_walk_is_in_the_files_of_other_programs(tmp_path, tool):
     config = tmp_path / "weak.toml"
     config.write_text(FLAT.read_text() + WORLD)
     folder = tmp_path / "opensim"

@@ -1,7 +1,5 @@
 """Benches with a robot for a machine."""
 
-from pathlib import Path
-
 import pytest
 
 from study.bench.bench import Bench
@@ -9,12 +7,12 @@ from tests.study.bench import robot
 
 
 @pytest.fixture(params=[robot.WORLDS, robot.FEATURES], ids=["worlds", "features"])
-def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+def path(request, tmp_path):
     """The file of a bench, whose candidates have worlds or features."""
     return robot.write(tmp_path, request.param)
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Bench:
+def bench(tmp_path):
     """A bench that has begun, over candidates with worlds."""
     return Bench.new(robot.write(tmp_path), "me")

@@ -1,7 +1,6 @@
 """What a bench says: next trials, expectations and recommendations, also where little is known."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from tests.study.conftest import refused
 MORE_LIMITS = "\n[columns.force]\nleast = 1"
 
 
-def test_numbers_of_trials_are_those_of_the_bench(bench: Bench) -> None:
+def test_numbers_of_trials_are_those_of_the_bench(bench):
     """After an undone `next`, or in a second context, the model's study counts otherwise."""
     bench.next()
     bench.undo()
@@ -32,8 +31,8 @@ def test_numbers_of_trials_are_those_of_the_bench(bench: Bench) -> None:
 @pytest.mark.parametrize("safety", ["", "\n[safety]\nleast_kept = 0.9"])
 @pytest.mark.parametrize("good", [3, 0])
 def test_what_broke_a_limit_on_one_ground_is_not_proposed_on_another(
-    path: Path, safety: str, good: int
-) -> None:
+    path, safety, good
+):
     bench = Bench.new(path)
     tell(bench, 0.3, torque=200.0)
     first = bench.state.trials[0].params
@@ -52,7 +51,7 @@ def test_what_broke_a_limit_on_one_ground_is_not_proposed_on_another(
     assert "limits kept 100 %" not in again
 
 
-def test_limits_told_on_the_first_ground_are_known_on_the_second(bench: Bench) -> None:
+def test_limits_told_on_the_first_ground_are_known_on_the_second(bench):
     """The chance to keep them is the one that trials of both grounds let expect."""
     for number in range(6):
         (trial,) = bench.next()
@@ -63,7 +62,7 @@ def test_limits_told_on_the_first_ground_are_known_on_the_second(bench: Bench) -
     assert "unknown" not in trial.why and "all limits kept" in trial.why
 
 
-def test_limits_that_nobody_has_measured_are_unknown_by_name(tmp_path: Path) -> None:
+def test_limits_that_nobody_has_measured_are_unknown_by_name(tmp_path):
     bench = Bench.new(robot.write(tmp_path, more=MORE_LIMITS))
     (trial,) = bench.next()
     assert "limits unknown (torque, force)" in trial.why and "100 %" not in trial.why
@@ -77,8 +76,8 @@ def test_limits_that_nobody_has_measured_are_unknown_by_name(tmp_path: Path) -> 
 
 
 def test_a_trial_that_is_not_known_to_keep_its_limits_is_recommended_last(
-    bench: Bench,
-) -> None:
+    bench,
+):
     tell(bench, 0.3)  # torque left empty
     assert "torque of trial 0" in str(bench.best())
     tell(bench, 0.9, torque=60.0)
@@ -89,7 +88,7 @@ def test_a_trial_that_is_not_known_to_keep_its_limits_is_recommended_last(
     assert bench.best().number == 0 and "better values" not in str(bench.best())
 
 
-def test_neither_failures_nor_broken_limits_are_recommended(bench: Bench) -> None:
+def test_neither_failures_nor_broken_limits_are_recommended(bench):
     with refused("recommend: 'no trial yet'"):
         bench.best()
     bench.next()
@@ -103,7 +102,7 @@ def test_neither_failures_nor_broken_limits_are_recommended(bench: Bench) -> Non
     assert (bench.best().number, bench.repeat()) == (number, number)
 
 
-def test_a_failure_with_the_same_parameters_is_told(bench: Bench) -> None:
+def test_a_failure_with_the_same_parameters_is_told(bench):
     tell(bench, 0.3, torque=60.0)
     bench.next(repeat=0)
     bench.record(1, failed_s=1.0, columns={"torque": 60.0})
@@ -113,8 +112,8 @@ def test_a_failure_with_the_same_parameters_is_told(bench: Bench) -> None:
 
 
 def test_the_sheet_of_a_pending_trial_says_what_is_expected_by_now(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     """One simulated world is sure of itself; then the machine costs seven times as much."""
     path = robot.write(tmp_path, 'outcomes = ["world0"]')
     mine, yours = Bench.new(path, "me"), Bench(path, "you")
@@ -128,7 +127,7 @@ def test_the_sheet_of_a_pending_trial_says_what_is_expected_by_now(
     assert [trial.why for trial in yours.pending()] == [now.why]
 
 
-def test_an_expectation_beyond_all_worlds_is_said_to_be_so(bench: Bench) -> None:
+def test_an_expectation_beyond_all_worlds_is_said_to_be_so(bench):
     for value in (0.01, 0.011, 0.01):
         tell(bench, value, torque=60.0)
     least, most = bench.entries[0].data["range"]
@@ -136,7 +135,7 @@ def test_an_expectation_beyond_all_worlds_is_said_to_be_so(bench: Bench) -> None
     assert f"beyond all that was simulated, {least:.4g} to {most:.4g}" in trial.why
 
 
-def test_a_repeat_is_asked_for_once(bench: Bench) -> None:
+def test_a_repeat_is_asked_for_once(bench):
     robot.run(bench, 2)
     (again,) = bench.next(repeat=0)
     assert bench.next(repeat=0) == [again] and len(bench.state.trials) == 3
@@ -148,7 +147,7 @@ def test_a_repeat_is_asked_for_once(bench: Bench) -> None:
     assert third.number == 4 and third.params == again.params
 
 
-def test_no_points_off_the_table_where_the_file_says_so(tmp_path: Path) -> None:
+def test_no_points_off_the_table_where_the_file_says_so(tmp_path):
     path = robot.write(tmp_path)
     path.write_text("off_grid = 0\n" + path.read_text())
     bench = Bench.new(path)
@@ -163,7 +162,7 @@ def test_no_points_off_the_table_where_the_file_says_so(tmp_path: Path) -> None:
         Bench(path)
 
 
-def test_steps_are_measured_from_trials_that_kept_their_limits(tmp_path: Path) -> None:
+def test_steps_are_measured_from_trials_that_kept_their_limits(tmp_path):
     bench = Bench.new(robot.write(tmp_path, more="\n[safety]\nmost_step = 0.1"))
     bad = {"stiffness": 20.0, "damping": 1.8}
     good = {"stiffness": 149.0, "damping": 0.4}

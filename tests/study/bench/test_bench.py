@@ -31,7 +31,7 @@ from tests.tools.kills import DATABASE, FORK, Death, in_process
 ENTRIES = asset("bench-entries.toml")
 
 
-def shown(bench: Bench) -> optuna.Study:
+def shown(bench):
     """The dashboard's study agrees with the entries."""
     trials, study = bench.state.trials, bench.shown()
     assert len(study.trials) == bench.state.count
@@ -47,7 +47,7 @@ def shown(bench: Bench) -> optuna.Study:
     return study
 
 
-def test_who_asks_twice_gets_the_same_and_others_get_others(path: Path) -> None:
+def test_who_asks_twice_gets_the_same_and_others_get_others(path):
     mine, yours = Bench.new(path, "me"), Bench(path, "you")
     (first,) = mine.next()
     assert mine.next() == [first] == Bench(path, "me").next()
@@ -64,9 +64,7 @@ def test_who_asks_twice_gets_the_same_and_others_get_others(path: Path) -> None:
     assert shown(mine).trials[0].value == 1.0
 
 
-def test_what_was_mended_leaves_no_trace_in_later_proposals(
-    path: Path, tmp_path: Path
-) -> None:
+def test_what_was_mended_leaves_no_trace_in_later_proposals(path, tmp_path):
     """Wrong values, wrong limits, breakdowns and needless trials, against a study without any."""
     (tmp_path / "right").mkdir()
     known = robot.WORLDS if "outcomes" in path.read_text() else robot.FEATURES
@@ -107,8 +105,8 @@ def test_what_was_mended_leaves_no_trace_in_later_proposals(
 
 
 def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(
-    bench: Bench,
-) -> None:
+    bench,
+):
     for number, seconds in enumerate((0.0, 15.0, 30.0)):
         bench.next()
         bench.record(number, failed_s=seconds, columns={"torque": 100.0})
@@ -122,7 +120,7 @@ def test_a_failure_teaches_by_how_far_it_came_and_limits_are_learned(
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["costs", "values"])
-def test_simulated_runs_that_fell_are_worth_what_failures_are(sign: float) -> None:
+def test_simulated_runs_that_fell_are_worth_what_failures_are(sign):
     goal = Goal(
         value="J/m",
         maximise=sign < 0,
@@ -140,7 +138,7 @@ def test_simulated_runs_that_fell_are_worth_what_failures_are(sign: float) -> No
     assert plain.tolist() == effort.tolist()
 
 
-def test_a_repeat_is_pooled_and_the_least_sure_one_is_recommended(bench: Bench) -> None:
+def test_a_repeat_is_pooled_and_the_least_sure_one_is_recommended(bench):
     robot.run(bench, 6)
     best, repeat = bench.best(), bench.repeat()
     assert repeat in bench.state.trials and best.trials == 1
@@ -151,7 +149,7 @@ def test_a_repeat_is_pooled_and_the_least_sure_one_is_recommended(bench: Bench) 
     assert "world" in bench.worth()
 
 
-def test_new_ground_begins_with_what_was_good_before(path: Path) -> None:
+def test_new_ground_begins_with_what_was_good_before(path):
     """On ground that is as before, the first trial is as good as the best so far."""
     bench = Bench.new(path)
     robot.run(bench, 12)
@@ -167,7 +165,7 @@ def test_new_ground_begins_with_what_was_good_before(path: Path) -> None:
     assert shown(bench).trials[13].user_attrs["context"] == "gravel"
 
 
-def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> None:
+def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path):
     bench = Bench.new(path)
     assert bench.simulated() == {}
     rows, tried = bench.candidates.rows, robot.run(bench, 3)
@@ -186,7 +184,7 @@ def test_trials_of_ones_own_are_learned_from_and_checked_by_name(path: Path) -> 
     assert len(bench.state.trials) == 4
 
 
-def test_proposals_keep_within_the_limits_of_safety(tmp_path: Path) -> None:
+def test_proposals_keep_within_the_limits_of_safety(tmp_path):
     limits = "\n[safety]\nmost_step = 0.15\nleast_success = 0.05"
     path = robot.write(tmp_path, more=limits)
     bench = Bench.new(path)
@@ -199,7 +197,7 @@ def test_proposals_keep_within_the_limits_of_safety(tmp_path: Path) -> None:
         Bench(path).next()
 
 
-def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) -> None:
+def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench):
     bench.next()
     before = bench.entries
     for case in ENTRIES["refused"].values():
@@ -212,9 +210,7 @@ def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench: Bench) ->
         bench.undo(1)
 
 
-def test_another_file_or_other_candidates_are_refused(
-    bench: Bench, tmp_path: Path
-) -> None:
+def test_another_file_or_other_candidates_are_refused(bench, tmp_path):
     path = bench.plan.path
     change(path, "success = 0.5", "success = 0.6")
     with refused(r"walk.toml: goal.success: 0.6 .* 0.5, with which"):
@@ -233,16 +229,14 @@ def test_another_file_or_other_candidates_are_refused(
         Bench(path)
 
 
-def drop_last_row(folder: Path) -> None:
+def drop_last_row(folder):
     """Of the candidates."""
     file = folder / "candidates.csv"
     file.write_text(file.read_text().rsplit("\n", 2)[0] + "\n")
 
 
 @cases("bad-benches.toml", "old", "new", "said")
-def test_a_file_that_cannot_be_used_is_one_line(
-    tmp_path: Path, old: str, new: str, said: str
-) -> None:
+def test_a_file_that_cannot_be_used_is_one_line(tmp_path, old, new, said):
     path = robot.write(tmp_path)
     change(path, old, new)
     with refused(said):
@@ -250,8 +244,8 @@ def test_a_file_that_cannot_be_used_is_one_line(
 
 
 def test_no_entry_is_made_where_the_study_that_shows_it_was_edited(
-    bench: Bench,
-) -> None:
+    bench,
+):
     robot.run(bench, 2)
     with closing(sqlite3.connect(bench.plan.path.with_suffix(".db"))) as database:
         database.execute("UPDATE trial_values SET objective = 0.5")
@@ -262,7 +256,7 @@ def test_no_entry_is_made_where_the_study_that_shows_it_was_edited(
     assert len(Bench(bench.plan.path).entries) == entries
 
 
-def test_all_rows_may_have_been_tried(tmp_path: Path) -> None:
+def test_all_rows_may_have_been_tried(tmp_path):
     path = robot.write(tmp_path, robot.FEATURES)
     rows = (tmp_path / "candidates.csv").read_text().splitlines()
     (tmp_path / "candidates.csv").write_text("\n".join(rows[:4]) + "\n")
@@ -276,7 +270,7 @@ def test_all_rows_may_have_been_tried(tmp_path: Path) -> None:
 DAY = [*ENTRIES["day"].values()]
 
 
-def go_on(path: Path, entries: int) -> list[Any]:
+def go_on(path, entries):
     """Make those of the first entries of the day that are not there; what was entered."""
     bench = Bench.new(path, "me")
     for entry in DAY[len(bench.entries) - 1 : entries]:
@@ -291,8 +285,8 @@ def go_on(path: Path, entries: int) -> list[Any]:
     [(2, 4), pytest.param(len(DAY), 3, marks=pytest.mark.campaign)],
 )
 def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
-    entries: int, step: int, tmp_path: Path
-) -> None:
+    entries, step, tmp_path
+):
     """The operator looks at the entries, and repeats what is not there."""
     expected = go_on(robot.write(tmp_path), entries)
     for last in count(1, step):
@@ -309,12 +303,12 @@ def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
 
 @pytest.mark.slow
 def test_two_operators_at_once_lose_nothing_and_get_different_trials(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     path = robot.write(tmp_path)
     Bench.new(path)
 
-    def operate(name: str) -> None:
+    def operate(name):
         robot.run(Bench(path, name), 8)
 
     both = [FORK.Process(target=operate, args=(name,)) for name in ("me", "you")]
@@ -330,9 +324,7 @@ def test_two_operators_at_once_lose_nothing_and_get_different_trials(
     assert {trial.user_attrs["operator"] for trial in trials} == {"me", "you"}
 
 
-def test_a_clock_that_goes_back_decides_nothing(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clock_that_goes_back_decides_nothing(bench, monkeypatch):
     (trial,) = bench.next()
     bench.record(trial.number, 1.0)
     monkeypatch.setattr(journal, "datetime", Mock(now=lambda _: datetime(1999, 1, 1)))
@@ -341,7 +333,7 @@ def test_a_clock_that_goes_back_decides_nothing(
     assert bench.state.trials[0].value == 2.0
 
 
-def test_undo_takes_back_the_operators_own_last_entry(path: Path) -> None:
+def test_undo_takes_back_the_operators_own_last_entry(path):
     mine, yours = Bench.new(path, "me"), Bench(path, "you")
     mine.next()
     yours.next()
@@ -354,8 +346,8 @@ def test_undo_takes_back_the_operators_own_last_entry(path: Path) -> None:
 
 
 def test_a_correction_that_is_undone_leaves_the_columns_as_they_were(
-    bench: Bench,
-) -> None:
+    bench,
+):
     bench.add([({"stiffness": 149.0, "damping": 0.91}, 0.4, {"torque": 60.0}, "")])
     bench.correct(0, columns={"torque": 95.0})
     assert bench.state.trials[0].columns == {"torque": 95.0}
@@ -364,7 +356,7 @@ def test_a_correction_that_is_undone_leaves_the_columns_as_they_were(
     assert bench.look().trials[0].columns == {"torque": 60.0}
 
 
-def test_an_undoing_is_undone_only_while_its_trial_is_as_it_was(bench: Bench) -> None:
+def test_an_undoing_is_undone_only_while_its_trial_is_as_it_was(bench):
     bench.next()
     bench.record(0, 0.4)
     bench.undo()
@@ -383,7 +375,7 @@ def test_an_undoing_is_undone_only_while_its_trial_is_as_it_was(bench: Bench) ->
     assert not Bench(bench.plan.path).state.trials
 
 
-def test_numbers_of_numpy_are_numbers(bench: Bench) -> None:
+def test_numbers_of_numpy_are_numbers(bench):
     bench.next()
     number: Any = np.int64(0)
     torque: Any = np.int8(81)
@@ -395,14 +387,12 @@ def test_numbers_of_numpy_are_numbers(bench: Bench) -> None:
         Own(trial.params, 0.4, time=moment)
 
 
-def test_a_limit_that_is_exceeded_beyond_all_floats_is_broken(tmp_path: Path) -> None:
+def test_a_limit_that_is_exceeded_beyond_all_floats_is_broken(tmp_path):
     plan = read_plan(robot.write(tmp_path, more="[columns.heat]\nmost = -1e308\n"))
     assert plan.limits({"heat": 1e308}) == {"heat at most": np.inf}
 
 
-def test_a_relative_database_lies_beside_the_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_relative_database_lies_beside_the_file(tmp_path, monkeypatch):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "old").mkdir()
     path = robot.write(tmp_path, more='\n[storage]\nurl = "sqlite:///trials.db"')
@@ -419,7 +409,7 @@ def test_a_relative_database_lies_beside_the_file(
     assert Bench.new(path).plan.url.endswith(str(tmp_path / "trials.db"))
 
 
-def test_numbers_of_a_sheet_can_be_typed_in_again(bench: Bench) -> None:
+def test_numbers_of_a_sheet_can_be_typed_in_again(bench):
     """With eight digits, also at the ends of the ranges."""
     (trial,) = bench.next()
     bench.record(0, 0.9)
@@ -438,12 +428,12 @@ def test_numbers_of_a_sheet_can_be_typed_in_again(bench: Bench) -> None:
         bench.add([Own(beyond, 1.0)])
 
 
-def as_printed(params: dict[str, float]) -> dict[str, float]:
+def as_printed(params):
     """Numbers as a sheet has them."""
     return {name: float(f"{value:.8g}") for name, value in params.items()}
 
 
-def test_without_a_price_a_failure_is_entered_by_its_value(tmp_path: Path) -> None:
+def test_without_a_price_a_failure_is_entered_by_its_value(tmp_path):
     path = robot.write(tmp_path)
     path.write_text(re.sub(r"duration_s.*\n|failed_at.*\n", "", path.read_text()))
     bench = Bench.new(path)

@@ -1,11 +1,8 @@
 """Candidates in files that other people wrote: what the bench's file declares, wins."""
 
 import gzip
-from collections.abc import Callable
 from datetime import date
 from decimal import Decimal
-from pathlib import Path
-from typing import Any
 
 import optuna
 import pyarrow as pa
@@ -35,27 +32,23 @@ features = ["known"]
 WHOLE = list(range(10, 51))
 
 
-def plan(
-    folder: Path, doses: list[Any], more: str = "", file: str = "doses.csv"
-) -> Plan:
+def plan(folder, doses, more="", file="doses.csv"):
     rows = "".join(f"{dose},{place}\n" for place, dose in enumerate(doses))
     (folder / "doses.csv").write_text(f"dose,known\n{rows}")
     (folder / "bench.toml").write_text(TOML.format(file=file, more=more))
     return read_plan(folder / "bench.toml")
 
 
-def of_dose(table: FeatureTable) -> Any:
+def of_dose(table):
     return table.rows.space.as_dict()["dose"]
 
 
 @cases("declared-candidates.toml", "more", "expected")
-def test_what_is_declared_wins_over_what_the_column_suggests(
-    tmp_path: Path, more: str, expected: str
-) -> None:
+def test_what_is_declared_wins_over_what_the_column_suggests(tmp_path, more, expected):
     assert str(of_dose(plan(tmp_path, WHOLE, more).read_candidates())) == expected
 
 
-def test_nothing_outside_of_declared_bounds_is_proposed(tmp_path: Path) -> None:
+def test_nothing_outside_of_declared_bounds_is_proposed(tmp_path):
     bench = Bench.new(plan(tmp_path, WHOLE, "bounds.dose = [9.5, 50.5]").path)
     bench.add([({"dose": 26.5}, 1.0)])  # an operator's own
     for number in range(1, 25):
@@ -64,7 +57,7 @@ def test_nothing_outside_of_declared_bounds_is_proposed(tmp_path: Path) -> None:
         bench.record(number, trial.params["dose"])
 
 
-def test_whole_numbers_on_a_logarithmic_scale_stay_whole(tmp_path: Path) -> None:
+def test_whole_numbers_on_a_logarithmic_scale_stay_whole(tmp_path):
     bench = Bench.new(plan(tmp_path, list(range(1, 17)), 'log = ["dose"]').path)
     for number in range(12):
         (trial,) = bench.next()
@@ -73,9 +66,7 @@ def test_whole_numbers_on_a_logarithmic_scale_stay_whole(tmp_path: Path) -> None
 
 
 @cases("bad-candidates.toml", "doses", "more", "said")
-def test_what_does_not_fit_is_refused_by_name(
-    tmp_path: Path, doses: str, more: str, said: str
-) -> None:
+def test_what_does_not_fit_is_refused_by_name(tmp_path, doses, more, said):
     with refused(said):
         plan(tmp_path, doses.split("|"), more).read_candidates()
 
@@ -89,9 +80,7 @@ def test_what_does_not_fit_is_refused_by_name(
         (["true", "false"], [True, False]),
     ],
 )
-def test_a_declared_choice_may_be_anything(
-    tmp_path: Path, doses: list[Any], expected: list[Any]
-) -> None:
+def test_a_declared_choice_may_be_anything(tmp_path, doses, expected):
     path = plan(tmp_path, doses, 'type.dose = "choice"').path
     table = Bench.new(path).candidates
     assert [table.rows.as_parameters(row)["dose"] for row in range(2)] == expected
@@ -99,22 +88,22 @@ def test_a_declared_choice_may_be_anything(
     assert Bench(path).next()[0].params["dose"] in expected
 
 
-def european(path: Path) -> None:
+def european(path):
     path.write_bytes("\ufeffdose;known\r\n1,5;0,25\r\n2;3\r\n".encode())
 
 
-def packed(path: Path) -> None:
+def packed(path):
     path.write_bytes(gzip.compress(b"dose,known\n1.5,0.25\n2,3\n"))
 
 
-def decimals(path: Path) -> None:
+def decimals(path):
     """As DuckDB writes `1.5 + i * 0.5`."""
     dose = pa.array([Decimal("1.5"), Decimal("2.0")], pa.decimal128(18, 1))
     known = pa.array([Decimal("0.25"), Decimal("3")], pa.decimal128(18, 2))
     pq.write_table(pa.table({"dose": dose, "known": known}), path)
 
 
-def hive(path: Path) -> None:
+def hive(path):
     for dose, known in ((1.5, 0.25), (2, 3)):
         part = path / f"dose={dose}"
         part.mkdir(parents=True)
@@ -132,9 +121,7 @@ def hive(path: Path) -> None:
         ("hive", hive),
     ],
 )
-def test_files_as_other_programs_write_them(
-    tmp_path: Path, file: str, write: Callable[[Path], None]
-) -> None:
+def test_files_as_other_programs_write_them(tmp_path, file, write):
     write(tmp_path / file)
     rows = plan(tmp_path, [1], file=file).read_candidates().rows
     assert rows.parameters.tolist() == [[1.5], [2.0]]
@@ -145,8 +132,8 @@ def test_files_as_other_programs_write_them(
 
 
 def test_a_bench_of_an_earlier_version_keeps_its_parameters_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     """Until 0.3.0 whole doses within [9.5, 50.5] were whole numbers from 9 on."""
     old = plan(tmp_path, WHOLE, "bounds.dose = [9.5, 50.5]")
     then = {"dose": IntDistribution(9, 50)}
@@ -164,7 +151,7 @@ def test_a_bench_of_an_earlier_version_keeps_its_parameters_and_says_so(
 
 
 # Tables of other doors have the same types.
-def frame() -> Any:
+def frame():
     """Two rows with columns of all kinds."""
     import pandas as pd
 
@@ -183,7 +170,7 @@ def frame() -> Any:
 
 
 @pytest.mark.parametrize("name", ["when", "word", "id", "day"])
-def test_what_is_no_parameter_of_a_frame(name: str) -> None:
+def test_what_is_no_parameter_of_a_frame(name):
     with refused(rf"^table.{name}\[0\]: "):
         FeatureTable.from_dataframe(frame(), parameters=[name], features=["f"])
 
@@ -191,12 +178,12 @@ def test_what_is_no_parameter_of_a_frame(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "shown"), [("when", "2026"), ("day", "2026"), ("complex", "1j")]
 )
-def test_what_is_no_feature_of_a_frame(name: str, shown: str) -> None:
+def test_what_is_no_feature_of_a_frame(name, shown):
     with refused(rf"table.features\[0\]: .*{shown}"):
         FeatureTable.from_dataframe(frame(), parameters=["price"], features=[name])
 
 
-def test_decimals_of_a_frame_are_of_kinds_that_optuna_has() -> None:
+def test_decimals_of_a_frame_are_of_kinds_that_optuna_has():
     names = ["price", "units"]
     rows = FeatureTable.from_dataframe(
         frame(), parameters=names, features=["price"]
@@ -209,7 +196,7 @@ def test_decimals_of_a_frame_are_of_kinds_that_optuna_has() -> None:
     optuna.create_study().enqueue_trial(rows.as_parameters(0))
 
 
-def test_bounds_of_arrays_and_files_are_kept_off_the_table(tmp_path: Path) -> None:
+def test_bounds_of_arrays_and_files_are_kept_off_the_table(tmp_path):
     bounds = {"dose": (9.5, 50.5)}
     table = FeatureTable.from_arrays({"dose": WHOLE}, WHOLE, bounds=bounds)
     assert of_dose(table) == FloatDistribution(9.5, 50.5)
@@ -223,7 +210,7 @@ def test_bounds_of_arrays_and_files_are_kept_off_the_table(tmp_path: Path) -> No
         FeatureTable.from_arrays({"dose": WHOLE}, WHOLE, bounds={"dose": (20, 50)})
 
 
-def test_a_column_that_looks_like_a_pattern_is_itself(tmp_path: Path) -> None:
+def test_a_column_that_looks_like_a_pattern_is_itself(tmp_path):
     path = plan(tmp_path, []).path
     change(path, 'features = ["known"]', 'outcomes = ["k[n]"]')
     (tmp_path / "doses.csv").write_text("dose,kn,k[n]\n1,2,3\n2,4,6\n")

@@ -11,19 +11,18 @@ from pathlib import Path
 import pytest
 
 from study.bench.bench import Bench
-from study.bench.journal import State
 from study.cli import main
 from study.commands.bench import ACTIONS
 from tests.cases import asset
 from tests.study.bench import robot
-from tests.tools.running import ROOT, Done, finish, start
+from tests.tools.running import ROOT, finish, start
 from tests.tools.test_hostile import without_the_rights_of_root
 
 MODULE = ("-m", "taichi_nmm")
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     robot.write(tmp_path)
     (tmp_path / "other.toml").write_text("[tool]\n")
     monkeypatch.chdir(tmp_path)
@@ -34,10 +33,10 @@ Say = Callable[..., str]
 
 
 @pytest.fixture
-def bench(folder: Path, capsys: pytest.CaptureFixture[str]) -> Say:
+def bench(folder, capsys):
     """What a command line prints, on either stream."""
 
-    def say(line: str, code: int = 0) -> str:
+    def say(line, code=0):
         left = pytest.raises(SystemExit, check=lambda end: end.code == code)
         with left if code else nullcontext():
             main(["bench", *line.split()])
@@ -48,19 +47,19 @@ def bench(folder: Path, capsys: pytest.CaptureFixture[str]) -> Say:
 
 
 @pytest.fixture
-def asked(bench: Say) -> Say:
+def asked(bench):
     """The same, once trial 0 was asked for."""
     bench("new walk.toml")
     bench("next")
     return bench
 
 
-def of_walk() -> State:
+def of_walk():
     """What the entries come to."""
     return Bench("walk.toml").state
 
 
-def test_a_log_of_a_walk_gives_the_cost(folder: Path, asked: Say) -> None:
+def test_a_log_of_a_walk_gives_the_cost(folder, asked):
     costs = []
     for seconds, action in ((30, "record"), (10, "correct")):
         rows = "\n".join(f"{t},{1.2 * t}" for t in range(seconds + 1))
@@ -72,13 +71,13 @@ def test_a_log_of_a_walk_gives_the_cost(folder: Path, asked: Say) -> None:
 
 
 @pytest.mark.parametrize(("line", "said"), asset("bench-refusals.toml").items())
-def test_what_is_wrong_is_one_line(asked: Say, line: str, said: str) -> None:
+def test_what_is_wrong_is_one_line(asked, line, said):
     found = asked(line.replace("NINES", 5000 * "9"), 2)
     assert found.startswith(f"error: {said}") and found.count("\n") == 1
     assert len(Bench("walk.toml").entries) == 2
 
 
-def test_a_folder_needs_one_bench_that_was_begun(folder: Path, bench: Say) -> None:
+def test_a_folder_needs_one_bench_that_was_begun(folder, bench):
     assert "a bench that was begun: taichi-nmm bench new" in bench("next", 2)
     assert not (folder / "walk.db").exists() or not Bench("walk.toml").entries
     robot.write(folder).rename(folder / "second.toml")
@@ -93,16 +92,14 @@ stiffness Stiffness TORQUE a=b -x
 
 
 @pytest.mark.parametrize("name", [*TAKEN.split(), " ", ""])
-def test_a_column_whose_name_has_another_meaning_is_refused(
-    folder: Path, bench: Say, name: str
-) -> None:
+def test_a_column_whose_name_has_another_meaning_is_refused(folder, bench, name):
     robot.write(folder, more=f"[columns.{json.dumps(name)}]\nmost = 1\n")
     refused = f"error: columns: {name!r} cannot be used; allowed: another name"
     assert refused in bench("new walk.toml", 2)
     assert Bench("walk.toml").entries == ()
 
 
-def test_names_that_differ_in_dashes_alone_are_one(folder: Path, bench: Say) -> None:
+def test_names_that_differ_in_dashes_alone_are_one(folder, bench):
     robot.write(folder, more='[columns."step length"]\n[columns.Step-Length]\n')
     said = bench("new walk.toml", 2)
     assert "columns: 'Step-Length'" in said and "step length is another column" in said
@@ -111,19 +108,17 @@ def test_names_that_differ_in_dashes_alone_are_one(folder: Path, bench: Say) -> 
     assert "candidates.parameters: 'note'" in bench("new walk.toml", 2)
 
 
-def rename(folder: Path, old: str, new: str) -> None:
+def rename(folder, old, new):
     """Call a parameter, or a column, otherwise, in all files of a bench."""
     for name in ("walk.toml", "candidates.csv"):
         file = folder / name
         file.write_text(file.read_text().replace(old, new))
 
 
-def test_the_line_of_a_sheet_can_be_typed_as_it_is_printed(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_line_of_a_sheet_can_be_typed_as_it_is_printed(folder, capsys):
     """With blanks in names, umlauts, and a file in another folder."""
 
-    def typed(words: list[str], after: str) -> list[str]:
+    def typed(words, after):
         """The words of a line that a command prints, without the program."""
         main(words)
         lines = capsys.readouterr().out.splitlines()
@@ -145,9 +140,7 @@ def test_the_line_of_a_sheet_can_be_typed_as_it_is_printed(
     assert said in capsys.readouterr().out
 
 
-def test_an_old_bench_with_such_a_column_opens_and_says_so(
-    folder: Path, bench: Say, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_old_bench_with_such_a_column_opens_and_says_so(folder, bench, monkeypatch):
     robot.write(folder, more="[columns.cost]\n")
     with monkeypatch.context() as patch:
         patch.setattr("study.bench.bench.require_names", lambda *_: None)
@@ -158,7 +151,7 @@ def test_an_old_bench_with_such_a_column_opens_and_says_so(
     assert "warning: columns cost: --cost is an option" in bench("status")
 
 
-def test_what_a_correction_does_to_a_failure_is_said(asked: Say) -> None:
+def test_what_a_correction_does_to_a_failure_is_said(asked):
     for line, said, is_failure in (
         ("fail 0 --seconds 2.1", "fail 0: failed after 2.1 s, 5.79\n", True),
         ("correct 0 --seconds 21", "correct 0: failed after 21 s, 3.9\n", True),
@@ -174,7 +167,7 @@ def test_what_a_correction_does_to_a_failure_is_said(asked: Say) -> None:
         assert trial.result < 1.0 or is_failure
 
 
-def test_nothing_is_recommended_before_a_trial_is_finished(bench: Say) -> None:
+def test_nothing_is_recommended_before_a_trial_is_finished(bench):
     bench("new walk.toml")
     nothing = "Nothing to recommend yet: no trial is finished"
     assert bench("recommend") == f"{nothing}.\n"
@@ -185,7 +178,7 @@ def test_nothing_is_recommended_before_a_trial_is_finished(bench: Say) -> None:
     assert bench("recommend") == f"{nothing} in gravel.\n"
 
 
-def test_words_of_a_sheet(folder: Path, bench: Say) -> None:
+def test_words_of_a_sheet(folder, bench):
     robot.write(folder, robot.FEATURES)
     bench("new walk.toml")
     assert "simulated" not in bench("next")
@@ -198,9 +191,7 @@ def test_words_of_a_sheet(folder: Path, bench: Say) -> None:
     assert "the mean without noise)" in bench("next")
 
 
-def test_who_has_no_entry_among_the_users_is_a_number(
-    bench: Say, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_has_no_entry_among_the_users_is_a_number(bench, monkeypatch):
     for name in ("LOGNAME", "USER", "LNAME", "USERNAME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("pwd.getpwuid", lambda number: {}[number])
@@ -208,13 +199,13 @@ def test_who_has_no_entry_among_the_users_is_a_number(
     assert f"begun by uid-{os.getuid()}@localhost\n" in bench("new walk.toml")
 
 
-def run(line: str, shell: str) -> Done:
+def run(line, shell):
     """The command in a process of its own."""
     return finish(start("bench", *line.split(), shell=shell, program=MODULE))
 
 
 @pytest.mark.slow
-def test_what_is_only_read_needs_no_place_to_write(folder: Path) -> None:
+def test_what_is_only_read_needs_no_place_to_write(folder):
     """A folder that is read-only, also for root."""
     robot.run(Bench.new("walk.toml"), 3)
     rights = without_the_rights_of_root()
@@ -236,8 +227,8 @@ def test_what_is_only_read_needs_no_place_to_write(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_terminal_without_umlauts_gets_escapes_and_nothing_is_lost(
-    folder: Path,
-) -> None:
+    folder,
+):
     rename(folder, "damping", "dämpfung")
     rename(folder, "torque", "'größe'")
     ascii_alone = 'export PYTHONIOENCODING=ascii PYTHONUTF8=0 LC_ALL=C; exec "$@"'
@@ -255,7 +246,7 @@ def test_a_terminal_without_umlauts_gets_escapes_and_nothing_is_lost(
 
 
 @pytest.mark.slow
-def test_status_loads_little(folder: Path) -> None:
+def test_status_loads_little(folder):
     robot.run(Bench.new("walk.toml"), 2)
     code = """
 import sys
@@ -288,9 +279,7 @@ trial 8 | walk | gravel
 """
 
 
-def test_the_page_runs_from_top_to_bottom(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     page = (ROOT / "docs" / "bench.md").read_text()
     blocks = BLOCK.findall(page)
@@ -321,8 +310,8 @@ def test_the_page_runs_from_top_to_bottom(
 
 
 def test_decimal_commas_are_typed_and_numbers_that_may_be_two_are_refused(
-    asked: Say,
-) -> None:
+    asked,
+):
     asked("record 0 --cost 0,92 --torque 80,5")
     trial = of_walk().trials[0]
     assert (trial.value, trial.columns) == (0.92, {"torque": 80.5})
@@ -333,7 +322,7 @@ def test_decimal_commas_are_typed_and_numbers_that_may_be_two_are_refused(
 
 
 @pytest.mark.parametrize("is_european", [False, True])
-def test_trials_go_out_and_come_in(folder: Path, bench: Say, is_european: bool) -> None:
+def test_trials_go_out_and_come_in(folder, bench, is_european):
     """Also as a spreadsheet has saved them."""
     robot.run(Bench.new("walk.toml"), 4)
     Bench("walk.toml").next()

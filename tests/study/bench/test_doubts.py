@@ -1,7 +1,6 @@
 """Numbers that were perhaps entered wrongly are named; what nothing speaks against is not."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,13 +35,11 @@ AMONG = (5.0, 7.0, 9.0, 13.0)
         (9.0, AMONG, False),
     ],
 )
-def test_without_worlds_a_value_is_compared_with_the_other_trials(
-    value: float, others: tuple[float, ...], odd: bool
-) -> None:
+def test_without_worlds_a_value_is_compared_with_the_other_trials(value, others, odd):
     assert bool(odd_value(value, None, others)) is odd
 
 
-def state_of(*told: tuple[float, float]) -> State:
+def state_of(*told):
     """Trials with these values and torques; NaN: none was entered."""
     trials = {}
     for number, (value, torque) in enumerate(told):
@@ -59,7 +56,7 @@ def state_of(*told: tuple[float, float]) -> State:
     return State(trials, "", len(trials), frozenset())
 
 
-def test_the_trial_and_the_number_are_named(tmp_path: Path) -> None:
+def test_the_trial_and_the_number_are_named(tmp_path):
     plan = read_plan(robot.write(tmp_path))
     usual = [(value, 60.0) for value in AMONG]
     wrong = (1e300, math.nan), (6.0, 60_000.0), (8.0, math.inf)
@@ -70,7 +67,7 @@ def test_the_trial_and_the_number_are_named(tmp_path: Path) -> None:
     assert "torque inf is no measurement" in found[6]
 
 
-def test_a_bench_of_earlier_versions_names_wrong_numbers(tmp_path: Path) -> None:
+def test_a_bench_of_earlier_versions_names_wrong_numbers(tmp_path):
     """Its entries hold 1e300, and a falling clock's 1.357e9, which nobody has questioned."""
     path = robot.write(tmp_path, robot.FEATURES)
     bench = Bench.new(path)
@@ -88,8 +85,8 @@ def test_a_bench_of_earlier_versions_names_wrong_numbers(tmp_path: Path) -> None
 
 
 def test_a_walk_that_costs_less_than_its_time_was_a_log_with_clock_times(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     """1 / (1 + 30) is the least that 30 s can cost; nanoseconds gave 0.0211."""
     path = tmp_path / "walk.toml"
     path.write_text(
@@ -116,9 +113,7 @@ GOAL = "success = 0.5\nduration_s = 30\nfailed_at_once = 6"
         ),
     ],
 )
-def test_failures_that_are_worth_much_are_refused(
-    tmp_path: Path, goal: str, said: str
-) -> None:
+def test_failures_that_are_worth_much_are_refused(tmp_path, goal, said):
     path = robot.write(tmp_path)
     robot.change(path, GOAL, goal)
     with refused(said):
@@ -126,8 +121,8 @@ def test_failures_that_are_worth_much_are_refused(
 
 
 def test_failures_in_another_unit_than_the_worlds_are_questioned(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     path = robot.write(tmp_path)
     robot.change(path, GOAL, "duration_s = 30\nfailed_at_once = 600")
     (line,) = Bench.new(path).doubts()
@@ -137,7 +132,7 @@ def test_failures_in_another_unit_than_the_worlds_are_questioned(
     assert Bench.new(path).doubts() == []
 
 
-def test_falls_of_a_store_that_prices_them_itself_are_compared(tmp_path: Path) -> None:
+def test_falls_of_a_store_that_prices_them_itself_are_compared(tmp_path):
     """A fall at once has a smooth cost of 1 + 0.3 + 0.013, wherever the bench says 2."""
     path = tmp_path / "walk.toml"
     toml = '[candidates]\nstore = "store"\n[goal]\nduration_s = 30\n'
@@ -149,7 +144,7 @@ def test_falls_of_a_store_that_prices_them_itself_are_compared(tmp_path: Path) -
     assert odd_failures(read_plan(path), (0.0122, 1.3)) == []
 
 
-def test_a_copy_of_the_file_is_whole_while_a_server_holds_it(tmp_path: Path) -> None:
+def test_a_copy_of_the_file_is_whole_while_a_server_holds_it(tmp_path):
     """SQLite writes its log down when the last program closes the file: a server never does."""
     path = robot.write(tmp_path)
     bench = Bench.new(path, "me")

@@ -1,8 +1,6 @@
 """Export and import keep what a trial is, and a file that comes twice is recognised."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -16,7 +14,7 @@ from tests.study.conftest import refused
 
 
 @pytest.fixture
-def file(bench: Bench, tmp_path: Path) -> Path:
+def file(bench, tmp_path):
     """Trials of two operators on three grounds, one of which failed, and one that is pending."""
     robot.run(bench, 2)
     bench.operator = "you"
@@ -32,16 +30,14 @@ def file(bench: Bench, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def again(tmp_path: Path) -> Bench:
+def again(tmp_path):
     """Another bench of the same robot."""
     (tmp_path / "second").mkdir()
     return Bench.new(robot.write(tmp_path / "second"), "somebody")
 
 
-def test_all_that_a_trial_is_goes_out_and_comes_in(
-    bench: Bench, file: Path, again: Bench
-) -> None:
-    def content(bench: Bench) -> list[Any]:
+def test_all_that_a_trial_is_goes_out_and_comes_in(bench, file, again):
+    def content(bench):
         own = {"number": 0, "notes": {}, "why": "", "values": []}
         return [replace(trial, **own) for trial in bench.state.finished]
 
@@ -55,9 +51,7 @@ def test_all_that_a_trial_is_goes_out_and_comes_in(
     assert str(again.best()) == str(bench.best())
 
 
-def test_the_same_file_twice_enters_nothing(
-    bench: Bench, file: Path, again: Bench
-) -> None:
+def test_the_same_file_twice_enters_nothing(bench, file, again):
     again.add_new(read_trials(again, file))
     again.correct(0, 0.123)  # a trial that was corrected since is the same trial
     for there in (again, bench):
@@ -69,7 +63,7 @@ def test_the_same_file_twice_enters_nothing(
     assert again.add_new(read_trials(again, file)) == ([5, 6, 7, 8, 9], [])
 
 
-def test_a_list_that_has_grown_enters_what_is_new(bench: Bench, tmp_path: Path) -> None:
+def test_a_list_that_has_grown_enters_what_is_new(bench, tmp_path):
     (trial,) = bench.next()
     bench.record(0, 0.9)
     row = ",".join(f"{value:.8g}" for value in trial.params.values())
@@ -85,9 +79,7 @@ def test_a_list_that_has_grown_enters_what_is_new(bench: Bench, tmp_path: Path) 
 
 
 @cases("bad-imports.toml", "rows", "said")
-def test_what_cannot_be_imported_is_one_line(
-    bench: Bench, tmp_path: Path, rows: str, said: str
-) -> None:
+def test_what_cannot_be_imported_is_one_line(bench, tmp_path, rows, said):
     path = tmp_path / "wrong.csv"
     path.write_text("\n".join(rows.split()) + "\n")
     with refused(said):
@@ -95,7 +87,7 @@ def test_what_cannot_be_imported_is_one_line(
     assert len(bench.entries) == 1
 
 
-def test_words_of_any_type_are_words(bench: Bench, tmp_path: Path) -> None:
+def test_words_of_any_type_are_words(bench, tmp_path):
     columns = {
         "stiffness": [20.0],
         "damping": [1.0],

@@ -5,10 +5,9 @@ import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
 
@@ -34,7 +33,7 @@ from tests.study.conftest import refused
 class Served:
     """A page that is served as if on this address, with what it asks for and its bench."""
 
-    def __init__(self, folder: Path, address: str) -> None:
+    def __init__(self, folder, address):
         self.bench = Bench.new(robot.write(folder), "me")
         self.filmed = list[Mapping[str, Any]]()
         films = Films(self.film, ThreadPoolExecutor(1), folder)
@@ -43,14 +42,14 @@ class Served:
         self.url = f"http://{HOST}:{self.server.server_port}"
         threading.Thread(target=self.server.serve_forever).start()
 
-    def film(self, params: Mapping[str, Any]) -> bytes:
+    def film(self, params):
         """A film of a simulator that refuses every second trial."""
         self.filmed.append(params)
         if len(self.filmed) == 2:
             raise InputError("film", "OpenGL", "a screen")
         return b"a film of a walker"
 
-    def ask(self, place: str, form: Any = None, **headers: str) -> tuple[int, str]:
+    def ask(self, place, form=None, **headers):
         """Status and text of an answer, redirections followed; {}: an empty form."""
         data = None if form is None else urllib.parse.urlencode(form).encode()
         request = urllib.request.Request(f"{self.url}/{place}", data, headers)
@@ -61,7 +60,7 @@ class Served:
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()
 
-    def said(self, place: str, form: Any = None) -> str:
+    def said(self, place, form=None):
         """The text of an answer without an error."""
         status, text = self.ask(place, form)
         assert status == 200
@@ -72,11 +71,11 @@ Serve = Callable[[str], Served]
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Iterator[Serve]:
+def serve(tmp_path):
     """Serves a page."""
     all_served = []
 
-    def start(address: str) -> Served:
+    def start(address):
         all_served.append(Served(tmp_path, address))
         return all_served[-1]
 
@@ -87,7 +86,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
 
 @pytest.fixture
-def page(serve: Serve) -> Served:
+def page(serve):
     """Of this machine alone, with one trial that was asked for."""
     served = serve(HOST)
     served.said("next", {"batch": 1})
@@ -105,15 +104,13 @@ def page(serve: Serve) -> Served:
         ({"trial": 0, "value": 1, "column torque": "<b>"}, "column torque: '<b>'"),
     ],
 )
-def test_what_is_wrong_is_one_line(
-    page: Served, form: dict[str, Any], line: str
-) -> None:
+def test_what_is_wrong_is_one_line(page, form, line):
     status, text = page.ask("record", form)
     assert status == 400 and f'<p role="alert">{bottle.html_escape(line)}' in text
     assert page.bench.look().trials and page.bench.entries[-1].kind == "next"
 
 
-def test_entries_by_hand(page: Served) -> None:
+def test_entries_by_hand(page):
     for place, form, said in (
         ("record", {"value": -31, "column torque": 95}, "far from all"),
         ("correct", {"value": "0,9", "column torque": 81}, "0: 0.9, torque 81"),
@@ -137,7 +134,7 @@ def test_entries_by_hand(page: Served) -> None:
     assert page.ask("undo", {"entry": 1}, Origin="http://evil.example")[0] == 403
 
 
-def test_candidates_are_filmed_once_when_they_are_asked_for(page: Served) -> None:
+def test_candidates_are_filmed_once_when_they_are_asked_for(page):
     assert '<video src="/film/1"' in page.said("next", {"batch": 2})
     assert not page.filmed
     assert page.said("film/0") == page.said("film/0") == "a film of a walker"
@@ -148,16 +145,14 @@ def test_candidates_are_filmed_once_when_they_are_asked_for(page: Served) -> Non
     assert page.ask("film/1")[0] == 200 and page.ask("film/2")[0] == 404
 
 
-def test_a_database_that_cannot_be_read_is_one_line(
-    page: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_database_that_cannot_be_read_is_one_line(page, monkeypatch):
     locked = InputError("storage", "walk.db", "a database that no other program holds")
     monkeypatch.setattr(page.bench, "look", Mock(side_effect=locked))
     status, text = page.ask("")
     assert status == 503 and "storage: &#039;walk.db&#039;" in text
 
 
-def test_a_database_that_is_gone_is_one_line_whatever_is_asked(page: Served) -> None:
+def test_a_database_that_is_gone_is_one_line_whatever_is_asked(page):
     file = page.bench.plan.path.with_suffix(".db")
     for ending in ("", "-wal", "-shm"):
         file.with_name(file.name + ending).unlink(missing_ok=True)
@@ -170,7 +165,7 @@ def test_a_database_that_is_gone_is_one_line_whatever_is_asked(page: Served) -> 
     assert not file.exists()
 
 
-def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
+def test_strangers_on_the_network_see_nothing(serve):
     served = serve("0.0.0.0")
     for place in ("", "?token=x", "?token=", f"next?token={served.token}"):
         status, text = served.ask(place)
@@ -183,7 +178,7 @@ def test_strangers_on_the_network_see_nothing(serve: Serve) -> None:
         wsgi_server(app, "203.0.113.1", 0)
 
 
-def bench_of(store: Path) -> Bench:
+def bench_of(store):
     """A bench over the rows of a store."""
     path = store.with_name("stored.toml")
     path.write_text(
@@ -192,7 +187,7 @@ def bench_of(store: Path) -> Bench:
     return Bench.new(path)
 
 
-def test_what_can_be_filmed(store: Path, tmp_path: Path) -> None:
+def test_what_can_be_filmed(store, tmp_path):
     own = Bench.new(robot.write(tmp_path))
     assert filming_of(own, None) is None
     filming = filming_of(bench_of(store), None)
@@ -206,7 +201,7 @@ def test_what_can_be_filmed(store: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_films_of_both_engines(tmp_path: Path) -> None:
+def test_films_of_both_engines(tmp_path):
     reference = dict(zip(GAIN_NAMES, load_gains("reference").tolist(), strict=True))
     assert of_walker(reference, {"exo_torque": 30.0})[4:8] == b"ftyp"
     store = make_store(rail.Rail, tmp_path / "rail", workers=1, samples=8)
@@ -226,7 +221,7 @@ def test_films_of_both_engines(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_phone_beside_the_machine(serve: Serve) -> None:
+def test_a_phone_beside_the_machine(serve):
     served = serve("0.0.0.0")
     with opened_page(390, 780) as page:
         page.goto(f"{served.url}/?token={served.token}")
@@ -245,7 +240,7 @@ def test_a_phone_beside_the_machine(serve: Serve) -> None:
 
 
 @pytest.mark.slow
-def test_the_page_prints_a_sheet_for_each_pending_trial(serve: Serve) -> None:
+def test_the_page_prints_a_sheet_for_each_pending_trial(serve):
     served = serve(HOST)
     robot.run(served.bench, 6)
     served.bench.next(batch=3)
@@ -272,9 +267,7 @@ RUN = "Simulated runs last 8 s{}: what is simulated is the cost of such a run."
     ],
 )
 @pytest.mark.filterwarnings("ignore:.* rows lasted")
-def test_a_store_of_shorter_runs_is_said_on_the_sheet(
-    tmp_path: Path, known: str, goal: str, said: str
-) -> None:
+def test_a_store_of_shorter_runs_is_said_on_the_sheet(tmp_path, known, goal, said):
     """Unless they are as long as a trial, or only features are read."""
     gale = {"settings": 2, "seed": 1, "horizon_s": 8.0}
     store = tmp_path / "cart"
