@@ -27,8 +27,7 @@ from study.experiment.folder import (
     by_study,
     walkers,
 )
-from study.experiment.one_study import OneStudy
-from study.experiment.trials import best_cost
+from study.experiment.one_study import OneStudy, best_cost
 from study.sampler.history import OFF_TABLE, ROW_ATTRIBUTE
 
 

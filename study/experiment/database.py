@@ -40,8 +40,7 @@ from study.experiment.folder import (
     fingerprint,
 )
 from study.experiment.live_study import require_notes, require_written
-from study.experiment.one_study import note_worth, params_of
-from study.experiment.trials import COST_ATTRIBUTE
+from study.experiment.one_study import COST_ATTRIBUTE, note_worth, params_of
 from study.sampler.history import ROW_ATTRIBUTE
 
 CONFIG_ATTRIBUTE = "experiment_config"

@@ -39,12 +39,12 @@ from study.experiment.arms import Arm
 from study.experiment.experiment import WALKED, Experiment, study_name
 from study.experiment.folder import LIVE_ATTRIBUTE, document
 from study.experiment.one_study import (
+    COST_ATTRIBUTE,
     FELL_ATTRIBUTE,
     SHOWN_ATTRIBUTE,
     LiveStudy,
     note_worth,
 )
-from study.experiment.trials import COST_ATTRIBUTE
 from study.experiment.walker import END_REASON
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
 

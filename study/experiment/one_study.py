@@ -18,12 +18,12 @@ from storage.inputs.errors import InputError
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, Floats
 from study.experiment.samplers import Task
-from study.experiment.trials import COST_ATTRIBUTE
 from study.sampler.diagnostics import TITLE, WORLDS_TITLE, Likeness, Worth
 from study.sampler.policy import one_thread
 from study.sampler.sampler import FeatureKernelSampler
 
 FELL_ATTRIBUTE = "fell"  # of a trial: whether it did not last
+COST_ATTRIBUTE = "cost"  # of a trial that was told with noise: its cost without
 SHOWN_ATTRIBUTE = "shown"  # of a trial: the features that it showed itself
 
 
@@ -49,7 +49,7 @@ class OneStudy:
 
     def finished(self) -> list[FrozenTrial]:
         """The finished trials, in the order of their numbers."""
-        return self.study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        return finished_trials(self.study)
 
     def ask(self) -> list[float]:
         """The next trial's parameters, as the simulator's numbers in their order."""
@@ -154,6 +154,22 @@ def new_sampler(
     """The sampler of an arm in a run, for its trial of this number."""
     seed = experiment.sampler_seed(arm.name, run)
     return arm.new_sampler(Task(experiment, seed, turn, arm.store, arm.feature))
+
+
+def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
+    """The finished trials of a study, in the order of their numbers."""
+    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+
+
+def best_cost(experiment: Experiment, study: optuna.Study) -> float:
+    """What the finished trials have reached together, without noise: `Objective.best`."""
+    if not experiment.objective.goals and not experiment.noise:
+        return study.best_value
+    costs = [
+        [trial.user_attrs[COST_ATTRIBUTE]] if experiment.noise else trial.values
+        for trial in finished_trials(study)
+    ]
+    return experiment.objective.best(np.array(costs))
 
 
 def keeps_state(arm: Arm) -> bool:

@@ -4,18 +4,12 @@ from typing import Any
 
 import numpy as np
 import optuna
-from optuna.trial import FrozenTrial, TrialState
+from optuna.trial import FrozenTrial
 
 from study.experiment.experiment import WALKED, Experiment
 from study.experiment.objective import Objective
+from study.experiment.one_study import best_cost, finished_trials
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
-
-COST_ATTRIBUTE = "cost"  # of a trial that was told with noise: its cost without
-
-
-def finished_trials(study: optuna.Study) -> list[FrozenTrial]:
-    """The finished trials of a study, in the order of their numbers."""
-    return study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
 
 
 def best_trial(objective: Objective, study: optuna.Study) -> FrozenTrial:
@@ -24,17 +18,6 @@ def best_trial(objective: Objective, study: optuna.Study) -> FrozenTrial:
         finished_trials(study),
         key=lambda trial: objective.best(np.array([trial.values])),
     )
-
-
-def best_cost(experiment: Experiment, study: optuna.Study) -> float:
-    """What the finished trials have reached together, without noise: `Objective.best`."""
-    if not experiment.objective.goals and not experiment.noise:
-        return study.best_value
-    costs = [
-        [trial.user_attrs[COST_ATTRIBUTE]] if experiment.noise else trial.values
-        for trial in finished_trials(study)
-    ]
-    return experiment.objective.best(np.array(costs))
 
 
 def progress_line(
