@@ -124,7 +124,7 @@ def _find_program(settings: Settings, is_same: bool) -> None:
     for arch in wanted:
         found = program.living()  # none after a try that failed
         runs = found is not None and program.architecture(found) == arch
-        if runs or program.begin(arch):
+        if runs or (program.begin(arch) and _computes(arch)):
             _program, _arch = program.living(), arch
             return
     raise InputError(
@@ -287,3 +287,21 @@ def metadata() -> dict[str, Any]:
 def _engine(settings: Settings) -> tuple[Any, ...]:
     """The settings that Taichi is initialised for."""
     return settings.precision, settings.arch, settings.threads, settings.wide_registers
+
+
+def _computes(arch: str) -> bool:
+    """Whether a program that was begun stores numbers: where a driver has no device, none arrive."""
+    if arch == "cpu":
+        return True
+    values = np.ones(4, dtype=np.float32)
+    try:
+        _double(values)
+    except RuntimeError:
+        return False
+    return bool(np.all(values == 2.0))
+
+
+@ti.kernel
+def _double(values: Array):
+    for i in range(values.shape[0]):
+        values[i] = 2.0 * values[i]

@@ -45,6 +45,16 @@ def test_a_driver_that_refuses_a_kernel_is_bad_input_each_time(
             backend.launch(failing)
 
 
+def test_a_driver_without_a_device_is_no_architecture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its kernels run, and no number arrives: walks would be wrong without a word."""
+    monkeypatch.setattr(backend.program, "begin", lambda arch: True)
+    monkeypatch.setattr(backend, "_double", lambda values: None)
+    with pytest.raises(InputError, match=r"^simulation\.arch: 'cuda'"):
+        backend._find_program(Settings(arch="cuda"), is_same=True)
+
+
 def test_an_error_on_the_cpu_or_after_a_launch_is_no_ones_input(
     on: Callable[[str], None],
 ) -> None:
