@@ -31,7 +31,7 @@ from study.bench.advice import (
 )
 from study.bench.doubts import Range, doubts, odd_failures
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
-from study.bench.plan import Column, Goal, Plan, read_plan
+from study.bench.plan import Plan, read_plan, require_failures, require_limits
 from study.bench.shown import require_shown, show
 from study.bench.words import operator_here, require_names
 from study.sampler.space import as_suggested, printed_tolerance
@@ -144,8 +144,8 @@ class Bench:
         candidates = bench.candidates
         if not bench._entries:
             simulated = simulated_range(candidates.rows)
-            _require_limits(bench.plan.columns)
-            _require_failures(bench.plan.goal, simulated)
+            require_limits(bench.plan.columns)
+            require_failures(bench.plan.goal, simulated)
         with bench._turn():
             if not bench._entries:
                 space = candidates.rows.space.as_dict()
@@ -593,27 +593,3 @@ def _stands_for(typed: Any, value: Any) -> bool:
     if isinstance(typed, float) and isinstance(value, float):
         return abs(typed - value) <= printed_tolerance(typed)
     return bool(typed == value)
-
-
-def _require_failures(goal: Goal, simulated: Range | None) -> None:
-    """Refuse failures that are worth more than a success, or than all that was simulated."""
-    for key, value in goal.failures.items():
-        if goal.success is not None and goal.is_better(value, goal.success):
-            allowed = f"a value worse than goal.success, {goal.success:g}"
-            raise InputError(f"goal.{key}", value, allowed)
-        if simulated and all(goal.is_better(value, end) for end in simulated):
-            least, most = simulated
-            allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
-            raise InputError(f"goal.{key}", value, allowed)
-    if goal.failed is not None and goal.is_better(*goal.failed):
-        at_once, at_end = goal.failed
-        allowed = f"a value no worse than goal.failed_at_once, {at_once:g}"
-        raise InputError("goal.failed_at_end", at_end, allowed)
-
-
-def _require_limits(columns: Mapping[str, Column]) -> None:
-    """Refuse limits that no number keeps."""
-    for name, column in columns.items():
-        if column.least > column.most:
-            allowed = f"a number up to columns.{name}.most, {column.most:g}"
-            raise InputError(f"columns.{name}.least", column.least, allowed)

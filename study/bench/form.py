@@ -101,7 +101,9 @@ class Films:
     """Films in a folder, each made in a process beside this one when it is first asked for."""
 
     def __init__(self, filming: Filming, makers: Executor, folder: Path) -> None:
-        self._filming, self._makers, self._folder = filming, makers, folder
+        self._filming = filming
+        self._makers = makers
+        self._folder = folder
         self._turn = threading.Lock()
 
     def of(self, trial: Trial) -> Path:

@@ -435,6 +435,36 @@ def _number(table: Table, key: str, missing: Missing) -> float | Missing:
     return table.number(key) if key in table.unread else missing
 
 
+def require_failures(goal: Goal, simulated: Sequence[float] | None) -> None:
+    """Refuse failures that are worth more than a success, or than all that was simulated.
+
+    Args:
+        goal: of a new bench.
+        simulated: the least and the largest value in the worlds; None: in none of these
+            units.
+    """
+    for key, value in goal.failures.items():
+        if goal.success is not None and goal.is_better(value, goal.success):
+            allowed = f"a value worse than goal.success, {goal.success:g}"
+            raise InputError(f"goal.{key}", value, allowed)
+        if simulated and all(goal.is_better(value, end) for end in simulated):
+            least, most = simulated
+            allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
+            raise InputError(f"goal.{key}", value, allowed)
+    if goal.failed is not None and goal.is_better(*goal.failed):
+        at_once, at_end = goal.failed
+        allowed = f"a value no worse than goal.failed_at_once, {at_once:g}"
+        raise InputError("goal.failed_at_end", at_end, allowed)
+
+
+def require_limits(columns: Mapping[str, Column]) -> None:
+    """Refuse limits that no number keeps."""
+    for name, column in columns.items():
+        if column.least > column.most:
+            allowed = f"a number up to columns.{name}.most, {column.most:g}"
+            raise InputError(f"columns.{name}.least", column.least, allowed)
+
+
 def _of_store(table: Table, goal: Goal) -> FeatureTable:
     """The rows of a store: with features, or else in the worlds of its families."""
     # Of the walker: what has no store does without, as `status` does.

@@ -229,7 +229,9 @@ def test_a_repetition_is_not_queued_twice(toy):
 @pytest.mark.parametrize("look", range(1, 9))
 def test_a_trial_of_the_others(toy, look, monkeypatch):
     """Of a crew, another process tells its trial right after some look of ours at the study."""
-    storage, get_trials, looks = InMemoryStorage(), optuna.Study.get_trials, count(1)
+    storage = InMemoryStorage()
+    get_trials = optuna.Study.get_trials
+    looks = count(1)
     arm = find_arm("random")
     other = live_study.LiveStudy(toy, arm, 0, open_study(toy, arm, 0, storage))
     gains = other.ask()
