@@ -204,7 +204,7 @@ def test_the_page_of_own_simulators_runs_in_an_empty_folder(tmp_path: Path) -> N
     compared = (
         "-m taichi_nmm compare --config robots.toml --runs 2 --trials 3 --workers 1"
     )
-    assert "| worlds |" in run_in(tmp_path, *compared.split())
+    assert "\nworlds  " in run_in(tmp_path, *compared.split())
 
 
 @pytest.mark.slow
