@@ -338,7 +338,15 @@ def test_the_bench_takes_the_store_and_the_explorer_the_study(
     assert proposed["params"] in rows
     study = open_rows(real.compared, "rough8-smooth/dog/run-001")
     own, seed = walking.OWN, read_experiment(real.config).seed
-    setting = walking.chosen_setting(own, own, seed, own, "taichi", 5.0, study.document)
+    setting = walking.chosen_setting(
+        ground=own,
+        disturbance=own,
+        seed=seed,
+        world=own,
+        engine="taichi",
+        duration_s=5.0,
+        own=study.document,
+    )
     again = walking.walk(gains_at(study, 2, 2), setting)
     for name in ("distance_m", "phi_printed"):
         assert again.row[name] == study.table()[name][2].as_py()

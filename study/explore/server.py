@@ -34,6 +34,15 @@ from study.loopback import HOST, LOOPBACK
 
 PAGE = r"/(?:favicon\.ico|static/.*)?"  # not /metadata, nor /autoload.js, which any site may embed
 SOCKET = "/ws"
+# Errors of base64, JSON and zlib on words that are no token.
+NO_TOKEN = (
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    zlib.error,
+    RecursionError,
+)
 
 
 class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
@@ -48,19 +57,13 @@ class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
         words = request.headers.get("Sec-WebSocket-Protocol", "").split(",")
         if len(words) != 2 or request.path != SOCKET or words[0].strip() != "bokeh":
             return None
+        token = words[1].strip()
         try:
-            get_session_id(words[1].strip())
-            expiry_s = get_token_payload(words[1].strip())["session_expiry"]
+            get_session_id(token)
+            expiry_s = get_token_payload(token)["session_expiry"]
             return {} if time.time() < expiry_s else None
-        except (
-            ValueError,
-            LookupError,
-            TypeError,
-            AttributeError,
-            zlib.error,
-            RecursionError,
-        ):
-            return None  # errors of base64, JSON and zlib on words that are no token
+        except NO_TOKEN:
+            return None
 
 
 def serve(page: Callable[[Document], None], taken: socket.socket) -> tuple[IOLoop, str]:
@@ -91,14 +94,13 @@ class Latest:
         done: Callable[[Any], None],
         failed: Callable[[BaseException], None],
     ) -> None:
-        self._document, self._executor, self._done, self._failed = (
-            document,
-            executor,
-            done,
-            failed,
-        )
+        self._document = document
+        self._executor = executor
+        self._done = done
+        self._failed = failed
         self._waits: Callable[[], Future[Any]] | None = None
-        self._busy = self._closed = False
+        self._busy = False
+        self._closed = False
         document.on_session_destroyed(self._close)
 
     def ask(self, function: Callable[..., Any], *arguments: Any) -> None:
@@ -110,7 +112,9 @@ class Latest:
     def _start(self) -> None:
         if self._waits is None or self._closed:
             return
-        submit, self._waits, self._busy = self._waits, None, True
+        submit = self._waits
+        self._waits = None
+        self._busy = True
         submit().add_done_callback(self._hand_over)
 
     def _hand_over(self, future: Future[Any]) -> None:
@@ -130,7 +134,8 @@ class Latest:
             self._start()
 
     def _close(self, _: object) -> None:
-        self._closed, self._waits = True, None
+        self._closed = True
+        self._waits = None
 
 
 SCRIPTS = Path(__file__).parent / "scripts"

@@ -25,7 +25,8 @@ from taichi_nmm.result import FELL, MUSCLES
 ASPECT = 1.6  # of a stage, width over height
 GHOST = "#5B4B8A"
 GHOST_ALPHA = 0.35
-STAGE_PX, TIMELINE_PX = 340, 110  # the least width of a stage; the height
+STAGE_PX = 340  # the least width of a stage
+TIMELINE_PX = 110  # its height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
 GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 RIM_M = 0.008  # of a muscle, both sides together
@@ -115,7 +116,6 @@ class Stage:
             ),
         )
         plot.grid.visible = False
-        plot.yaxis.visible = False
         plot.varea(
             "x",
             -1e4,
@@ -133,29 +133,30 @@ class Stage:
             line_color=style.MODEL,
             line_dash="dotted",
         )
-        for kind, colour, alpha in (
-            ("ghost_", GHOST, GHOST_ALPHA),
-            ("", style.NEAR_LIMB, 1.0),
-        ):
-            head, drawn = self.parts[f"{kind}head"], self.parts[f"{kind}lines"]
-            plot.circle(
-                "x",
-                "y",
-                source=head,
-                radius=stick.HEAD_RADIUS_M,
-                color=colour,
-                alpha=alpha,
-            )
-            plot.multi_line(
-                "xs",
-                "ys",
-                source=drawn,
-                line_color="colour",
-                line_width="width",
-                line_alpha=alpha,
-                line_cap="round",
-            )
+        plot.yaxis.visible = False
+        self._draw_lines(plot, "ghost_", GHOST, GHOST_ALPHA)
+        self._draw_lines(plot, "", style.NEAR_LIMB, 1.0)
         return plot
+
+    def _draw_lines(self, plot: Any, kind: str, colour: str, alpha: float) -> None:
+        """Head, bones and muscles of the walker, or of its ghost."""
+        plot.circle(
+            "x",
+            "y",
+            source=self.parts[f"{kind}head"],
+            radius=stick.HEAD_RADIUS_M,
+            color=colour,
+            alpha=alpha,
+        )
+        plot.multi_line(
+            "xs",
+            "ys",
+            source=self.parts[f"{kind}lines"],
+            line_color="colour",
+            line_width="width",
+            line_alpha=alpha,
+            line_cap="round",
+        )
 
 
 class Player:
@@ -166,7 +167,7 @@ class Player:
 
     def __init__(self, document: Document) -> None:
         self.stages = (Stage("stage"), Stage("beside"))
-        self._play = models.Toggle(label="play / pause", active=True, name="play")
+        play = models.Toggle(label="play / pause", active=True, name="play")
         speed = models.Select(
             title="speed", value="1x", options=list(SPEEDS), name="speed"
         )
@@ -175,29 +176,31 @@ class Player:
         )
         ghost = models.Toggle(label="as a ghost", name="ghost")
         self.removed = models.Button(label="remove", name="remove")
-        self._curves = [
-            models.ColumnDataSource({"x": [], "y": []}) for _ in self.stages
+        curves = [models.ColumnDataSource({"x": [], "y": []}) for _ in self.stages]
+        falls = [
+            models.ColumnDataSource(
+                {"x": [], "y": [], "words": []}, name=f"fall-{place}"
+            )
+            for place in range(len(self.stages))
         ]
-        self._falls = [
-            models.ColumnDataSource({"x": [], "y": [], "words": []}, name=name)
-            for name in ("fall-0", "fall-1")
-        ]
-        self._cursor = models.Span(
+        # It moves with each frame: Bokeh paints an overlay without the axes.
+        cursor = models.Span(
             dimension="height", location=0.0, line_color=style.FAINT, level="overlay"
-        )  # which moves with each frame: Bokeh paints an overlay without the axes
-        self._timeline = self._time_plot()
+        )
+        timeline = _timeline(curves, falls)
+        timeline.add_layout(cursor)
         script = models.CustomJS.from_file(
             SCRIPTS / "play.mjs",
             stages=[stage.parts for stage in self.stages],
-            play=self._play,
+            play=play,
             speed=speed,
             slider=slider,
             looks=LOOKS,
             ghost=ghost,
-            cursor=self._cursor,
-            curves=self._curves,
-            falls=self._falls,
-            timeline=self._timeline.x_range,
+            cursor=cursor,
+            curves=curves,
+            falls=falls,
+            timeline=timeline.x_range,
             view_m=VIEW_WIDTH_M,
             below_m=BELOW_GROUND_M,
             least=f"{STAGE_PX}px",
@@ -207,19 +210,18 @@ class Player:
             for event in ("mousemove", "mouseleave", "tap"):
                 stage.figure.js_on_event(event, script)
         slider.js_on_change("value", script)
-        self._play.js_on_change("active", script)
+        play.js_on_change("active", script)
         ghost.js_on_change("active", script)
-        self._timeline.js_on_event("tap", script)
-        document.js_on_event(
-            DocumentReady, script
-        )  # frames may have come before the page
-        clock = flow(self._play, speed, slider, least_px=100)
+        timeline.js_on_event("tap", script)
+        # Frames may have come before the page.
+        document.js_on_event(DocumentReady, script)
+        clock = flow(play, speed, slider, least_px=100)
         slider.styles = {"flex": "4 1 220px"}
         stages = flow(*(stage.layout for stage in self.stages), least_px=STAGE_PX)
         self._beside = flow(ghost, self.removed)
         self._beside.visible = self.stages[1].layout.visible = False
         self.layout: models.Column = column(
-            stages, clock, self._timeline, self._beside, sizing_mode="stretch_width"
+            stages, clock, timeline, self._beside, sizing_mode="stretch_width"
         )
 
     def show(self, walk: Walk | None, place: int = 0) -> None:
@@ -228,40 +230,43 @@ class Player:
         if place:
             self._beside.visible = self.stages[1].layout.visible = walk is not None
 
-    def _time_plot(self) -> Any:
-        plot = figure(
-            name="timeline",
-            height=TIMELINE_PX,
-            sizing_mode="stretch_width",
-            tools="",
-            toolbar_location=None,
-            x_range=models.Range1d(0.0, 10.0),
-            x_axis_label="time (s)",
-            y_axis_label="hip (m)",
-            min_border_top=14,
+
+def _timeline(
+    curves: list[models.ColumnDataSource], falls: list[models.ColumnDataSource]
+) -> Any:
+    """Heights of the hips over time, and where each walker fell."""
+    plot = figure(
+        name="timeline",
+        height=TIMELINE_PX,
+        sizing_mode="stretch_width",
+        tools="",
+        toolbar_location=None,
+        x_range=models.Range1d(0.0, 10.0),
+        x_axis_label="time (s)",
+        y_axis_label="hip (m)",
+        min_border_top=14,
+    )
+    plot.yaxis.ticker.desired_num_ticks = 3
+    for curve, fall, colour in zip(curves, falls, GAITS, strict=True):
+        plot.line("x", "y", source=curve, line_color=colour)
+        plot.scatter(
+            "x",
+            "y",
+            source=fall,
+            marker="x",
+            size=13,
+            line_color=style.VERMILION,
+            line_width=3,
         )
-        plot.yaxis.ticker.desired_num_ticks = 3
-        for curve, fall, colour in zip(self._curves, self._falls, GAITS, strict=True):
-            plot.line("x", "y", source=curve, line_color=colour)
-            plot.scatter(
-                "x",
-                "y",
-                source=fall,
-                marker="x",
-                size=13,
-                line_color=style.VERMILION,
-                line_width=3,
-            )
-            plot.text(
-                "x",
-                "y",
-                "words",
-                source=fall,
-                text_align="right",
-                x_offset=-12,
-                text_baseline="bottom",
-                y_offset=-4,
-                text_font_size="11px",
-            )
-        plot.add_layout(self._cursor)
-        return plot
+        plot.text(
+            "x",
+            "y",
+            "words",
+            source=fall,
+            text_align="right",
+            x_offset=-12,
+            text_baseline="bottom",
+            y_offset=-4,
+            text_font_size="11px",
+        )
+    return plot

@@ -15,6 +15,7 @@ import numpy as np
 import optuna
 import pyarrow as pa
 from optuna.storages.journal import JournalFileBackend
+from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.databases.studies import load_whole, read_studies
@@ -27,12 +28,7 @@ from study.experiment import folder
 from taichi_nmm.parameters import GAIN_NAMES
 
 TRIAL, STATE, VALUE = "trial", "state", "value"  # the first columns
-SETTING = {
-    "seed",
-    "simulation",
-    "body",
-    "ground",
-}  # in the document of a walker's experiment
+SETTING = {"seed", "simulation", "body", "ground"}  # of a walker's experiment
 OTHERWISE = "a store or a study database; for others: taichi-nmm report, dashboard or bench serve"
 MOST_LISTED = 8  # studies; of more, the runs are not told apart
 
@@ -95,13 +91,13 @@ def open_rows(path: Path, study: str | None = None) -> Store:
 
 
 def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) -> Trials:
-    studies = storage.get_all_studies()
     names = [
-        each.study_name
-        for each in studies
-        if name or storage.get_n_trials(each._study_id)
+        study.study_name
+        for study in storage.get_all_studies()
+        if name or storage.get_n_trials(study._study_id)
     ]
-    name = names[0] if name is None and len(names) == 1 else name
+    if name is None and len(names) == 1:
+        name = names[0]
     if name is None or name not in names:
         short = [re.sub(r"run-\d+$", "run-NNN", each) for each in names]
         shown = dict.fromkeys(names if len(names) <= MOST_LISTED else short)
@@ -111,51 +107,48 @@ def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) ->
         raise InputError("study", name or "none named", f"{allowed}, of {file}")
     study = load_whole(storage, name)
     trials = [
-        each for each in study.get_trials(False) if each.state is not TrialState.WAITING
+        trial
+        for trial in study.get_trials(deepcopy=False)
+        if trial.state is not TrialState.WAITING
     ]
-    sign = -1.0 if study.directions[0] is optuna.study.StudyDirection.MAXIMIZE else 1.0
+    sign = -1.0 if study.directions[0] is StudyDirection.MAXIMIZE else 1.0
     ranked = sorted(
-        (sign * each.values[0], each.number) for each in trials if each.values
+        (sign * trial.values[0], trial.number) for trial in trials if trial.values
     )
     if not ranked:
         raise InputError("study", name, "a study of which a trial has a value")
-    table, parameters, document = *_table(trials), _document(study, file)
+    table, parameters = _table(trials)
+    document = _document(study, file)
     fixed = document.get("fixed_gains", {})
     walks = {*parameters, *fixed}.issuperset(GAIN_NAMES)
-    specification = {
-        SIMULATOR_KEY: WALKER if walks else f"study {name}",
-        "gains": dict.fromkeys(parameters),
-        "fixed_gains": fixed,
-    }
+    _, best = ranked[0]
     return Trials(
-        Path(name.replace("/", "-")),
-        (),
-        ({"rows": len(table)},),
-        tuple(table.column_names),
-        specification,
-        table,
-        ranked[0][1],
-        document,
+        path=Path(name.replace("/", "-")),
+        files=(),
+        footers=({"rows": len(table)},),
+        columns=tuple(table.column_names),
+        specification={
+            SIMULATOR_KEY: WALKER if walks else f"study {name}",
+            "gains": dict.fromkeys(parameters),
+            "fixed_gains": fixed,
+        },
+        rows=table,
+        best=best,
+        document=document,
     )
 
 
 def _document(study: optuna.Study, file: Path) -> dict[str, Any]:
     """What a study of the walker says of itself, or the comparison in whose folder it is."""
-    known, run = (
-        study.user_attrs.get(folder.LIVE_ATTRIBUTE),
-        study.study_name.rpartition("run-")[2],
-    )
-    beside, name = file.with_name(folder.EXPERIMENT_NAME), known
-    if isinstance(name, str) and is_file(beside):
-        known = json_document("storage", beside, "a comparison's document")
-        known = known if known.get("name") == name else {}
-    if (
-        not isinstance(known, dict)
-        or not known.keys() >= SETTING
-        or not run.isdecimal()
-    ):
-        return {}
-    return known | {"run": int(run)}
+    known = study.user_attrs.get(folder.LIVE_ATTRIBUTE)
+    beside = file.with_name(folder.EXPERIMENT_NAME)
+    if isinstance(known, str) and is_file(beside):  # the name of a comparison
+        compared = json_document("storage", beside, "a comparison's document")
+        known = compared if compared.get("name") == known else {}
+    _, _, run = study.study_name.rpartition("run-")
+    if isinstance(known, dict) and known.keys() >= SETTING and run.isdecimal():
+        return known | {"run": int(run)}
+    return {}
 
 
 def _table(trials: list[FrozenTrial]) -> tuple[pa.Table, list[str]]:
@@ -163,28 +156,32 @@ def _table(trials: list[FrozenTrial]) -> tuple[pa.Table, list[str]]:
 
     Names become words, each of one column, as selections need them.
     """
-    columns: dict[str, Any] = {TRIAL: [each.number for each in trials]}
-    columns[STATE] = [each.state.name.lower() for each in trials]
-    values = [enumerate(each.values or ()) for each in trials]
-    named = [
-        {f"{VALUE}_{place}" if place else VALUE: value for place, value in each}
-        for each in values
-    ]
-    searched, noted = (
-        [each.params for each in trials],
-        [each.user_attrs for each in trials],
-    )
+    columns: dict[str, Any] = {
+        TRIAL: [trial.number for trial in trials],
+        STATE: [trial.state.name.lower() for trial in trials],
+    }
+    searched = [trial.params for trial in trials]
     parameters = []
-    for part in (named, searched, noted):
+    for part in (
+        [_values(trial) for trial in trials],
+        searched,
+        [trial.user_attrs for trial in trials],
+    ):
         for key in dict.fromkeys(key for each in part for key in each):
-            name, found = re.sub(r"\W", "_", key), [each.get(key) for each in part]
+            name = re.sub(r"\W", "_", key)
             while name in columns:
                 name += "_"
+            found = [each.get(key) for each in part]
             if all(value is None or isinstance(value, int | float) for value in found):
-                numbers = [np.nan if value is None else value for value in found]
-                columns[name] = np.array(numbers, np.float64)
+                columns[name] = np.array(found, np.float64)  # None becomes NaN
             elif part is searched:
                 columns[name] = list(map(str, found))
             if part is searched:
                 parameters.append(name)
     return pa.table(columns), parameters
+
+
+def _values(trial: FrozenTrial) -> dict[str, float]:
+    """The values of a trial by the names of their columns; of a failed one none."""
+    values = enumerate(trial.values or ())
+    return {f"{VALUE}_{place}" if place else VALUE: value for place, value in values}

@@ -40,6 +40,7 @@ NAME = "walk"  # of the configuration
 
 
 def chosen_setting(
+    *,
     ground: str,
     disturbance: str,
     seed: int,
@@ -59,13 +60,12 @@ def chosen_setting(
     simulation = own.get("simulation", {})
     if simulation.get("engine", ENGINES[0]) != engine:
         simulation = {"engine": engine}
+    body = {"disturbance": DISTURBANCES.get(disturbance)}
     tables = {
         "seed": seed,
         "runs": own.get("run", 0) + 1,
         "simulation": {**simulation, "duration_s": duration_s},
-        "body": own["body"]
-        if disturbance == OWN
-        else {"disturbance": DISTURBANCES[disturbance]},
+        "body": own["body"] if disturbance == OWN else body,
         "terrain": own["ground"] if ground == OWN else GROUNDS[ground],
         "world": own.get("world", {}) if world == OWN else WORLDS[world],
     }
@@ -74,17 +74,14 @@ def chosen_setting(
 
 def to_toml(tables: dict[str, Any], name: str = "") -> str:
     """Plain values as TOML, in which they look as in JSON; tables come last."""
-    inner = {key: value for key, value in tables.items() if isinstance(value, dict)}
-    lines = [f"[{name}]"] if name else []
-    lines += [
-        f"{key} = {json.dumps(value)}"
-        for key, value in tables.items()
-        if key not in inner
-    ]
-    texts = [
-        to_toml(value, f"{name}.{key}".lstrip(".")) for key, value in inner.items()
-    ]
-    return "\n".join(["\n".join(lines) + "\n", *texts])
+    lines = [f"[{name}]\n"] if name else []
+    inner = []
+    for key, value in tables.items():
+        if isinstance(value, dict):
+            inner.append(to_toml(value, f"{name}.{key}".lstrip(".")))
+        else:
+            lines.append(f"{key} = {json.dumps(value)}\n")
+    return "\n".join(["".join(lines), *inner])
 
 
 RATE_HZ = 30
@@ -111,18 +108,17 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
     drawn = {
         "time_s": motion.time_s,
-        "camera_m": np.stack(
-            [q[:, 0], motion.level_m], axis=1
-        ),  # hip, and ground, smoothed [f, 2]
-        "height_m": q[:, 1]
-        - terrain.height(q[:, 0]),  # of the hip over the ground, [f]
-        "near": leg(q, LEFT).chain(),  # hip, knee, ankle, heel and ball, [f, 5, 2]
+        # Hip, and ground, smoothed, [f, 2]:
+        "camera_m": np.stack([q[:, 0], motion.level_m], axis=1),
+        # Of the hip over the ground, [f]:
+        "height_m": q[:, 1] - terrain.height(q[:, 0]),
+        # Hip, knee, ankle, heel and ball of the left leg, and of the right, [f, 5, 2]:
+        "near": leg(q, LEFT).chain(),
         "far": leg(q, RIGHT).chain(),
         "trunk": np.stack([q[:, :2], shoulder], axis=1),  # hip and shoulder, [f, 2, 2]
         "head": head[:, None],
-        "muscles": np.stack(
-            paths, axis=1
-        ),  # their lines, left leg, then right, [f, 14, p, 2]
+        # Their lines, left leg, then right, [f, 14, p, 2]:
+        "muscles": np.stack(paths, axis=1),
         "forces": force_arrows(motion),  # foot and tip, left and right, [f, 2, 2, 2]
         "ground": np.stack([x, terrain.height(x)], axis=1),  # [k, 2]
         "strikes_s": event_times(trajectory, LEFT, STRIKE),
@@ -167,33 +163,38 @@ def walk(gains: NamedGains, experiment: WalkerExperiment) -> Walk:
     Raises:
         InputError: what the simulator refuses.
     """
-    alone, run = (
-        experiment.on_one_thread(),
-        experiment.runs - 1,
-    )  # beside walks of other tabs
+    run = experiment.runs - 1
+    alone = experiment.on_one_thread()  # beside walks of other tabs
     result = recorded_walk(gains, alone.with_settings(arch="cpu"), run, SEEN_RATE_HZ)
-    row, trajectory, terrain = (
-        result.rows[0],
-        result.trajectories[0],
-        experiment.terrain(run),
-    )
-    ended = f"{row_text(row)}{fall_text(row, trajectory, terrain)}"
+    row, trajectory = result.rows[0], result.trajectories[0]
+    terrain = experiment.terrain(run)
     return Walk(
-        gains, experiment, run, row, trajectory, frames_of(trajectory, terrain), ended
+        gains=gains,
+        experiment=experiment,
+        run=run,
+        row=row,
+        trajectory=trajectory,
+        frames=frames_of(trajectory, terrain),
+        ended=f"{row_text(row)}{fall_text(row, trajectory, terrain)}",
     )
 
 
 def warm_up() -> None:
     """Compile the kernels before the first gait is asked for."""
-    level = chosen_setting("flat", "nominal", 0, "nominal", "taichi", 0.1)
+    level = chosen_setting(
+        ground="flat",
+        disturbance="nominal",
+        seed=0,
+        world="nominal",
+        engine=ENGINES[0],
+        duration_s=0.1,
+    )
     walk(gains_of_source("reference"), level)
 
 
 FILM, FILM_S = "walk.mp4", 8.0  # of the walk's end
-GAINS, CONFIG = NAMES = (
-    "gains.json",
-    "walk.toml",
-)  # what every command takes: --gains, --config
+GAINS, CONFIG = "gains.json", "walk.toml"
+NAMES = (GAINS, CONFIG)  # what every command takes: --gains, --config
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
 
@@ -202,11 +203,9 @@ def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
     """One of `NAMES` or `FILM` and its content, to be taken from the page."""
     if name == FILM:
         terrain = walk.experiment.terrain(walk.run)
-        return name, encoded(
-            frames(walk.trajectory, terrain, FILM_S, walk.gains.name), LARGE
-        )
+        pictures = frames(walk.trajectory, terrain, FILM_S, walk.gains.name)
+        return name, encoded(pictures, LARGE)
     if name == CONFIG:
-        return name, to_toml(
-            {"runs": walk.run + 1, **as_written(walk.experiment)}
-        ).encode()
+        tables = {"runs": walk.run + 1, **as_written(walk.experiment)}
+        return name, to_toml(tables).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()

@@ -17,9 +17,8 @@ from taichi_nmm.result import FURTHER_FIELDS, SUMMARY_FIELDS
 CHOICES: dict[str, Any] = tomllib.loads(
     Path(__file__).with_name("choices.toml").read_text(encoding="utf-8")
 )
-WORDS = {
-    muscle.lower(): words for muscle, words in PEOPLE["muscles"].items()
-} | CHOICES["words"]
+MUSCLES = {muscle.lower(): words for muscle, words in PEOPLE["muscles"].items()}
+WORDS = MUSCLES | CHOICES["words"]
 STATISTICS = {
     "mean": "mean over its worlds",
     "sd": "standard deviation over its worlds",
@@ -44,33 +43,31 @@ class Described(NamedTuple):
 def described(store: Store, names: list[str]) -> dict[str, Described]:
     """These columns of a store, by name."""
     walker = store.simulator == WALKER
-    families = sorted(
-        store.families, key=len, reverse=True
-    )  # a name may begin another one
     gains = {gain.name: gain for gain in GAINS if walker}
+    gait = dict((*SUMMARY_FIELDS, *FURTHER_FIELDS)) if walker else {}
     found = {}
     for name in names:
-        family = next((each for each in families if name.startswith(f"{each}_")), None)
+        # The longest: a name may begin another one.
+        families = [each for each in store.families if name.startswith(f"{each}_")]
+        family = max(families, key=len, default=None)
         if name in gains:
             gain = gains[name]
-            line = f"{gain.meaning}; {gain.low:g} to {gain.high:g} {gain.unit}"
-            found[name] = Described(GAIN, f"{name} ({gain.unit})", line)
+            group, words = GAIN, f"{name} ({gain.unit})"
+            meaning = f"{gain.meaning}; {gain.low:g} to {gain.high:g} {gain.unit}"
         elif name in store.gain_names:
-            found[name] = Described(GAIN, name, "a searched parameter")
+            group, words, meaning = GAIN, name, "a searched parameter"
         elif family is not None:
-            words, statistic = in_words(name.removeprefix(f"{family}_"))
-            line = f"{STATISTICS.get(statistic, 'whether the row was tried')}, family {family}"
-            found[name] = Described(f"family {family}", f"{family}: {words}", line)
+            of_worlds, last = in_words(name.removeprefix(f"{family}_"))
+            group, words = f"family {family}", f"{family}: {of_worlds}"
+            statistic = STATISTICS.get(last, "whether the row was tried")
+            meaning = f"{statistic}, family {family}"
         else:
-            group = (
-                GAIT
-                if walker and name in dict((*SUMMARY_FIELDS, *FURTHER_FIELDS))
-                else OUTCOME
-            )
-            line = (
+            group = GAIT if name in gait else OUTCOME
+            words, _ = in_words(name)
+            meaning = (
                 "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
             )
-            found[name] = Described(group, in_words(name)[0], line)
+        found[name] = Described(group=group, words=words, meaning=meaning)
     return found
 
 

@@ -14,7 +14,7 @@ import tomllib
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -238,7 +238,7 @@ def write_gait_cycle(
         _label(axes, panel)
         _scale(axes, panel, peak=np.fmax(high, right.mean(name)).max())
     for axes in grid[-1]:
-        axes.set_xlabel("stride (%)", fontsize=style.TEXT_PT, color=style.INK)
+        axes.set_xlabel("stride (%)", **style.TEXT)
     _caption(figure, left, title)
     return style.save_png(figure, path)
 
@@ -257,13 +257,8 @@ def _draw_people(axes: Axes, panel: Panel) -> None:
 def _label(axes: Axes, panel: Panel) -> None:
     style.tidy(axes)
     axes.set(xlim=(0.0, 100.0), xticks=[0, 20, 40, 60, 80, 100])
-    words: dict[str, Any] = {
-        "fontsize": style.TEXT_PT,
-        "color": style.INK,
-        "weight": "bold",
-    }
-    axes.set_title(panel.title, loc="left", **words)
-    axes.set_ylabel(panel.unit, fontsize=style.SMALL_PT, color=style.INK, labelpad=2)
+    axes.set_title(panel.title, loc="left", weight="bold", **style.TEXT)
+    axes.set_ylabel(panel.unit, **style.SMALL, labelpad=2)
     axes.axhline(0.0, color=style.FAINT, linewidth=0.6, zorder=0.8)
     if panel.on_percent:
         axes.set_yticks([0.0, 0.5, 1.0])
@@ -303,9 +298,9 @@ def _caption(figure: Figure, strides: Strides, title: str) -> None:
             blue(linewidth=0.9, linestyle=":", label="left toe-off"),
             *handles,
         ]
-    above = ((0.978, title, style.TITLE_PT), (0.953, subtitle(strides), style.TEXT_PT))
-    for top, text, size in above:
-        figure.text(0.012, top, text, fontsize=size, color=style.INK, va="top")
+    above = ((0.978, title, style.TITLE), (0.953, subtitle(strides), style.TEXT))
+    for top, text, look in above:
+        figure.text(0.012, top, text, va="top", **look)
     figure.legend(
         handles=handles,
         loc="upper left",

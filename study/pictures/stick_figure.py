@@ -86,7 +86,7 @@ def activation_bar(axes: Axes) -> None:
     """The colour bar of the activations, in axes of its own."""
     colours = ScalarMappable(Normalize(0.0, 1.0), COLOURS)
     bar = axes.figure.colorbar(colours, cax=axes, ticks=[0, 0.5, 1])
-    bar.set_label("muscle activation (1)", fontsize=style.SMALL_PT, color=style.INK)
+    bar.set_label("muscle activation (1)", **style.SMALL)
     bar.ax.tick_params(labelsize=style.SMALL_PT, colors=style.INK, length=2)
     bar.outline.set_visible(False)
 

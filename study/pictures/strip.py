@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,6 +32,7 @@ LEFT_IN, RIGHT_IN, TITLE_IN, AXIS_IN, PROFILE_IN = 0.75, 1.0, 0.35, 0.45, 0.7
 COLOURS = (style.VERMILION, style.BLUE)  # of two walks
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
 GROUND_LAYER = 100.0  # over the soles: half the drawn width of a foot is below them
+BEYOND_M = 1.0  # of ground, in the profile, ahead of where the walker came to
 LEVEL_M = 0.01  # ground that varies by less is level
 
 
@@ -84,50 +86,6 @@ class AxesSurface:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
-    """The last metres of a walk, as they are drawn.
-
-    Attributes:
-        terrain: the ground below.
-        trajectory: the whole walk, as far as its pose is finite.
-        poses_s: times of the poses, [n].
-        frame: limits of the picture in m: x from, to; z from, to.
-    """
-
-    terrain: Terrain
-    trajectory: Trajectory
-    poses_s: Array
-    frame: tuple[float, float, float, float]
-
-    def draw(self, axes: Axes, hip_colour: str) -> None:
-        """Draw poses, ghosts and ground to the frame."""
-        style.tidy(axes)
-        axes.grid(False)
-        low_x, high_x, low_z, high_z = self.frame
-        # Before the bones, which are as wide as the scale has it.
-        axes.set(xlim=(low_x, high_x), ylim=(low_z, high_z))
-        walker = stick.Walker(
-            stick.at_times(self.trajectory, self.trajectory.q, self.poses_s),
-            stick.at_times(self.trajectory, self.trajectory.activation, self.poses_s),
-        )
-        for number in range(len(self.poses_s)):
-            walker.draw(AxesSurface(axes, layer=3.0 + number), number)
-        times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
-        if len(times_s):  # the left leg and the hip's path, as in a chronophotograph
-            between = stick.at_times(self.trajectory, self.trajectory.q, times_s)
-            near = stick.leg(between, stick.LEFT)
-            lines = list(near.chain()[:, [0, 1, 2, 4]])
-            thin = LineCollection(
-                lines, colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5
-            )
-            axes.add_collection(thin, autolim=False)
-            axes.plot(*near.hip.T, color=hip_colour, linewidth=0.8, zorder=1.6)
-        x = np.linspace(low_x, high_x, 2000)
-        _draw_ground(axes, x, self.terrain.height(x), low_z)
-        axes.set_ylabel("height (m)", fontsize=style.TEXT_PT, color=style.INK)
-
-
-@dataclass(frozen=True, eq=False)
 class Shown:
     """A walk as it was simulated for a picture.
 
@@ -142,28 +100,109 @@ class Shown:
     trajectory: Trajectory
 
 
+class Frame(NamedTuple):
+    """Limits of a picture, m."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The last metres of a walk, as they are drawn.
+
+    Attributes:
+        shown: the walk.
+        colour: of its hip and its marks.
+        terrain: the ground below.
+        trajectory: the whole walk, as far as its pose is finite.
+        poses_s: times of the poses, [n].
+        frame: what the picture shows.
+    """
+
+    shown: Shown
+    colour: str
+    terrain: Terrain
+    trajectory: Trajectory
+    poses_s: Array
+    frame: Frame
+
+    @property
+    def wide_in(self) -> float:
+        """Width of the picture, inches."""
+        return (self.frame.right - self.frame.left) * SCALE_IN_PER_M
+
+    @property
+    def high_in(self) -> float:
+        """Height of the picture, inches."""
+        return (self.frame.top - self.frame.bottom) * SCALE_IN_PER_M
+
+    def draw(self, axes: Axes) -> None:
+        """Draw poses, ghosts and ground to the frame."""
+        style.tidy(axes)
+        axes.grid(False)
+        left, right, bottom, top = self.frame
+        # Before the bones, which are as wide as the scale has it.
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+        walk = self.trajectory
+        walker = stick.Walker(
+            stick.at_times(walk, walk.q, self.poses_s),
+            stick.at_times(walk, walk.activation, self.poses_s),
+        )
+        for number in range(len(self.poses_s)):
+            walker.draw(AxesSurface(axes, layer=3.0 + number), number)
+        times_s = np.arange(self.poses_s[0], self.poses_s[-1], GHOST_INTERVAL_S)
+        if len(times_s):  # the left leg and the hip's path, as in a chronophotograph
+            near = stick.leg(stick.at_times(walk, walk.q, times_s), stick.LEFT)
+            lines = np.stack([near.hip, near.knee, near.ankle, near.ball], axis=1)
+            thin = LineCollection(
+                list(lines), colors=style.FAINT, linewidths=0.4, alpha=0.55, zorder=1.5
+            )
+            axes.add_collection(thin, autolim=False)
+            axes.plot(*near.hip.T, color=self.colour, linewidth=0.8, zorder=1.6)
+        x = np.linspace(left, right, 2000)
+        _draw_ground(axes, x, self.terrain.height(x), bottom)
+        axes.set_title(self.shown.title, loc="left", **style.TEXT)
+        axes.set_xlabel("distance (m)", **style.TEXT)
+        axes.set_ylabel("height (m)", **style.TEXT)
+
+
 def last_stretch(
-    trajectory: Trajectory, terrain: Terrain, width_m: float | None = None
+    shown: Shown, terrain: Terrain, colour: str, width_m: float | None = None
 ) -> Stretch:
     """The last `SHOWN_M` of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
 
     Args:
-        trajectory: of at least one finite sample.
+        shown: a walk of at least one finite sample.
         terrain: the ground it walked on.
+        colour: of its hip.
         width_m: of the frame; None: as wide as the poses.
     """
-    trajectory = stick.finite(trajectory)
+    trajectory = stick.finite(shown.trajectory)
     way = np.abs(trajectory.q[-1, 0] - trajectory.q[:, 0])  # still to come
     first = max(np.flatnonzero(way > SHOWN_M), default=0)
     count = max(round(way[first] / POSE_SPACING_M), 1) + 1
     poses_s = np.linspace(trajectory.time_s[first], trajectory.time_s[-1], count)
-    q = stick.at_times(trajectory, trajectory.q, poses_s)
-    width = width_m or max(np.ptp(q[:, 0]) + 2.0 * MARGIN_M, NARROWEST_M)
-    low_x = 0.5 * (q[:, 0].min() + q[:, 0].max() - width)
-    high_x = low_x + width
-    ground = terrain.height(np.linspace(low_x, high_x, 200))
-    frame = (low_x, high_x, ground.min() - BELOW_GROUND_M, q[:, 1].max() + ABOVE_HIP_M)
-    return Stretch(terrain, trajectory, poses_s, frame)
+    x, z, *_ = stick.at_times(trajectory, trajectory.q, poses_s).T
+    width = width_m or max(np.ptp(x) + 2.0 * MARGIN_M, NARROWEST_M)
+    left = 0.5 * (x.min() + x.max() - width)
+    ground = terrain.height(np.linspace(left, left + width, 200))
+    frame = Frame(
+        left=left,
+        right=left + width,
+        bottom=ground.min() - BELOW_GROUND_M,
+        top=z.max() + ABOVE_HIP_M,
+    )
+    return Stretch(
+        shown=shown,
+        colour=colour,
+        terrain=terrain,
+        trajectory=trajectory,
+        poses_s=poses_s,
+        frame=frame,
+    )
 
 
 def write_strip(
@@ -188,7 +227,8 @@ def write_strip(
     Raises:
         InputError: the file cannot be written.
     """
-    figure = strips_figure([Shown("", KEY, trajectory)], terrain, title, dpi)
+    shown = Shown(label="", title=KEY, trajectory=trajectory)
+    figure = strips_figure([shown], terrain, title, dpi)
     return style.save_png(figure, path)
 
 
@@ -196,52 +236,46 @@ def strips_figure(
     walks: Sequence[Shown], terrain: Terrain, title: str, dpi: int = style.PNG_DPI
 ) -> Figure:
     """Walks on one ground below each other; then, where it is not level, the ground's profile."""
-    width_m = COMPARED_M if len(walks) > 1 else None
-    parts = [last_stretch(walk.trajectory, terrain, width_m) for walk in walks]
-    colours = COLOURS if len(walks) > 1 else (style.MODEL,)
-    x = [part.trajectory.q[:, 0] for part in parts]
-    from_m, to_m = min(each.min() for each in x), max(each.max() for each in x) + 1.0
-    with_profile = np.ptp(terrain.height(np.linspace(from_m, to_m, 4000))) > LEVEL_M
-    low_x, high_x, *_ = parts[0].frame
-    strip_in = [(part.frame[3] - part.frame[2]) * SCALE_IN_PER_M for part in parts]
-    wide_in = (high_x - low_x) * SCALE_IN_PER_M
+    if len(walks) > 1:
+        coloured = zip(walks, COLOURS, strict=True)
+        parts = [
+            last_stretch(walk, terrain, colour, COMPARED_M) for walk, colour in coloured
+        ]
+    else:
+        parts = [last_stretch(walks[0], terrain, style.MODEL)]
+    starts_m = [part.trajectory.q[:, 0].min() for part in parts]
+    ends_m = [part.trajectory.q[:, 0].max() + BEYOND_M for part in parts]
+    ground = terrain.height(np.linspace(min(starts_m), max(ends_m), 4000))
+    with_profile = np.ptp(ground) > LEVEL_M
+    strips_in = sum(part.high_in for part in parts)
+    wide_in = parts[0].wide_in
     width = LEFT_IN + wide_in + RIGHT_IN
-    height = TITLE_IN + sum(strip_in) + len(parts) * (TITLE_IN + AXIS_IN)
-    height += (PROFILE_IN + AXIS_IN + 0.1) * with_profile
+    height = TITLE_IN + strips_in + len(parts) * (TITLE_IN + AXIS_IN)
+    if with_profile:
+        height += PROFILE_IN + AXIS_IN + 0.1
     figure = style.new_figure(width, height, dpi)
-    figure.text(
-        LEFT_IN / width,
-        1.0 - 0.2 / height,
-        title,
-        fontsize=style.TITLE_PT,
-        color=style.INK,
-        va="center",
-    )
-    bottom = height - TITLE_IN
-    for walk, part, colour, high_in in zip(
-        walks, parts, colours, strip_in, strict=True
-    ):
-        bottom -= TITLE_IN + high_in
-        axes = style.axes_at(figure, LEFT_IN, bottom, wide_in, high_in)
-        part.draw(axes, colour)
-        axes.set_title(walk.title, loc="left", fontsize=style.TEXT_PT, color=style.INK)
-        axes.set_xlabel("distance (m)", fontsize=style.TEXT_PT, color=style.INK)
-        bottom -= AXIS_IN
-    bar_in, bar_bottom = min(1.6, strip_in[0]), height - 2.0 * TITLE_IN - strip_in[0]
-    stick.activation_bar(style.axes_at(figure, width - 0.85, bar_bottom, 0.13, bar_in))
+    figure.text(LEFT_IN / width, 1.0 - 0.2 / height, title, va="center", **style.TITLE)
+    top = height - TITLE_IN
+    for part in parts:
+        bottom = top - (TITLE_IN + part.high_in)
+        part.draw(style.axes_at(figure, LEFT_IN, bottom, wide_in, part.high_in))
+        top = bottom - AXIS_IN
+    first_in = parts[0].high_in
+    bar_bottom = height - 2.0 * TITLE_IN - first_in
+    bar = style.axes_at(figure, width - 0.85, bar_bottom, 0.13, min(1.6, first_in))
+    stick.activation_bar(bar)
     if with_profile:
         axes = style.axes_at(figure, LEFT_IN, AXIS_IN, wide_in, PROFILE_IN)
-        _draw_profile(axes, walks, parts, colours)
+        _draw_profile(axes, parts)
     return figure
 
 
-def _draw_profile(
-    axes: Axes, walks: Sequence[Shown], parts: Sequence[Stretch], colours: Sequence[str]
-) -> None:
+def _draw_profile(axes: Axes, parts: Sequence[Stretch]) -> None:
     """The ground as far as walks on it came, small, with the stretches marked in their colours."""
-    low = min(min(part.trajectory.q[0, 0], part.frame[0]) for part in parts)
+    low = min(min(part.trajectory.q[0, 0], part.frame.left) for part in parts)
     high = max(
-        max(part.trajectory.q[:, 0].max() + 1.0, part.frame[1]) for part in parts
+        max(part.trajectory.q[:, 0].max() + BEYOND_M, part.frame.right)
+        for part in parts
     )
     x = np.linspace(low, high, 4000)
     height = parts[0].terrain.height(x)
@@ -250,30 +284,28 @@ def _draw_profile(
     style.tidy(axes)
     _draw_ground(axes, x, height, bottom)
     axes.set(xlim=(low, high), ylim=(bottom, height.max() + margin))
-    axes.set_xlabel(
-        "from the start: distance (m)", fontsize=style.TEXT_PT, color=style.INK
-    )
+    axes.set_xlabel("from the start: distance (m)", **style.TEXT)
     axes.text(
         0.005,
         0.97,
         "ground (m)",
         transform=axes.transAxes,
         va="top",
-        fontsize=style.SMALL_PT,
-        color=style.INK,
+        **style.SMALL,
         zorder=GROUND_LAYER + 1.0,
     )
-    for walk, part, colour in zip(walks, parts, colours, strict=True):
-        axes.axvspan(*part.frame[:2], color=colour, alpha=0.25, linewidth=0, zorder=3)
+    for part in parts:
+        left, right, *_ = part.frame
+        axes.axvspan(left, right, color=part.colour, alpha=0.25, linewidth=0, zorder=3)
         axes.annotate(
-            walk.label,
-            xy=(np.mean(part.frame[:2]), 1.0),
+            part.shown.label,
+            xy=(np.mean([left, right]), 1.0),
             xytext=(0, 2),
             xycoords=("data", "axes fraction"),
             textcoords="offset points",
             ha="center",
             fontsize=style.SMALL_PT,
-            color=colour,
+            color=part.colour,
         )
 
 

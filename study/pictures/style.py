@@ -6,6 +6,7 @@ touched.
 
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -28,13 +29,16 @@ HUMAN = "#9AA0A8"
 EMG = "#F3D9A4"
 FAR_LIMB = "#DDE1E6"
 NEAR_LIMB = "#BEC5CE"
-ACTIVATION_MAP = (
-    "YlOrRd"  # lightness falls monotonically: readable in grey and without red-green
-)
+# Its lightness falls monotonically: readable in grey and without red-green.
+ACTIVATION_MAP = "YlOrRd"
 
 SMALL_PT = 8.0
 TEXT_PT = 9.0
 TITLE_PT = 11.0
+# How Matplotlib writes words of these sizes.
+SMALL: dict[str, Any] = {"fontsize": SMALL_PT, "color": INK}
+TEXT: dict[str, Any] = {"fontsize": TEXT_PT, "color": INK}
+TITLE: dict[str, Any] = {"fontsize": TITLE_PT, "color": INK}
 PNG_DPI = 200
 PNG_START, PNG_END = b"\x89PNG", b"IEND\xaeB`\x82"
 

@@ -56,8 +56,9 @@ def test_bad_input(
 def test_without_bokeh_it_says_so(
     store: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in [name for name in sys.modules if name.startswith("study.explore")]:
-        monkeypatch.delitem(sys.modules, name)
+    for name in list(sys.modules):
+        if name.startswith("study.explore"):
+            monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "bokeh", None)
     tool.refuses("package: 'bokeh' is not installed", "explore", store, "--no-browser")
 

@@ -4,6 +4,7 @@ import http.client
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, call
@@ -42,17 +43,10 @@ def address(tmp_path_factory: pytest.TempPathFactory, errors: Path) -> Iterator[
 
 
 def status(address: str, path: str, headers: dict[str, str]) -> int:
-    place = urlsplit(address)
-    connection = http.client.HTTPConnection(
-        place.hostname or "", place.port, timeout=30
-    )
-    connection.putrequest("GET", path, skip_host="Host" in headers)
-    for name, value in headers.items():
-        connection.putheader(name, value)
-    connection.endheaders()
-    found = connection.getresponse().status
-    connection.close()
-    return found
+    connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=30)
+    with closing(connection):
+        connection.request("GET", path, headers=headers)
+        return connection.getresponse().status
 
 
 def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -> None:
@@ -62,12 +56,8 @@ def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -
     for name in ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}"):
         assert status(address, "/", {"Host": name}) == 200
     # Other sites cannot embed the page.
-    for path in (
-        "/autoload.js?bokeh-autoload-element=1",
-        "/metadata",
-        "/robots.txt",
-        "/static",
-    ):
+    embedding = "/autoload.js?bokeh-autoload-element=1"
+    for path in (embedding, "/metadata", "/robots.txt", "/static"):
         assert status(address, path, {}) == 404
 
 
@@ -105,22 +95,10 @@ def test_a_socket_of_another_page_is_refused(address: str, origin: str) -> None:
 def test_a_socket_without_a_page_s_token_finds_nothing(
     address: str, errors: Path
 ) -> None:
-    assert (
-        open_socket(address, f"bokeh, {token_of()}") == 101
-    )  # the page's own way works
-    huge = "W" * 60_000
-    wrong = [
-        "x",
-        "e30",
-        "W10",
-        "IiI",
-        "bnVsbA",
-        "*",
-        "",
-        huge,
-        token_of(lasts_s=-1),
-        "a, b",
-    ]
+    # The page's own way works.
+    assert open_socket(address, f"bokeh, {token_of()}") == 101
+    late, huge = token_of(lasts_s=-1), "W" * 60_000
+    wrong = ["x", "e30", "W10", "IiI", "bnVsbA", "*", "", huge, late, "a, b"]
     for words in ["", "bokeh", *(f"bokeh, {token}" for token in wrong)]:
         assert open_socket(address, words) == 404, words[:40]
     time.sleep(0.2)  # a traceback would be printed after the answer
@@ -135,9 +113,7 @@ def start() -> tuple[Latest, Mock, list[Future[Any]]]:
     return Latest(all_else, all_else, all_else.done, all_else.failed), all_else, calls
 
 
-def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing() -> (
-    None
-):
+def test_what_waits_gives_way() -> None:
     latest, seen, calls = start()
     for number in range(5):
         latest.ask(print, number)
@@ -148,6 +124,9 @@ def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing
     assert seen.done.mock_calls == [call("zero"), call("four")]
     latest.ask(print, 5)
     assert seen.submit.call_count == 3
+
+
+def test_an_error_is_told_and_what_waits_comes_after_it() -> None:
     latest, seen, calls = start()
     latest.ask(print, 0)
     latest.ask(print, 1)
@@ -156,6 +135,9 @@ def test_what_waits_gives_way_and_an_error_is_told_and_a_closed_tab_gets_nothing
     assert seen.failed.mock_calls == [call(error)]
     calls[1].set_result("one")
     assert seen.done.mock_calls == [call("one")]
+
+
+def test_a_closed_tab_gets_nothing() -> None:
     latest, seen, calls = start()
     latest.ask(print, 0)
     latest.ask(print, 1)

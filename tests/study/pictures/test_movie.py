@@ -1,9 +1,9 @@
 """Films: their frames and drawing surface, the files, and an ffmpeg that fails."""
 
 import re
-import stat
 import subprocess
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,22 +19,23 @@ from taichi_nmm.terrain import flat, rough
 from tests.study.synthetic_gait import GLIMPSE, WALK
 
 
-def test_shapes_are_drawn_to_scale_and_a_bone_has_round_ends() -> None:
+def drawn(shape: Callable[[Canvas], None]) -> np.ndarray:
+    """Which pixels are black, of 4 m by 2 m from 10 m on, [100, 200]."""
     canvas = Canvas((200, 100), left_m=10.0, bottom_m=-1.0, width_m=4.0)
-    canvas.polygon(
-        np.array([[11.0, -0.5], [13.0, -0.5], [13.0, 0.5], [11.0, 0.5]]), "#000000"
-    )
+    shape(canvas)
     canvas.finish()
-    black = np.asarray(canvas.picture)[..., 0] < 128
-    assert black.sum() == pytest.approx(100 * 50, rel=0.03)
-    assert (
-        black[26:74, 51:149].all() and not black[:24].any() and not black[:, :49].any()
-    )
     assert canvas.place(11.0, 0.5) == pytest.approx((50.0, 25.0))
-    canvas = Canvas((200, 100), left_m=10.0, bottom_m=-1.0, width_m=4.0)
-    canvas.bones([(np.array([11.0, 0.0]), np.array([13.0, 0.0]), 0.5)], "#000000")
-    canvas.finish()
-    black = np.asarray(canvas.picture)[..., 0] < 128
+    return np.asarray(canvas.picture)[..., 0] < 128
+
+
+def test_shapes_are_drawn_to_scale_and_a_bone_has_round_ends() -> None:
+    corners = np.array([[11.0, -0.5], [13.0, -0.5], [13.0, 0.5], [11.0, 0.5]])
+    black = drawn(lambda canvas: canvas.polygon(corners, "#000000"))
+    assert black.sum() == pytest.approx(100 * 50, rel=0.03)
+    assert black[26:74, 51:149].all()
+    assert not black[:24].any() and not black[:, :49].any()
+    bone = (np.array([11.0, 0.0]), np.array([13.0, 0.0]), 0.5)
+    black = drawn(lambda canvas: canvas.bones([bone], "#000000"))
     assert black.sum() == pytest.approx(100 * 25 + np.pi * 12.5**2, rel=0.03)
     assert black.any(axis=0).sum() == pytest.approx(125, abs=1)
 
@@ -50,14 +51,11 @@ def picture(film: Film, title: str = "", walk: Trajectory = WALK) -> np.ndarray:
 def test_the_walker_stands_on_the_ground_in_the_middle_of_the_frame(film: Film) -> None:
     frame = picture(film)
     width, height = film.size_px
+    sky, sole = int(0.8 * height), int(0.9 * height)
     ground = np.all(frame == (0xCF, 0xC8, 0xBC), axis=-1)
-    assert (
-        ground[int(0.9 * height), int(0.03 * width)]
-        and not ground[: int(0.8 * height)].any()
-    )
-    shown = np.any(
-        frame[int(0.3 * height) : int(0.8 * height), : int(0.88 * width)] < 250, axis=-1
-    )
+    assert ground[sole, int(0.03 * width)] and not ground[:sky].any()
+    body = frame[int(0.3 * height) : sky, : int(0.88 * width)]
+    shown = np.any(body < 250, axis=-1)
     columns = np.flatnonzero(shown.any(axis=0)) / width
     assert 0.25 < columns.min() < 0.45 < columns.max() < 0.65
 
@@ -72,59 +70,39 @@ def test_active_muscles_are_darker() -> None:
     assert (picture(SMALL, "dog")[corner] != picture(SMALL, "random")[corner]).any()
 
 
-@pytest.fixture(scope="module")
-def movie(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_movie(
-        tmp_path_factory.mktemp("movie") / "movie.mp4", WALK, flat(), 0.5, "a title"
-    )
+def ffmpeg(*words: str) -> str:
+    """What it says."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), *words]
+    return subprocess.run(command, capture_output=True, text=True).stderr
 
 
-def test_movie_is_h264_that_every_player_shows(movie: Path, tmp_path: Path) -> None:
-    probe = subprocess.run(
-        [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(movie)],
-        capture_output=True,
-        text=True,
-    ).stderr
-    assert re.search(r"Video: h264 .*yuv420p", probe)
-    assert (
-        f"{LARGE.size_px[0]}x{LARGE.size_px[1]}" in probe
-        and f"{LARGE.rate_hz} fps" in probe
-    )
-    content = movie.read_bytes()
-    assert content.index(b"moov") < content.index(
-        b"mdat"
-    )  # plays before it is loaded whole
+def test_movie_is_h264_that_every_player_shows(tmp_path: Path) -> None:
+    movie = write_movie(tmp_path / "movie.mp4", WALK, flat(), 0.5, "a title")
     frame = tmp_path / "frame.png"
-    subprocess.run(
-        [
-            imageio_ffmpeg.get_ffmpeg_exe(),
-            "-i",
-            str(movie),
-            "-frames:v",
-            "1",
-            str(frame),
-        ],
-        capture_output=True,
-        check=True,
-    )
-    assert imread(frame).shape[:2] == LARGE.size_px[::-1]
-    assert imread(frame)[..., :3].std() > 0.03
+    said = ffmpeg("-i", str(movie), "-frames:v", "1", str(frame))
+    assert re.search(r"Video: h264 .*yuv420p", said)
+    width, height = LARGE.size_px
+    assert f"{width}x{height}" in said and f"{LARGE.rate_hz} fps" in said
+    content = movie.read_bytes()
+    # It plays before it is loaded whole.
+    assert content.index(b"moov") < content.index(b"mdat")
+    picture = imread(frame)
+    assert picture.shape[:2] == (height, width) and picture[..., :3].std() > 0.03
 
 
 def test_a_small_film_is_small_and_quick(tmp_path: Path) -> None:
     """0.5 s of drawing on one core of 2026 for 8 s of walking; ten times that is allowed."""
     before = time.process_time()
-    path = write_movie(
-        tmp_path / "small.mp4", WALK, rough(1), 8.0, "a title", film=SMALL
-    )
+    file = tmp_path / "small.mp4"
+    write_movie(file, WALK, rough(1), 8.0, "a title", film=SMALL)
     assert time.process_time() - before < 5.0
-    assert path.stat().st_size < 400_000
+    assert file.stat().st_size < 400_000
 
 
 def fake_ffmpeg(folder: Path, script: str) -> Path:
     program = folder / "ffmpeg"
     program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    program.chmod(0o700)
     return program
 
 
@@ -136,9 +114,8 @@ def test_no_ffmpeg(
 ) -> None:
     broken = program or str(fake_ffmpeg(tmp_path, "exit 1"))
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", broken)
-    with pytest.raises(
-        InputError, match=r"ffmpeg: .* cannot be used; allowed: a working ffmpeg"
-    ):
+    said = r"ffmpeg: .* cannot be used; allowed: a working ffmpeg"
+    with pytest.raises(InputError, match=said):
         find_ffmpeg()
 
 
@@ -147,8 +124,8 @@ def test_ffmpeg_that_dies_leaves_nothing(
 ) -> None:
     script = '[ "$1" = -version ] && exit 0\necho "codec on strike" >&2\nexit 1'
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(fake_ffmpeg(tmp_path, script)))
-    out = tmp_path / "out"
-    out.mkdir()
+    out = tmp_path / "out" / "movie.mp4"
+    out.parent.mkdir()
     with pytest.raises(InputError, match="codec on strike"):
-        write_movie(out / "movie.mp4", GLIMPSE, flat())
-    assert not list(out.iterdir())
+        write_movie(out, GLIMPSE, flat())
+    assert not list(out.parent.iterdir())

@@ -9,8 +9,8 @@ from storage.inputs.errors import InputError
 from study.pictures import stick_figure
 from study.pictures.scene import motion_of
 from study.pictures.stick_figure import finite, leg, muscle_outlines
-from study.pictures.strip import SHOWN_M, last_stretch
-from taichi_nmm.result import MUSCLES
+from study.pictures.strip import SHOWN_M, Shown, last_stretch
+from taichi_nmm.result import MUSCLES, Trajectory
 from taichi_nmm.terrain import flat
 from tests.study.synthetic_gait import GLIMPSE, SPEED_MPS, WALK
 
@@ -37,23 +37,23 @@ def test_positive_angles_turn_clockwise(
 
 
 def test_muscles_lie_along_their_bones() -> None:
-    outlines = dict(
-        zip(MUSCLES, muscle_outlines(np.array([0, 1.0, *[0.0] * 7]), 1), strict=True)
-    )
+    standing = np.array([0, 1.0, 0, 0, 0, 0, 0, 0, 0])
+    outlines = dict(zip(MUSCLES, muscle_outlines(standing, 1), strict=True))
     assert outlines["TA"][:, 0].max() > 0 > outlines["SOL"][:, 0].min()
     assert outlines["VAS"][:, 0].max() > 0 > outlines["HAM"][:, 0].min()
     assert outlines["HFL"][:, 1].min() > 0.8 and outlines["SOL"][:, 1].max() < 0.5
     assert all(np.isfinite(outline).all() for outline in outlines.values())
 
 
+def poses_of(walk: Trajectory) -> np.ndarray:
+    return last_stretch(Shown("", "", walk), flat(), "black").poses_s
+
+
 def test_the_end_of_the_walk_is_shown() -> None:
-    poses_s = last_stretch(WALK, flat()).poses_s
+    poses_s = poses_of(WALK)
     assert poses_s[-1] == WALK.time_s[-1]
     assert np.ptp(poses_s) == pytest.approx(SHOWN_M / SPEED_MPS, abs=0.03)
-    assert last_stretch(GLIMPSE, flat()).poses_s.tolist() == [
-        GLIMPSE.time_s[0],
-        GLIMPSE.time_s[-1],
-    ]
+    assert poses_of(GLIMPSE).tolist() == [GLIMPSE.time_s[0], GLIMPSE.time_s[-1]]
     assert np.ptp(motion_of(WALK, flat(), 2.0, 20).time_s) == pytest.approx(2.0)
     assert motion_of(GLIMPSE, flat(), 2.0, 20).time_s[0] == GLIMPSE.time_s[0]
     q = WALK.q.copy()

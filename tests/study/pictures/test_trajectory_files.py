@@ -34,31 +34,30 @@ def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
     assert text.startswith("a walk\nversion=1\n") and keys["inDegrees"] == "yes"
     assert "Angles are in degrees" in text and "Units are S.I. units" in text
     np.testing.assert_array_equal(columns["time"], WALK.time_s)
-    degrees = np.rad2deg(
-        WALK.joint_rad
-    )  # extension, flexion, plantarflexion +; left, then right
-    np.testing.assert_allclose(columns["pelvis_tx"], WALK.q[:, 0], atol=1e-12)
-    np.testing.assert_allclose(
-        columns["pelvis_tilt"], -np.rad2deg(WALK.q[:, 2]), atol=1e-12
-    )
-    for name, joint in (
-        ("hip_flexion_l", 0),
-        ("knee_angle_r", 4),
-        ("ankle_angle_r", 5),
-    ):
-        np.testing.assert_allclose(columns[name], -degrees[:, joint], atol=1e-12)
+    # Ours: extension, flexion, plantarflexion positive; left, then right.
+    hip, _, _, _, knee, ankle = np.rad2deg(WALK.joint_rad).T
+    expected = {
+        "pelvis_tx": WALK.q[:, 0],
+        "pelvis_tilt": -np.rad2deg(WALK.q[:, 2]),
+        "hip_flexion_l": -hip,
+        "knee_angle_r": -knee,
+        "ankle_angle_r": -ankle,
+    }
+    for name, values in expected.items():
+        np.testing.assert_allclose(columns[name], values, atol=1e-12)
 
 
 def test_states_by_the_paths_of_opensim_4(tmp_path: Path) -> None:
     write_trajectory(tmp_path / "walk.sto", WALK)
     keys, columns = read_storage((tmp_path / "walk.sto").read_text())
     assert keys["inDegrees"] == "no"
-    right_vastus = len(MUSCLES) + MUSCLES.index("VAS")
-    name = "/forceset/vasti_r/activation"
-    np.testing.assert_array_equal(columns[name], WALK.activation[:, right_vastus])
+    vastus, soleus = MUSCLES.index("VAS"), MUSCLES.index("SOL")
     np.testing.assert_array_equal(
-        columns["/forceset/soleus_l/fiber_length"],
-        WALK.fibre_length_m[:, MUSCLES.index("SOL")],
+        columns["/forceset/vasti_r/activation"],
+        WALK.activation[:, len(MUSCLES) + vastus],
+    )
+    np.testing.assert_array_equal(
+        columns["/forceset/soleus_l/fiber_length"], WALK.fibre_length_m[:, soleus]
     )
     speed = columns["/jointset/knee_l/knee_angle_l/speed"]
     np.testing.assert_array_equal(speed, WALK.qdot[:, 3] - WALK.qdot[:, 4])
@@ -67,35 +66,29 @@ def test_states_by_the_paths_of_opensim_4(tmp_path: Path) -> None:
 
 def test_csv_has_all_samples_by_names_with_units(tmp_path: Path) -> None:
     write_trajectory(tmp_path / "walk.csv", WALK)
-    names, *rows = [
-        line.split(",") for line in (tmp_path / "walk.csv").read_text().splitlines()
-    ]
+    text = (tmp_path / "walk.csv").read_text()
+    names, *rows = [line.split(",") for line in text.splitlines()]
     table = np.array(rows, dtype=float)
-    wide = [
-        WALK.time_s[:, None],
-        WALK.q,
-        WALK.qdot,
-        WALK.joint_rad,
-        WALK.activation,
-        WALK.muscle_force_n,
-        WALK.ground_force_n,
-        WALK.stance,
-        WALK.joint_torque_nm,
-        WALK.swing_torque_nm,
-        WALK.device_torque_nm,
-        WALK.fibre_length_m,
-        WALK.fibre_velocity_mps,
-        WALK.delayed,
+    fields = [
+        "q",
+        "qdot",
+        "joint_rad",
+        "activation",
+        "muscle_force_n",
+        "ground_force_n",
+        "stance",
+        "joint_torque_nm",
+        "swing_torque_nm",
+        "device_torque_nm",
+        "fibre_length_m",
+        "fibre_velocity_mps",
+        "delayed",
     ]
+    wide = [WALK.time_s[:, None], *(getattr(WALK, field) for field in fields)]
     np.testing.assert_array_equal(table, np.hstack(wide))
     assert len(set(names)) == table.shape[1]
-    assert {
-        "time_s",
-        "x_m",
-        "thigh_l_rad",
-        "r_knee_flexion_rad",
-        "l_SOL_force_n",
-    } <= set(names)
+    known = {"time_s", "x_m", "thigh_l_rad", "r_knee_flexion_rad", "l_SOL_force_n"}
+    assert known <= set(names)
 
 
 def test_markers_of_motion_capture_read_back(tmp_path: Path) -> None:
@@ -110,10 +103,15 @@ def test_markers_of_motion_capture_read_back(tmp_path: Path) -> None:
     found_mm = dict(
         zip(trajectory_files.MARKERS, np.stack([x, z], axis=2), strict=True)
     )
-    np.testing.assert_allclose(found_mm["SHOULDER"], 1e3 * trunk(WALK.q)[0], atol=1e-3)
-    np.testing.assert_allclose(found_mm["HIP"], 1e3 * WALK.q[:, :2], atol=1e-3)
-    np.testing.assert_allclose(found_mm["L_HEEL"], 1e3 * leg(WALK.q, 0).heel, atol=1e-3)
-    np.testing.assert_allclose(found_mm["R_BALL"], 1e3 * leg(WALK.q, 1).ball, atol=1e-3)
+    shoulder, _ = trunk(WALK.q)
+    expected_m = {
+        "SHOULDER": shoulder,
+        "HIP": WALK.q[:, :2],
+        "L_HEEL": leg(WALK.q, 0).heel,
+        "R_BALL": leg(WALK.q, 1).ball,
+    }
+    for name, place_m in expected_m.items():
+        np.testing.assert_allclose(found_mm[name], 1e3 * place_m, atol=1e-3)
     long = replace(WALK, q=np.zeros((65536, 9)), time_s=np.arange(1, 65537) / 100.0)
     with refused("trajectory: 'walk.c3d' .*65535 samples"):
         write_trajectory(tmp_path / "walk.c3d", long)
