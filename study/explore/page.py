@@ -180,7 +180,14 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
             if store.simulator == WALKER:
                 view = WalkView(document, walkers, makers, message, store)
             else:
-                view = RobotView(document, makers, message, store, simulator, robot)
+                view = RobotView(
+                    document=document,
+                    makers=makers,
+                    message=message,
+                    store=store,
+                    simulator=simulator,
+                    robot=robot,
+                )
             points = StoreView(
                 store,
                 message,

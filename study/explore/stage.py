@@ -92,7 +92,8 @@ class Stage:
     def show(self, walk: Walk | None) -> None:
         """Begin to play a walk; or take it away."""
         if walk is None:
-            self.frames.data, self.words.text = {}, ""
+            self.frames.data = {}
+            self.words.text = ""
             return
         x, y = walk.frames["ground"].T
         self._ground.data = {"x": x, "y": y}

@@ -30,7 +30,7 @@ from storage.simulator import FAILED, SURVIVED, WALKER
 from storage.store import ORIGIN, SOBOL_ROW, Store, evaluated_name
 from study.explore.server import SCRIPTS, Message, flow
 from study.explore.trials import STATE, TRIAL
-from study.explore.words import described, menu
+from study.explore.words import Menu, described, menu
 from study.pictures import style
 from taichi_nmm.result import ENERGY, NEEDED_BY, OF_MUSCLES, unknown
 
@@ -238,10 +238,35 @@ def table(
 
 FIRST = ("mean_speed_mps", "phi_printed", SURVIVED, "step_length_mean_m")
 PALETTE = "viridis"
-MARKED = {  # by what numbers the rows: the column that decides, its usual word, a word for others
-    "row": (ORIGIN, SOBOL_ROW, "bred"),
-    TRIAL: (STATE, "complete", "not complete"),
+
+
+class Mark(NamedTuple):
+    """Which rows are marked.
+
+    Attributes:
+        column: that decides.
+        usual: the word there of a row that is not marked.
+        other: the word that the page has for those that are.
+    """
+
+    column: str
+    usual: str
+    other: str
+
+
+MARKED = {  # by what numbers the rows
+    "row": Mark(column=ORIGIN, usual=SOBOL_ROW, other="bred"),
+    TRIAL: Mark(column=STATE, usual="complete", other="not complete"),
 }
+
+
+def marked(store: Store) -> NDArray[np.uint8]:
+    """Of each row whether it is marked, 1 or 0, [n]."""
+    mark = MARKED[store.ROW]
+    if mark.column not in store.columns:
+        return np.zeros(len(store), np.uint8)
+    words = store.table([mark.column])[mark.column].to_numpy()
+    return np.asarray(words != mark.usual, np.uint8)
 
 
 def numeric_columns(store: Store) -> list[str]:
@@ -289,7 +314,8 @@ class StoreView:
         pick: Callable[[int, int], None],
         save: Callable[[Ranges], None],
     ) -> None:
-        self._store, self._pick = store, pick
+        self._store = store
+        self._pick = pick
         self._rows: NDArray[np.int64] = self._read(store.ROW).astype(np.int64)
         self._words = described(store, numeric_columns(store))
         options = menu(self._words)
@@ -301,22 +327,13 @@ class StoreView:
                 zip(ROLES, first_columns(store), strict=True)
             )
         ]
-        find = models.TextInput(
-            title="find in the menus", placeholder="hip mean", name="find"
-        )
-        script = models.CustomJS.from_file(
-            SCRIPTS / "find.mjs", columns=self._columns, options=options
-        )
-        find.js_on_change("value_input", script)
         self._hidden: Ranges = {}  # of columns that are not shown
-        deciding, usual, mark = MARKED[store.ROW]
-        marked = np.zeros(len(store), np.uint8)
-        if deciding in store.columns:
-            marked[store.table([deciding])[deciding].to_numpy() != usual] = 1
-        kept = np.ones(len(store), np.uint8)
-        self._source = models.ColumnDataSource(
-            {"row": self._rows, "marked": marked, "kept": kept}, name="rows"
-        )
+        rows = {
+            "row": self._rows,
+            "marked": marked(store),
+            "kept": np.ones(len(store), np.uint8),
+        }
+        self._source = models.ColumnDataSource(rows, name="rows")
         self.selection = models.TextInput(
             title="selection: column low..high, ...",
             placeholder="drag a box",
@@ -344,13 +361,13 @@ class StoreView:
         self._rows_panel = column(
             self._table(), sizing_mode="stretch_width", name="Rows"
         )
-        self._connect(mark=mark, count=count, **cloud_parts)
+        self._connect(count=count, **cloud_parts)
         clear = models.Button(label="all rows")
         clear.on_click(lambda: self.selection.update(value=""))
         take = models.Button(label="selection as Parquet")
         take.on_click(message.safely(lambda: save(self._ranges())))
         points = [
-            flow(*self._columns, find, least_px=215),
+            flow(*self._columns, self._finder(options), least_px=215),
             self._cloud,
             flow(self.selection, clear, least_px=110),
             self._refusal.layout,
@@ -365,6 +382,17 @@ class StoreView:
         message.watch(self.row, "tags", self._picked)  # the same row, clicked again
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
+
+    def _finder(self, options: Menu) -> models.TextInput:
+        """A field whose words leave in the menus what has them."""
+        find = models.TextInput(
+            title="find in the menus", placeholder="hip mean", name="find"
+        )
+        script = models.CustomJS.from_file(
+            SCRIPTS / "find.mjs", columns=self._columns, options=options
+        )
+        find.js_on_change("value_input", script)
+        return find
 
     @property
     def _names(self) -> list[str]:
@@ -441,6 +469,7 @@ class StoreView:
             row=self.row,
             listing=self._rows_panel,
             word=self._store.ROW,
+            mark=MARKED[self._store.ROW].other,
             palette=rgba.view("<u4").ravel().tolist(),
             **parts,
         )

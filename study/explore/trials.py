@@ -30,6 +30,7 @@ from taichi_nmm.parameters import GAIN_NAMES
 TRIAL, STATE, VALUE = "trial", "state", "value"  # the first columns
 SETTING = {"seed", "simulation", "body", "ground"}  # of a walker's experiment
 OTHERWISE = "a store or a study database; for others: taichi-nmm report, dashboard or bench serve"
+STORE_START = b"PAR1"  # of a Parquet file
 MOST_LISTED = 8  # studies; of more, the runs are not told apart
 
 
@@ -66,13 +67,12 @@ def open_rows(path: Path, study: str | None = None) -> Store:
         InputError: none of these, or damaged; no such study, or one without a value.
     """
     database = path / folder.DATABASE_NAME
-    file, start = database if is_file(database) else path, b"PAR1"
+    file = database if is_file(database) else path
+    start = STORE_START
     if is_file(file):
-        with (
-            reading("folder", file, "a file that can be read"),
-            file.open("rb") as content,
-        ):
-            start = content.read(4)
+        wanted = "a file that can be read"
+        with reading("folder", file, wanted), file.open("rb") as content:
+            start = content.read(len(STORE_START))
     if start[:1] == b"{":
         with reading("storage", file, "an undamaged journal of Optuna's"):
             journal = optuna.storages.JournalStorage(JournalFileBackend(str(file)))

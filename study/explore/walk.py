@@ -192,7 +192,8 @@ def warm_up() -> None:
     walk(gains_of_source("reference"), level)
 
 
-FILM, FILM_S = "walk.mp4", 8.0  # of the walk's end
+FILM = "walk.mp4"
+FILM_S = 8.0  # of the walk's end
 GAINS, CONFIG = "gains.json", "walk.toml"
 NAMES = (GAINS, CONFIG)  # what every command takes: --gains, --config
 # What does the same without a page, in a folder with both files.

@@ -250,7 +250,8 @@ class Hands:
         changed: Callable[[], None],
         start: Callable[[NamedGains], None],
     ) -> None:
-        self._message, self._changed, self._start = message, changed, start
+        self._changed = changed
+        self._start = start
         self._still = False  # while the page, not a person, moves the sliders
         self._starts = models.Select(
             title="start from", options=["", *STARTS], name="start"

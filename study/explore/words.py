@@ -23,7 +23,11 @@ STATISTICS = {
     "mean": "mean over its worlds",
     "sd": "standard deviation over its worlds",
 }
-OUTCOME, GAIT, GAIN = "outcome and score", "gait", "gains"
+OUTCOME = "outcome and score"
+GAIT = "gait"
+GAIN = "gains"
+Menu = dict[str, list[tuple[str, str]]]
+"""Options by group: a column's name and its words."""
 
 
 class Described(NamedTuple):
@@ -82,9 +86,9 @@ def in_words(name: str) -> tuple[str, str]:
     return (f"{text} ({unit})" if unit else text), parts[-1]
 
 
-def menu(columns: dict[str, Described]) -> dict[str, list[tuple[str, str]]]:
-    """The options of a menu: pairs of a column's name and its words, by group."""
-    groups: dict[str, list[tuple[str, str]]] = {}
+def menu(columns: dict[str, Described]) -> Menu:
+    """The columns by group."""
+    groups: Menu = {}
     for name, column in columns.items():
         groups.setdefault(column.group, []).append((name, column.words))
     return groups

@@ -92,6 +92,16 @@ def by_leg(values: Array) -> Array:
     return values.reshape(len(values), len(SIDES), -1)
 
 
+def gained(values: Array) -> Array:
+    """How much values grow in the interval that ends at a sample, 0 at the first."""
+    return np.diff(values, axis=0, prepend=values[:1])
+
+
+def middle(values: Array) -> Array:
+    """Values in the middle of the interval that ends at a sample."""
+    return values - 0.5 * gained(values)
+
+
 def path_lengths(trajectory: Trajectory) -> Array:
     """Lengths of fibre and tendon together, in the order of `SIDED`, m, [14, t]."""
     hip, knee, ankle = by_leg(trajectory.joint_rad).T
@@ -107,7 +117,8 @@ def fibre_lengths(trajectory: Trajectory, world: Worlds) -> dict[str, Array]:
     have none.
     """
     forces, strains = tendon_curve()
-    paths, lengths = path_lengths(trajectory), {}
+    paths = path_lengths(trajectory)
+    lengths = {}
     for muscle in muscles_of(world):
         share = trajectory.muscle_force_n[:, muscle.column] / muscle.fmax
         unstretched = paths[muscle.column] - muscle.slack
@@ -291,6 +302,5 @@ def motor_torques(trajectory: Trajectory, world: Worlds) -> dict[str, Array]:
     stiffness, damping, rest_rad = world.prosthesis[0].T[..., None]
     ankle += stiffness * (rest_rad - ankle_rad) - damping * (foot_rate - shank_rate)
     within = np.array([hip, knee, ankle]).T.reshape(-1, len(MOTORS))
-    means = within - 0.5 * np.diff(within, axis=0, prepend=within[:1])
-    beside = means - trajectory.joint_torque_nm
+    beside = middle(within) - trajectory.joint_torque_nm
     return dict(zip(MOTORS, beside.T, strict=True))

@@ -209,8 +209,10 @@ class Scene:
     def __init__(
         self, motion: Motion, terrain: Terrain, title: str, size_px: tuple[int, int]
     ) -> None:
-        self._motion, self._terrain = motion, terrain
-        self._title, self._size_px = title, size_px
+        self._motion = motion
+        self._terrain = terrain
+        self._title = title
+        self._size_px = size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         self._arrows = force_arrows(motion)
         self._walker = stick.Walker(motion.q, motion.activation)

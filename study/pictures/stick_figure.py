@@ -59,7 +59,8 @@ class Walker:
             q: generalised coordinates, [n, 9].
             activation: of the muscles, left leg first, 0 to 1, [n, 14].
         """
-        self._q, self._activation = q, activation
+        self._q = q
+        self._activation = activation
         self._outlines = [muscle_outlines(q, side) for side in (LEFT, RIGHT)]
 
     def draw(self, surface: Surface, number: int) -> None:

@@ -25,7 +25,9 @@ from study.pictures.opensim_muscles import (
     SIDES,
     fibre_lengths,
     forces_text,
+    gained,
     lines_text,
+    middle,
     motor_torques,
     muscles_of,
 )
@@ -195,16 +197,16 @@ def _pressure(trajectory: Trajectory, body: Bodies, side: int) -> tuple[Array, A
     speed = trajectory.qdot[:, :2] - THIGH_LENGTH_M * thigh_rate * forward(thigh)
     turning = com_m * foot_rate * down(foot)
     speed += turning - SHANK_LENGTH_M * shank_rate * forward(shank)
-    joints = leg(_middle(trajectory.q), side)
-    ankle_m = -com_m * forward(_middle(foot))  # as are all points: from the foot's mass
+    joints = leg(middle(trajectory.q), side)
+    ankle_m = -com_m * forward(middle(foot))  # as are all points: from the foot's mass
     com = joints.ankle - ankle_m
     push_n = of_side(trajectory.ground_force_n, side)
     push_x, push_z = push_n.T
     gravity = [0.0, GRAVITY_MPS2]
-    shank_n = body.mass_kg[0, link] * (_gained(speed) / interval_s + gravity) - push_n
+    shank_n = body.mass_kg[0, link] * (gained(speed) / interval_s + gravity) - push_n
     *_, torque_nm = of_side(trajectory.joint_torque_nm, side).T
     moment = torque_nm - _cross(ankle_m, shank_n)
-    moment -= body.inertia_kgm2[0, link] * _gained(foot_rate[:, 0]) / interval_s
+    moment -= body.inertia_kgm2[0, link] * gained(foot_rate[:, 0]) / interval_s
     low, high = np.sort([joints.heel, joints.ball], axis=0) - com
     sole_z = low[:, 1]
     on_ground = push_z > 0.0
@@ -222,16 +224,6 @@ def _interval(trajectory: Trajectory) -> float:
 def _interval_middles(trajectory: Trajectory) -> Array:
     """When the means over the intervals are taken, [t]."""
     return trajectory.time_s - 0.5 * _interval(trajectory)
-
-
-def _gained(values: Array) -> Array:
-    """How much values grow in the interval that ends at a sample, 0 at the first."""
-    return np.diff(values, axis=0, prepend=values[:1])
-
-
-def _middle(values: Array) -> Array:
-    """Values in the middle of the interval that ends at a sample."""
-    return values - 0.5 * _gained(values)
 
 
 def _cross(arm: Array, force: Array) -> Array:
