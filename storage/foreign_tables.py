@@ -427,7 +427,8 @@ def _of_folder(
     keys = [_keys(file.parent.relative_to(folder)) for file in files]
     for each in keys:
         if each.keys() != keys[0].keys():
-            allowed = f"a folder whose files all lie in KEY=VALUE of {', '.join(keys[0]) or 'no key'}"
+            wanted_keys = ", ".join(keys[0]) or "no key"
+            allowed = f"a folder whose files all lie in KEY=VALUE of {wanted_keys}"
             raise InputError(field, str(folder), allowed)
     of_keys = {key: _as_numbers([each[key] for each in keys]) for key in keys[0]}
     tables = []

@@ -29,6 +29,9 @@ SIMULATORS = {
 SIMULATOR_KEY = (
     "simulator"  # of a specification; stores of the walker are older and lack it
 )
+# Of a specification: the parameters. The first stores were of the walker alone, and all
+# newer ones have its word, so that any version reads them.
+PARAMETERS_KEY = "gains"
 SURVIVED = "survived_fraction"
 FAILED = "failed"  # among the words of a column: the run gave no numbers, and has zeros
 

@@ -22,9 +22,11 @@ from storage import points
 from storage.inputs import checks
 from storage.inputs.config import REQUIRED, Table
 from storage.inputs.errors import InputError, listed
+from storage.layout import Layout
 from storage.points import LARGEST_SEQUENCE, seed_sequence
 from storage.simulator import (
     HORIZON_S,
+    PARAMETERS_KEY,
     SIMULATOR_KEY,
     WALKER,
     Parameter,
@@ -39,35 +41,26 @@ from storage.tables import FORMAT, document_hash
 
 HORIZONS_S = 1e-9, 1e12  # shortest and longest run: of a circuit, of a forest
 WALKS_S = 0.1, 1000.0  # of the walker
-LEAST_WALK_S, LEAST_LASTED_S = (
-    8.0,
-    3.0,
-)  # its defaults for families; of others they are shares
-LEAST_SHARE = (
-    0.6  # of the base setting's horizon, that a family's points have lasted by default
-)
+# The walker's defaults for families; of other simulators they are shares.
+LEAST_WALK_S, LEAST_LASTED_S = 8.0, 3.0
+# Of the base setting's horizon, that a family's points have lasted by default.
+LEAST_SHARE = 0.6
 SHARD_ROWS = 4096  # seconds of work on two cores, and a few MB
-CANDIDATE_SHARD_ROWS = (
-    64  # at most: nearly all candidates run to the end of every family
-)
 
 ROBUST = "robust"  # the family that has a table of its own
 NAME_PATTERN = r"[a-z][a-z0-9_]*"
 MOST_WORLDS = 64  # of a family
-MOST_OUTCOMES_B = (
-    2**31
-)  # of a store, unless the configuration says which columns worlds keep
+# Of a store, unless the configuration says which columns worlds keep.
+MOST_OUTCOMES_B = 2**31
 
 LIBRARY = "ribs"  # of quality-diversity optimisation
 EMITTERS = 4  # evolution strategies of a search, each begun elsewhere
-BATCH = (
-    24  # points of an emitter in a generation: twice what CMA-ES takes in 16 dimensions
-)
+# Points of an emitter in a generation: twice what CMA-ES takes in 16 dimensions.
+BATCH = 24
 GENERATION = EMITTERS * BATCH  # points that a search tries at a time
 STARTS = 2 * GENERATION  # points of the grid that a search may begin with
-SEARCH_WORLDS = (
-    8  # of a family, for a candidate: fewer find gaits for these worlds alone
-)
+# Of a family, for a candidate: fewer find gaits for these worlds alone.
+SEARCH_WORLDS = 8
 LARGEST_NUMBER = 2**30  # of runs, or of candidates
 
 # Keys of a specification that no simulator's document may have.
@@ -79,7 +72,7 @@ RESERVED = frozenset(
         "samples",
         "shard_rows",
         "seed",
-        "gains",
+        PARAMETERS_KEY,
         "simulation",
         "robust",
         "families",
@@ -210,55 +203,6 @@ class Repertoire:
         }
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Which rows are in which shard: `samples` of the grid, then `candidates`.
-
-    Attributes:
-        samples: rows of the grid.
-        shard_rows: rows of one of its shards; the last may have fewer.
-        candidates: rows of the repertoire, at most 64 in a shard; 0: there is none.
-    """
-
-    samples: int
-    shard_rows: int
-    candidates: int
-
-    @staticmethod
-    def of(document: dict[str, Any]) -> "Layout":
-        """The layout of a specification's document."""
-        candidates = document.get("repertoire", {}).get("candidates", 0)
-        return Layout(document["samples"], document["shard_rows"], candidates)
-
-    @property
-    def rows(self) -> int:
-        """Rows of the finished store."""
-        return self.samples + self.candidates
-
-    @property
-    def grid_shards(self) -> int:
-        """Shards of the grid; those of the candidates come after them."""
-        return -(-self.samples // self.shard_rows)
-
-    @property
-    def shards(self) -> int:
-        """Shards of the finished store."""
-        return self.grid_shards - (-self.candidates // self._candidate_rows)
-
-    def shard_range(self, number: int) -> tuple[int, int]:
-        """First row of a shard, and how many it has."""
-        start, rows, end = 0, self.shard_rows, self.samples
-        if number >= self.grid_shards:
-            start, rows, end = self.samples, self._candidate_rows, self.rows
-            number -= self.grid_shards
-        first = start + number * rows
-        return first, min(rows, end - first)
-
-    @property
-    def _candidate_rows(self) -> int:
-        return min(self.shard_rows, CANDIDATE_SHARD_ROWS)
-
-
 @dataclass(frozen=True, eq=False)
 class Specification:
     """A store to be computed. It pickles: any process computes a shard from it.
@@ -304,8 +248,8 @@ class Specification:
         return Layout(self.samples, self.shard_rows, candidates)
 
     @property
-    def walkers(self) -> int:
-        """The work that progress counts: rows, and runs of the search."""
+    def work(self) -> int:
+        """What progress counts: rows, and runs of the search."""
         return self.layout.rows + (self.repertoire.walks if self.repertoire else 0)
 
     def on_one_thread(self) -> "Specification":
@@ -331,7 +275,7 @@ class Specification:
             "samples": self.samples,
             "shard_rows": self.shard_rows,
             "seed": self.seed,
-            "gains": {each.name: _ends(each) for each in simulator.parameters},
+            PARAMETERS_KEY: {each.name: _ends(each) for each in simulator.parameters},
             **_other_keys(own, RESERVED),
             "simulation": simulation,
             **_other_keys(drawn, RESERVED | own.keys()),
@@ -370,7 +314,7 @@ def require_parameters(store: Store, simulator: Simulator) -> None:
             numbers in one of the two alone, or bounds beyond the simulator's.
     """
     own = {each.name: _ends(each) for each in simulator.parameters}
-    stored = store.specification["gains"]
+    stored = store.bounds
     if tuple(stored) != tuple(own):
         words = f"{simulator.name}, with the parameters {listed(own)}"
         raise InputError("store", str(store.path), f"a store of {words}")
@@ -380,7 +324,7 @@ def require_parameters(store: Store, simulator: Simulator) -> None:
         )
         if _kind(stored[name]) != _kind(ends) or not is_within:
             allowed = f"{ends}, as {simulator.name} has it"
-            raise InputError(f"store.gains.{name}", stored[name], allowed)
+            raise InputError(f"store.{PARAMETERS_KEY}.{name}", stored[name], allowed)
 
 
 def _kind(ends: dict[str, Any]) -> tuple[str, Any]:
@@ -434,10 +378,9 @@ def read_specification(
         repertoire=repertoire,
     )
     table.done()
+    # A column may be "origin", and one family's name may begin another's.
     names = specification.schema.names
-    for (
-        name
-    ) in names:  # as of a column "origin", or of families of which one begins the other
+    for name in names:
         if names.count(name) > 1:
             allowed = "names of columns and families that give each column of a store another name"
             raise InputError(SIMULATOR_KEY, name, allowed)
@@ -495,9 +438,8 @@ def _read_families(
             raise InputError(
                 "families", name, "another name; this family is the table [robust]"
             )
-        for column in arrow_schema(
-            simulator
-        ).names:  # else its columns could be taken for others
+        # Else its columns could be taken for others.
+        for column in arrow_schema(simulator).names:
             if f"{column}_".startswith(f"{name}_"):
                 allowed = f"a name that does not begin a column's ({column})"
                 raise InputError("families", name, allowed)
@@ -524,7 +466,8 @@ def _read_families(
     later = [family for family in families if family.after]
     for family in later:
         if family.after not in (names := [each.name for each in first]):
-            allowed = f"a family that comes after none: {listed(names, family.after) or 'there is none'}"
+            known = listed(names, family.after) or "there is none"
+            allowed = f"a family that comes after none: {known}"
             raise InputError(f"families.{family.name}.after", family.after, allowed)
     return (*first, *later)
 
@@ -540,12 +483,8 @@ def _read_kept(
         named = table.texts("kept", tuple(simulator.scores))
         return tuple(dict.fromkeys((simulator.survived, *named)))
     worlds = sum(family.settings for family in families)
-    size_b = (
-        rows
-        * worlds
-        * len(simulator.outcomes)
-        * np.dtype(simulator.outcome_type).itemsize
-    )
+    number_b = np.dtype(simulator.outcome_type).itemsize
+    size_b = rows * worlds * len(simulator.outcomes) * number_b
     if size_b > MOST_OUTCOMES_B and simulator.name != WALKER:
         allowed = f"a list of the columns that costs read: all would take {size_b / 1e9:.0f} GB"
         raise InputError("kept", "missing", allowed)
@@ -565,7 +504,8 @@ def _read_repertoire(
     names = own.texts("families") or tuple(first)
     for name in names:
         if name not in first:
-            allowed = f"families that come after none: {listed(first, name) or 'there is none'}"
+            known = listed(first, name) or "there is none"
+            allowed = f"families that come after none: {known}"
             raise InputError(own.path("families"), name, allowed)
     if not first:
         raise InputError(
@@ -580,7 +520,11 @@ def _read_repertoire(
     settings = own.integer("settings", SEARCH_WORLDS, 1, MOST_WORLDS)
     bred = tuple(first[name] for name in sorted(names))
     repertoire = Repertoire(
-        evaluations, candidates, own.integer("seed", 0), settings, bred
+        evaluations=evaluations,
+        candidates=candidates,
+        seed=own.integer("seed", 0),
+        settings=settings,
+        families=bred,
     )
     own.done()
     if candidates < len(bred):

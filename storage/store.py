@@ -16,6 +16,7 @@ from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
 from storage.inputs.reading import is_folder, json_document, reading
 from storage.simulator import (
+    PARAMETERS_KEY,
     SIMULATOR_KEY,
     SIMULATORS,
     WALKER,
@@ -40,6 +41,9 @@ EVALUATED_END, WORLDS_END = "_evaluated", "_worlds"  # of columns of a family
 
 ORIGIN = "origin"  # column of a store with a repertoire: the origin of a row's point
 SOBOL_ROW, EVOLVED_ROW = "sobol", "evolved"
+
+
+RENAMED = {"gain_names": "parameter_names", "gains": "points()"}
 
 
 def shard_name(number: int) -> str:
@@ -288,9 +292,14 @@ class Store:
         return rows
 
     @property
-    def gain_names(self) -> tuple[str, ...]:
-        """The searched parameters, [16 + k]: the 16 gains, and the low-level gains among them."""
-        return tuple(self.specification["gains"])
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, [p]; of the walker: gains, and low-level gains after them."""
+        return tuple(self.bounds)
+
+    @property
+    def bounds(self) -> dict[str, dict[str, Any]]:
+        """Of each parameter "low" and "high", and its "distribution" where it is not a float's."""
+        return dict(self.specification[PARAMETERS_KEY])
 
     @property
     def families(self) -> tuple[str, ...]:
@@ -375,11 +384,21 @@ class Store:
         """The name of the simulator; "walker": this project's."""
         return str(self.specification.get(SIMULATOR_KEY, WALKER))
 
-    def gains(self) -> NDArray[np.float64]:
-        """The points, [n, 16 + k], in the order of `gain_names`."""
-        table = self.table(self.gain_names)
-        columns = [_plain(table[name].combine_chunks()) for name in self.gain_names]
+    def points(self) -> NDArray[np.float64]:
+        """The points, [n, p], in the order of `parameter_names`."""
+        table = self.table(self.parameter_names)
+        columns = [
+            _plain(table[name].combine_chunks()) for name in self.parameter_names
+        ]
         return np.column_stack(columns)
+
+    def __getattr__(self, name: str) -> Any:
+        """Names of 0.4.0, when all stores were the walker's."""
+        if name in RENAMED:
+            said = f"Store.{name} is called Store.{RENAMED[name]} now"
+        else:
+            said = f"'Store' object has no attribute {name!r}"
+        raise AttributeError(said)
 
     def require_bounds(self) -> None:
         """Refuse a store whose points were drawn from other bounds than those of this version.
@@ -392,7 +411,7 @@ class Store:
         """
         if self.simulator not in SIMULATORS:
             return
-        stored = self.specification["gains"]
+        stored = self.bounds
         parameters = known_simulator(self.specification).parameters_of(tuple(stored))
         current = {
             each.name: {"low": each.low, "high": each.high} for each in parameters
@@ -400,7 +419,9 @@ class Store:
         for name in dict.fromkeys([*current, *stored]):
             if stored.get(name) != current.get(name):
                 allowed = f"{current.get(name)}, the bounds of this version; compute a new store"
-                raise InputError(f"store.gains.{name}", stored.get(name), allowed)
+                raise InputError(
+                    f"store.{PARAMETERS_KEY}.{name}", stored.get(name), allowed
+                )
 
 
 def _plain(column: pa.Array) -> NDArray[Any]:
@@ -547,13 +568,13 @@ def check_specification(specification: Any, where: str) -> None:
         raise InputError(where, specification, "a specification, which is an object")
     table = Table(specification, where)
     columns = [column.rpartition(":")[0] for column in table.texts("columns")]
-    gains = table.table("gains")
-    if not gains.unread or not set(gains.unread) <= set(columns):
-        raise InputError(
-            f"{where}.gains", list(gains.unread), "names of columns, one at least"
-        )
-    for name in gains.unread:
-        ends = gains.table(name)
+    parameters = table.table(PARAMETERS_KEY)
+    names = list(parameters.unread)
+    if not names or not set(names) <= set(columns):
+        allowed = "names of columns, one at least"
+        raise InputError(f"{where}.{PARAMETERS_KEY}", names, allowed)
+    for name in names:
+        ends = parameters.table(name)
         ends.number("low", high=ends.number("high"))
     table.table("simulation").number("duration_s")
     table.text(SIMULATOR_KEY, WALKER)

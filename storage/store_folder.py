@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from storage import store
 from storage.folder import Folder, remove
 from storage.inputs.errors import InputError
+from storage.layout import Layout
 from storage.pool import KIND_NAME
-from storage.specification import Layout
+from storage.simulator import PARAMETERS_KEY
 from storage.tables import (
     FORMAT,
     document_hash,
@@ -139,7 +140,7 @@ class StoreFolder(Folder):
 
     def read_repertoire(self) -> NDArray[np.float64] | None:
         """The candidates in the order of their rows, [c, p]; None: the search is not over."""
-        parameters = list(self.document["gains"])
+        parameters = list(self.document[PARAMETERS_KEY])
         tried = self._read(REPERTOIRE_NAME, self._footer, [*parameters, ROW])
         if tried is None:
             return None

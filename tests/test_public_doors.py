@@ -248,7 +248,7 @@ def store_doors(store: Path, folder: Path) -> list[Door]:
         ),
         door(storage.merge, source=store, target=folder / "merged.parquet"),
         door(storage.open_store, path=store),
-        door(opened.gains),
+        door(opened.points),
         door(opened.require_bounds),
         door(opened.numpy),
         door(opened.table),

@@ -30,7 +30,7 @@ def main(args: Namespace) -> None:
     cluster = Cluster.asked(args.cluster, args.mixed, args.workers)
     opened = open_pool(workers, cluster, folder, simulator.on_one_thread())
     with opened as pool, closing(ProgressBar()) as bar:
-        progress = partial(bar.move, "run", total=specification.walkers)
+        progress = partial(bar.move, "run", total=specification.work)
         summary = precompute(specification, out, args.fresh, progress, pool)
     for line in summary.cautions:
         print(f"warning: {line}", file=sys.stderr)

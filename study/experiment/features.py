@@ -62,7 +62,7 @@ def _table(
     store: Store, space: Mapping[str, BaseDistribution] | None, **known: Any
 ) -> FeatureTable:
     """A table of the rows of a store, with what is known of them."""
-    columns, bounds, own = store_parameters(store.specification["gains"], store.gains())
+    columns, bounds, own = store_parameters(store.bounds, store.points())
     if space is not None:
         defaults = {
             each.name: np.full(len(store), each.default) for each in LOW_LEVEL_GAINS
@@ -108,7 +108,7 @@ class Given(Mapping[str, Floats]):
         return self._known[column]
 
     def __iter__(self) -> Iterator[str]:
-        return iter((*self._store.kept(self._family), *self._store.gain_names))
+        return iter((*self._store.kept(self._family), *self._store.parameter_names))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -169,7 +169,7 @@ def _in_families(
     store: Store, ran: Mapping[str, NDArray[np.bool_]], column: str
 ) -> dict[str, Floats]:
     """A column or a parameter [n, w] by family; NaN where a row did not run."""
-    if column in store.gain_names:
+    if column in store.parameter_names:
         worlds = {
             family: int(store.settings_of(family)["settings"])
             for family in store.families

@@ -147,7 +147,7 @@ def has_worlds_of(store: storage.Store, column: str) -> bool:
 def gains_at(store: storage.Store, place: int, row: int) -> NamedGains:
     """The point at a place among a store's rows, called by the number of its row."""
     fixed: dict[str, Any] = store.specification.get("fixed_gains", {})
-    values = fixed | store.table(store.gain_names).slice(place, 1).to_pylist()[0]
+    values = fixed | store.table(store.parameter_names).slice(place, 1).to_pylist()[0]
     return named_gains(f"{store.path.name}-{store.ROW}-{row}", values)
 
 

@@ -178,7 +178,7 @@ class WalkerExperiment(Experiment):
 
         Its rows may lack a device and asymmetries: they are then walkers without.
         """
-        searched = tuple(store.specification["gains"])
+        searched = tuple(store.bounds)
         more = [name for name in searched if name not in self.names]
         less = [name for name in self.names if name not in (*searched, *ADDED)]
         if more or less:

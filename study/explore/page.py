@@ -103,10 +103,10 @@ class RobotView:
         if self._place is None or self._robot is None:
             return
         # A store has whole numbers as floats, a choice as its number.
-        values = self._store.gains()[self._place].tolist()
+        values = self._store.points()[self._place].tolist()
         point = {
             name: self._robot.space[name].to_external_repr(value)
-            for name, value in zip(self._store.gain_names, values, strict=True)
+            for name, value in zip(self._store.parameter_names, values, strict=True)
         }
         seconds = float(self._duration.value.removesuffix(" s"))
         self._message.tell("filming ...")
@@ -164,7 +164,7 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
         InputError: as `open_rows`, or no simulator to film.
     """
     rows = open_rows(path, study)
-    robot = None if simulator is None else filmable(simulator, rows.gain_names)
+    robot = None if simulator is None else filmable(simulator, rows.parameter_names)
     if robot is not None and not isinstance(
         rows, Trials
     ):  # whose numbers have no kinds

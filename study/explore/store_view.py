@@ -90,7 +90,7 @@ def numbers_of(store: Store, name: str) -> Floats:
         return np.where(unknown(name, both), np.nan, values)
     own = [family for family in store.families if name.startswith(f"{family}_")]
     flags = [evaluated_name(family) for family in own]
-    if name in (*flags, Store.ROW, SURVIVED, *store.gain_names):
+    if name in (*flags, Store.ROW, SURVIVED, *store.parameter_names):
         return values
     if flags:
         return np.where(store.numpy(flags)[flags[0]], values, np.nan)
@@ -292,7 +292,7 @@ def first_columns(store: Store) -> list[str]:
     if set(first) <= set(known):
         return first
     # A parameter may be a word, and so not among the numbers.
-    gains = [name for name in store.gain_names if name in known]
+    gains = [name for name in store.parameter_names if name in known]
     own = [name for name in known if name != "row" and name not in gains]
     found = [*own[1:3], *(survived or own)[:1], *own[3:], *gains, *known]
     if store.ROW == TRIAL:

@@ -58,7 +58,7 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
             gain = gains[name]
             group, words = GAIN, f"{name} ({gain.unit})"
             meaning = f"{gain.meaning}; {gain.low:g} to {gain.high:g} {gain.unit}"
-        elif name in store.gain_names:
+        elif name in store.parameter_names:
             group, words, meaning = GAIN, name, "a searched parameter"
         elif family is not None:
             of_worlds, last = in_words(name.removeprefix(f"{family}_"))

@@ -337,7 +337,7 @@ class FileColumns:
 
         store = open_store(self.path)
         store.require_bounds()
-        ranges = store.specification["gains"]
+        ranges = store.bounds
         others = [name for name in store.columns if name not in ranges]
         for name in self.features:
             if name not in others:
@@ -345,7 +345,7 @@ class FileColumns:
         features = _features(
             ForeignTable("score", store.table(self.features)), self.features
         )
-        columns, bounds, space = store_parameters(ranges, store.gains())
+        columns, bounds, space = store_parameters(ranges, store.points())
         space |= self.space or {}
         return checked_rows(
             columns,

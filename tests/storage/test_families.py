@@ -255,9 +255,9 @@ def test_points_have_a_column_more(
         fake.specification(searched=["theta_ref"], robust=True), tmp_path / "store"
     )
     store = open_store(tmp_path / "store", verify=True)
-    assert store.gain_names == (*GAIN_NAMES, "theta_ref")
+    assert store.parameter_names == (*GAIN_NAMES, "theta_ref")
     assert store.columns[:19] == ("row", *GAIN_NAMES, "theta_ref", "duration_s")
-    points = store.gains()
+    points = store.points()
     assert np.array_equal(points, sobol_points(7, 0, 50, (*GAINS, THETA_REF)))
     assert points.shape == (50, 17)
     angles = points[:, 16]
@@ -270,7 +270,7 @@ def test_points_have_a_column_more(
         <= THETA_REF.high
     )
     merged = merge(tmp_path / "store", tmp_path / "merged.parquet")
-    assert np.array_equal(merged.gains(), points)
+    assert np.array_equal(merged.points(), points)
     store.require_bounds()
     monkeypatch.setattr(walker_simulator, "LOW_LEVEL_GAINS", LOW_LEVEL_GAINS[:7])
     with pytest.raises(InputError, match=r"^store\.gains\.theta_ref: "):

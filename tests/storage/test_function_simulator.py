@@ -62,8 +62,8 @@ def runs(simulator: FunctionSimulator) -> np.ndarray[Any, Any]:
 
 def test_rows_are_what_the_function_returns(store: Path) -> None:
     opened = open_store(store, verify=True)
-    rows, gains = opened.numpy(), opened.gains()
-    assert opened.simulator == "robot:drive" and opened.gain_names == tuple(
+    rows, gains = opened.numpy(), opened.points()
+    assert opened.simulator == "robot:drive" and opened.parameter_names == tuple(
         robot.PARAMETERS
     )
     modes = [robot.PARAMETERS["mode"].choices[int(mode)] for mode in gains[:, 3]]  # type: ignore[attr-defined]

@@ -65,9 +65,11 @@ def test_candidates_are_rows_after_the_grid(finished: Finished, tmp_path: Path) 
     assert len(store) == summary.points == 70 and summary.shards == 7 + 3
     assert rows["row"].tolist() == list(range(70))
     assert rows["origin"].tolist() == ["sobol"] * 50 + ["evolved"] * 20
-    assert np.array_equal(store.gains()[:50], sobol_points(7, 0, 50, GAINS))
-    assert np.all((store.gains() >= lower_bounds()) & (store.gains() <= upper_bounds()))
-    assert len(np.unique(store.gains(), axis=0)) == 70
+    assert np.array_equal(store.points()[:50], sobol_points(7, 0, 50, GAINS))
+    assert np.all(
+        (store.points() >= lower_bounds()) & (store.points() <= upper_bounds())
+    )
+    assert len(np.unique(store.points(), axis=0)) == 70
     assert [footer["rows"] for footer in store.footers] == [8] * 6 + [2, 8, 8, 4]
     for family in ("up", "down"):  # run like the points of the grid
         assert np.array_equal(rows[f"{family}_evaluated"], rows["duration_s"] >= 3.0)
@@ -95,7 +97,7 @@ def test_the_repertoire_says_what_was_tried_and_whence_a_row_comes(
     )
     assert summary.walks_searched == WALKS == 2 * len(rows)
     assert sorted(rows[rows != NOT_CHOSEN]) == list(range(50, 70))
-    gains = open_store(path).gains()
+    gains = open_store(path).points()
     for index in np.flatnonzero(rows != NOT_CHOSEN):
         assert tried["generation"][index] > 0
         assert tried["K_GAS"][index] == gains[rows[index], 0]
@@ -118,7 +120,7 @@ def test_two_runs_on_any_executor_are_the_same_bytes(
         )  # more than points
     assert content(tmp_path / "b") == content(tmp_path / "c") == content(finished[0])
     assert seen == sorted(seen) and seen[0] == 0
-    assert seen[-1] == 70 + WALKS <= evolving().walkers
+    assert seen[-1] == 70 + WALKS <= evolving().work
     before = content(finished[0])
     seen.clear()
     summary = precompute(evolving(), finished[0], progress=seen.append)

@@ -42,10 +42,12 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
     summary = precompute(specification(), tmp_path / "store")
     store = open_store(tmp_path / "store", verify=True)
     rows = store.numpy()
-    assert store.gain_names == ("thrust", "drag", "steer")
+    assert store.parameter_names == ("thrust", "drag", "steer") == tuple(store.bounds)
+    with pytest.raises(AttributeError, match=r"gains is called Store\.points\(\) now"):
+        store.gains()
     assert store.families == ("gale", "storm")
     points = sobol_points(4, 0, 60, toy.Cart.parameters)
-    assert np.array_equal(store.gains(), points)
+    assert np.array_equal(store.points(), points)
     assert np.array_equal(
         rows["speed"], (points[:, 0] / points[:, 1] / 2.0).astype(np.float32)
     )
@@ -297,7 +299,7 @@ def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(
     printed(*words, "--workers", "2", cwd=tmp_path)
     store = open_store(tmp_path / "out" / "cart", verify=True)
     assert store.specification["simulator"] == "my_robot:Cart" and len(store) == 40
-    assert np.array_equal(store.gains(), sobol_points(4, 0, 40, toy.Cart.parameters))
+    assert np.array_equal(store.points(), sobol_points(4, 0, 40, toy.Cart.parameters))
     refused = python(*words, "--arch", "cpu", cwd=tmp_path)
     assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
     assert refused.stderr.startswith("error: arch: 'cpu'")

@@ -231,8 +231,8 @@ def test_the_old_folder_opens_and_is_not_resumed(tmp_path: Path) -> None:
     assert {footer["engine"] for footer in store.footers} == {"taichi"}
     assert rows["end_reason"].tolist().count("completed") == 2
     assert rows["phi_printed"].sum() == pytest.approx(88.49891221523285, rel=1e-12)
-    assert len(store.specification["gains"]) == 16
-    for name, bound in store.specification["gains"].items():
+    assert len(store.bounds) == 16
+    for name, bound in store.bounds.items():
         assert np.all((bound["low"] <= rows[name]) & (rows[name] <= bound["high"]))
     assert len(open_store(OLD_STORE / "part-00001.parquet", verify=True)) == 8
     merged = merge(OLD_STORE, tmp_path / "merged.parquet")

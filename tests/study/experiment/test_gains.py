@@ -95,7 +95,7 @@ def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
 
 
 def test_a_row_of_a_store(here: Path, store: Path) -> None:
-    rows = open_store(store).gains()
+    rows = open_store(store).points()
     for row in (0, 17, 199):
         found = gains_of_row(store, row)
         np.testing.assert_array_equal(found.gains, rows[row])
@@ -103,7 +103,7 @@ def test_a_row_of_a_store(here: Path, store: Path) -> None:
         assert found.name == f"plain-store-row-{row}"
         assert list(found.as_document()) == list(GAIN_NAMES)
     found = gains_of_row(Path("store"), 7)  # of seventeen parameters
-    row_7 = open_store("store").gains()[7]
+    row_7 = open_store("store").points()[7]
     np.testing.assert_array_equal([*found.gains, found.low_level[7]], row_7)
     assert found.as_document()["theta_ref"] == row_7[16] != DEFAULTS[7]
 

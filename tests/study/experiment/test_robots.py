@@ -147,7 +147,7 @@ def test_the_ranking_is_by_the_mean_over_worlds(
     cost = np.where(lasted < 1.0, 4.0 * (2.0 - lasted), np.minimum(speed, 4.0))
     ran = ~np.isnan(lasted).any(axis=1)
     mean = np.log1p((cost / cost[ran].min() - 1.0) / 0.3).mean(axis=1)
-    best = store.gains()[np.argsort(np.where(ran, mean, np.inf), kind="stable")]
+    best = store.points()[np.argsort(np.where(ran, mean, np.inf), kind="stable")]
     rows = trials.set_index(["arm", "run"])[list(robot.PARAMETERS)]
     for run in range(4):
         assert np.array_equal(rows.loc["ranking", run], best[:6])

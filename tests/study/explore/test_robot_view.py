@@ -44,7 +44,7 @@ def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
     columns = first_columns(cart)
     assert len(set(columns)) == 5 and columns[2] == "gale_survived_fraction_mean"
     text = numbers_text(cart, 3)
-    assert f"<td>thrust_n</td><td>{cart.gains()[3, 0]:.4g}</td>" in text
+    assert f"<td>thrust_n</td><td>{cart.points()[3, 0]:.4g}</td>" in text
     assert "_worlds" not in text
 
 

@@ -50,7 +50,7 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
         assert isinstance(rows, Trials) and rows.best == 2
         assert rows.simulator == f"study {name}"
         named = ("trial", "state", "value", "value_1", "value_", "leg_kind", "score")
-        assert rows.columns == named and rows.gain_names == named[4:6]
+        assert rows.columns == named and rows.parameter_names == named[4:6]
         assert first_columns(rows) == ["trial", "value", "value_1", "score", "value_"]
         table = rows.table()
         assert table["state"].to_pylist() == ["complete"] * 3 + ["fail"]

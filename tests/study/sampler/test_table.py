@@ -266,7 +266,7 @@ def test_a_store_of_more_parameters_gives_them_all(tmp_path, monkeypatch):
     assert rows.space.distributions[-1] == FloatDistribution(
         theta_ref.low, theta_ref.high
     )
-    assert np.array_equal(rows.parameters, open_store(path).gains())
+    assert np.array_equal(rows.parameters, open_store(path).points())
     assert rows.find(rows.as_parameters(11)) == 11
     assert rows.as_parameters(11)["theta_ref"] == rows.parameters[11, 16]
     with refused("theta_ref"):
