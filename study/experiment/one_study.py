@@ -238,6 +238,7 @@ class LiveStudy(OneStudy):
     def tell(self, values: list[float], attributes: dict[str, Any]) -> FrozenTrial:
         """As of any study."""
         if self._twin is not None:
+            attributes = self._twin.noted() | attributes  # such as the row
             self._twin.tell(values, {})
         return super().tell(values, attributes)
 

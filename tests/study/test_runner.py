@@ -22,7 +22,7 @@ import taichi_nmm
 from storage.databases.studies import open_studies
 from study.commands.study import dashboard_command, film_command
 from study.experiment import live_study
-from study.experiment.arms import ARMS, find_arm
+from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
 from study.experiment.experiment import study_name
 from study.experiment.live_study import open_study, run_study
@@ -136,9 +136,9 @@ def test_every_arm_of_the_registry_runs_live_as_compared(
     comparisons,
 ):
     toy = comparisons.experiment
-    comparisons.run("compared", arms=tuple(ARMS), runs=2, trials=3)
+    comparisons.run("compared", arms=fake_walker.ABLE, runs=2, trials=3)
     frame = comparisons.table("compared").to_pandas()
-    for arm in ARMS:
+    for arm in fake_walker.ABLE:
         assert_same(run(toy, arm, 3, number=1), frame, arm, toy.names)
 
 
@@ -174,7 +174,9 @@ class Marks:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arm", [arm.name for arm in ARMS.values() if arm.replayed])
+@pytest.mark.parametrize(
+    "arm", [name for name in fake_walker.ABLE if find_arm(name).replayed]
+)
 def test_nothing_of_a_database_is_unpickled(toy, arm, tmp_path):
     """Optuna's CMA-ES looks for its state in the latest trial that has one."""
     whole = run(toy, arm, 14)  # beyond a generation
