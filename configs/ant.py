@@ -14,13 +14,10 @@ from storage.mujoco_simulator import MujocoSimulator, gymnasium_model
 # The four legs: front left, hind left, hind right, front right.
 LEFT = np.array([1.0, 1.0, -1.0, -1.0])
 FRONT = np.array([1.0, -1.0, -1.0, 1.0])
-DOWN = np.array(
-    [1.0, -1.0, -1.0, 1.0]
-)  # the sign of an ankle's angle that bends it down
-HIP, ANKLE = (
-    np.array([7, 9, 11, 13]),
-    np.array([8, 10, 12, 14]),
-)  # in qpos; in qvel 1 less
+# the sign of an ankle's angle that bends it down
+DOWN = np.array([1.0, -1.0, -1.0, 1.0])
+# in qpos; in qvel 1 less
+HIP, ANKLE = (np.array([7, 9, 11, 13]), np.array([8, 10, 12, 14]))
 MOTOR = np.array([2, 4, 6, 0])  # of the hips; each ankle's follows
 START = [
     0.0,

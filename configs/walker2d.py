@@ -13,11 +13,8 @@ from optuna.distributions import FloatDistribution
 from storage.mujoco_simulator import MujocoSimulator, gymnasium_model
 
 FEET = ("foot", "foot_left")
-HIP, KNEE, ANKLE = (
-    np.array([3, 6]),
-    np.array([4, 7]),
-    np.array([5, 8]),
-)  # in qpos and qvel
+# in qpos and qvel
+HIP, KNEE, ANKLE = (np.array([3, 6]), np.array([4, 7]), np.array([5, 8]))
 PITCH, FIRST = 2, 3  # the trunk's angle; the first joint with a motor
 WEAK_ANKLE = 0.3  # of the gains of hip and knee
 LEAST_SPEED_MPS, PATIENCE_S = 0.25, 2.0  # who gets less far stands rather than walks
@@ -28,11 +25,8 @@ def model():
     spec = mujoco.MjSpec.from_file(str(gymnasium_model("walker2d_v5.xml")))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for foot in FEET:
-        box = {
-            "type": mujoco.mjtGeom.mjGEOM_BOX,
-            "size": [0.2, 0.1, 0.1],
-            "group": 4,
-        }  # not shown
+        # not shown
+        box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [0.2, 0.1, 0.1], "group": 4}
         spec.body(foot).add_site(name=foot, pos=[-0.1, 0.0, 0.1], **box)
         touch = {
             "type": mujoco.mjtSensor.mjSENS_TOUCH,
@@ -72,9 +66,8 @@ def controller(point, sensed, memory):
     pitch, pitch_rate = angle[:, PITCH], rate[:, PITCH]
     thigh = angle[rows, HIP[swing]] - pitch
     thigh_rate = rate[rows, HIP[swing]] - pitch_rate
-    behind = -np.sin(
-        angle[rows, HIP[stance]] - pitch
-    )  # of the stance foot, in lengths of a leg
+    # of the stance foot, in lengths of a leg
+    behind = -np.sin(angle[rows, HIP[stance]] - pitch)
     aim = (
         point["swing_hip"]
         + point["balance_d"] * behind

@@ -209,9 +209,8 @@ def remove_orphans(path: Path) -> None:
             TEMPORARY_SUFFIX
         ):
             with suppress(OSError):  # locked, gone, or another user's
-                if (
-                    file.stat().st_nlink > 1
-                ):  # it has its name; closing it would end SQLite's locks
+                # it has its name; closing it would end SQLite's locks
+                if file.stat().st_nlink > 1:
                     file.unlink()
                     continue
                 with file.open("ab") as orphan:

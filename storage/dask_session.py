@@ -61,9 +61,8 @@ WATCH_S = 2.0
 ANSWER_S = 30.0  # that a scheduler may take: of one that stalls, connections stay open
 LIVES = 3  # processes of a worker that a call may lose
 MOST_DEATHS = 20  # of workers of this machine that one call may take with it
-LARGEST_TASK = (
-    "1 TiB"  # without a warning: sixty studies with all their trials are some MiB
-)
+# without a warning: sixty studies with all their trials are some MiB
+LARGEST_TASK = "1 TiB"
 LOOPBACK = "127.0.0.1"
 REMEDY = "--mixed; or another --out"
 GOES_ON = "the same command goes on where it stopped"
@@ -106,15 +105,12 @@ class Workplace(WorkerPlugin):  # type: ignore[misc]
         describe: Callable[[], Kind],
         freights: dict[Path, dict[str, bytes]],
     ) -> None:
-        self.name = (
-            session  # of this plugin, its events, and the resource of a worker let in
-        )
-        self._describe = (
-            describe  # makes the worker's kind; called in one of the processes
-        )
-        self._freights = (
-            freights  # of stores, by their places in the folder that calls run in
-        )
+        # of this plugin, its events, and the resource of a worker let in
+        self.name = session
+        # makes the worker's kind; called in one of the processes
+        self._describe = describe
+        # of stores, by their places in the folder that calls run in
+        self._freights = freights
 
     def setup(self, worker: Worker) -> None:
         """Unpack the stores, start a process, and send its kind to the session."""
@@ -177,19 +173,16 @@ class Session(Executor):
     """Lets workers in and makes calls on them. A failure is an `InputError`."""
 
     def __init__(self, client: Client, asked: Cluster, kind: Kind | None) -> None:
-        self.name = (
-            SESSION + client.id
-        )  # of workers' plugin, of their events, and their resource
+        # of workers' plugin, of their events, and their resource
+        self.name = SESSION + client.id
         self.kind = kind  # that workers must be of, unless mixed; None: that of the first worker
-        self.kinds: list[
-            Kind
-        ] = []  # of all workers that were ever let in, in this order
+        # of all workers that were ever let in, in this order
+        self.kinds: list[Kind] = []
         self._client = client
         self._asked = asked
         self._inside: set[str] = set()
-        self._there: dict[
-            str, int
-        ] = {}  # threads of the scheduler's workers, by address
+        # threads of the scheduler's workers, by address
+        self._there: dict[str, int] = {}
         self._refused: dict[str, str] = {}  # reasons, by address
         self._pending: dict[asyncio.Task[Any], Remote] = {}
         self._fault = "a scheduler that stays"  # of a call that is cancelled
@@ -214,9 +207,8 @@ class Session(Executor):
             self.kind = self.kind or kind
             reason = "" if self._asked.mixed else differences(kind, self.kind)
         if reason or kind is None:
-            if (
-                reason not in self._refused.values()
-            ):  # one line for a hundred workers alike
+            # one line for a hundred workers alike
+            if reason not in self._refused.values():
                 print(
                     f"worker {address} gets no work: {reason}",
                     file=sys.stderr,
@@ -455,9 +447,8 @@ def _scheduler(asked: Cluster) -> Iterator[tuple[str, Security]]:
 
 @contextmanager
 def _client(asked: Cluster, address: str, security: Security) -> Iterator[Client]:
-    logging.getLogger("distributed").setLevel(
-        logging.CRITICAL + 1
-    )  # it speaks of every retry
+    # it speaks of every retry
+    logging.getLogger("distributed").setLevel(logging.CRITICAL + 1)
     dask.config.set({"distributed.admin.large-graph-warning-threshold": LARGEST_TASK})
     with _failures(asked):
         client = Client(

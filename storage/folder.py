@@ -62,16 +62,13 @@ class Folder:
         cls._require_claimable(path)
         with writable(path):
             path.mkdir(parents=True, exist_ok=True)
-            lock = (path / LOCK_NAME).open(
-                "a"
-            )  # never removed: another process may hold it
+            # never removed: another process may hold it
+            lock = (path / LOCK_NAME).open("a")
         with lock:
             lock_now(lock.fileno(), path)
             remove(path, UNFINISHED)
-            for pattern in (
-                cls.FIRST,
-                *cls.FILES,
-            ):  # a folder would be met after the work
+            # a folder would be met after the work
+            for pattern in (cls.FIRST, *cls.FILES):
                 for file in sorted(path.glob(pattern)):
                     if file.is_dir():
                         allowed = "a file there, not a folder; or another --out"

@@ -33,18 +33,15 @@ Floats = NDArray[np.float64]
 ALLOWED = "a Parquet file, a folder of them, or a text such as CSV, that exists"
 PARQUET = b"PAR1"  # at the begin of such a file
 ZIP = b"PK\x03\x04"  # of a spreadsheet
-BYTE_ORDER_MARKS = {
-    b"\xff\xfe": "utf-16",
-    b"\xfe\xff": "utf-16",
-}  # of what Excel calls Unicode
+# of what Excel calls Unicode
+BYTE_ORDER_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 PARQUET_ENDINGS = (".parquet", ".pq")
 MOST_BYTES = 2 << 30  # of a file, unpacked
 NO_VALUE = "__HIVE_DEFAULT_PARTITION__"  # in a folder's name, as Hive has it
 
 LARGEST_EXACT = 2**53  # of whole numbers in float64
-LATEST_S = (
-    1e11  # the year 5138, in seconds since 1970: later readings have another unit
-)
+# the year 5138, in seconds since 1970: later readings have another unit
+LATEST_S = 1e11
 PER_S = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 NUMBERS = "numbers, one in each row"
 NOT_WORDS = (
@@ -181,9 +178,8 @@ class ForeignTable:
             bits = 32 if pa.types.is_time32(kind) else 64
             ticks = column.cast(pa.int32() if bits == 32 else pa.int64()).to_numpy()
             seconds = (ticks.astype(np.int64) - int(ticks[:1].sum())) / PER_S[kind.unit]
-            if (
-                kind == pa.time32("s") and not (ticks % 60).any()
-            ):  # of a text, which has 00:30
+            # of a text, which has 00:30
+            if kind == pa.time32("s") and not (ticks % 60).any():
                 allowed = "times with seconds, such as 0:00:30: these may be minutes and seconds"
                 raise InputError(f"{self.field}.{name}[0]", str(column[0]), allowed)
         elif _is_text(kind):
@@ -273,9 +269,8 @@ def _as_times(column: pa.ChunkedArray) -> pa.ChunkedArray:
     """Words that are all times, with dates or of a day, such as 14:30:00.010; else as they are."""
     if not _is_text(column.type) or not pc.all(pc.match_substring(column, ":")).as_py():
         return column
-    words = pc.replace_substring(
-        column.cast(pa.string()), ",", "."
-    )  # as Python's logging has it
+    # as Python's logging has it
+    words = pc.replace_substring(column.cast(pa.string()), ",", ".")
     of_a_day = pc.binary_join_element_wise("1970-01-01", words, " ")
     for written, kind in (
         (words, pa.timestamp("ns")),
@@ -345,9 +340,8 @@ def _of_text(content: bytes, words: Collection[str]) -> pa.Table:
     if text.startswith("sep="):  # by which a file tells Excel its separator
         text = text.partition("\n")[2]
     mark = typed.separator(text)
-    text = re.sub(
-        rf"[\r\n][{mark}\s]*\Z", "\n", text
-    )  # a spreadsheet ends in rows of no cells
+    # a spreadsheet ends in rows of no cells
+    text = re.sub(rf"[\r\n][{mark}\s]*\Z", "\n", text)
     if mark == typed.BLANKS:
         mark, text = (
             "\t",

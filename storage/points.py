@@ -63,9 +63,8 @@ def sobol_points(
     Returns:
         [count, p]. Another number of parameters gives another sequence in all of them.
     """
-    from scipy.stats import (
-        qmc,
-    )  # here: its import takes longer than to refuse bad input
+    # here: its import takes longer than to refuse bad input
+    from scipy.stats import qmc
 
     generator = np.random.default_rng(seed_sequence(seed, SOBOL))
     sequence = qmc.Sobol(d=len(parameters), scramble=True, rng=generator)

@@ -251,9 +251,8 @@ def differences(kind: Kind, reference: Kind) -> str:
     """All differences of a kind from another, in a line; empty: none."""
 
     def shown(value: str) -> str:
-        return (
-            value[:12] if len(value) == DIGEST_LENGTH else value
-        )  # a digest by its beginning
+        # a digest by its beginning
+        return value[:12] if len(value) == DIGEST_LENGTH else value
 
     pairs = [
         (name, kind.get(name, "none"), reference.get(name, "none"))

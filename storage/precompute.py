@@ -324,9 +324,8 @@ def score_family(
     for score, name in outcomes.items():
         with np.errstate(over="ignore"):
             values = rows[score].astype(simulator.outcome_type)
-        values[np.isinf(values) & np.isfinite(rows[score])] = (
-            np.nan
-        )  # no infinity, a best or worst
+        # no infinity, a best or worst
+        values[np.isinf(values) & np.isfinite(rows[score])] = np.nan
         if score != simulator.survived:
             values[failed] = np.nan  # no number, which a zero would be
         columns[name][place] = values
@@ -416,7 +415,6 @@ def make_store(
     with local_pool(workers) as pool:
         summary = precompute(specification, Path(out), fresh, pool=pool)
     for line in summary.cautions:
-        warnings.warn(
-            line, stacklevel=3
-        )  # of the caller, beyond the check of arguments
+        # of the caller, beyond the check of arguments
+        warnings.warn(line, stacklevel=3)
     return open_store(out)

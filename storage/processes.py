@@ -94,9 +94,8 @@ class Processes(Executor):
         return result
 
     def _start(self) -> Connection:
-        context = multiprocessing.get_context(
-            "spawn"
-        )  # a fork does not survive Taichi's threads
+        # a fork does not survive Taichi's threads
+        context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
         with self._lock, _quiet_child():
             if self._over:
@@ -150,9 +149,8 @@ def _quiet_child() -> Iterator[None]:
     os.environ.update(ONE_THREAD)
     paths = sys.path[:]
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    mask = signal.pthread_sigmask(
-        signal.SIG_BLOCK, {signal.SIGINT}
-    )  # which a process inherits
+    # which a process inherits
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:

@@ -155,9 +155,8 @@ def _search(
             del searches[family.name]
             return
         done[family.name] = {}
-        count = min(
-            len(points), -(-pool.slots // len(searches))
-        )  # more where fewer go on
+        # more where fewer go on
+        count = min(len(points), -(-pool.slots // len(searches)))
         for part, piece in enumerate(np.array_split(points, count)):
             units.append(Unit(asked.simulator, family, part, count, piece))
 
@@ -263,9 +262,8 @@ class Evolution:
 
     def __init__(self, simulator: Simulator, seed: np.random.SeedSequence) -> None:
         """Nothing is known yet."""
-        from ribs.archives import (
-            GridArchive,
-        )  # here: it compiles, and most stores do without
+        # here: it compiles, and most stores do without
+        from ribs.archives import GridArchive
 
         self.simulator = simulator
         own, *self._seeds = map(int, seed.generate_state(1 + EMITTERS))

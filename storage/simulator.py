@@ -23,12 +23,10 @@ from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed, one_line, shortened
 
 WALKER = "walker"
-SIMULATORS = {
-    WALKER: "taichi_nmm.walker_simulator:Walker"
-}  # imported when a store needs one
-SIMULATOR_KEY = (
-    "simulator"  # of a specification; stores of the walker are older and lack it
-)
+# imported when a store needs one
+SIMULATORS = {WALKER: "taichi_nmm.walker_simulator:Walker"}
+# of a specification; stores of the walker are older and lack it
+SIMULATOR_KEY = "simulator"
 # Of a specification: the parameters. The first stores were of the walker alone, and all
 # newer ones have its word, so that any version reads them.
 PARAMETERS_KEY = "gains"

@@ -495,9 +495,8 @@ def merge(source: str | Path, target: str | Path) -> Store:
     """
     store, target = open_store(source, verify=True), Path(target)
     footer = {}
-    for key in store.footers[
-        0
-    ]:  # a value that all footers share, or the list of all values
+    # a value that all footers share, or the list of all values
+    for key in store.footers[0]:
         values = [each[key] for each in store.footers]
         footer[key] = (
             values[0] if all(value == values[0] for value in values) else values

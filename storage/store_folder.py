@@ -80,9 +80,8 @@ class StoreFolder(Folder):
         self, number: int, table: pa.Table, computed_by: dict[str, Any]
     ) -> None:
         """Commit one shard; `computed_by` names code, engine and architecture."""
-        remove(
-            self.path, store.MANIFEST_NAME
-        )  # it would list the shard that this one replaces
+        # it would list the shard that this one replaces
+        remove(self.path, store.MANIFEST_NAME)
         footer = self._expected_footer(number) | {
             **computed_by,
             "seed": self.document["seed"],

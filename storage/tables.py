@@ -23,9 +23,8 @@ from storage.inputs.reading import json_document, parse_json, reading
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 FOOTER_KEY = b"taichi_nmm"
-DIGEST_KEY = (
-    "content_sha256"  # in a stamped table's footer; files older than the key have none
-)
+# in a stamped table's footer; files older than the key have none
+DIGEST_KEY = "content_sha256"
 MOST_ROWS = 10**8  # 0.8 GB a column; a hundred times the largest store of docs/
 
 

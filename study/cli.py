@@ -38,9 +38,8 @@ EXIT_NO_READER = 141  # 128 + SIGPIPE
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 OURS = ("study", "storage", "taichi_nmm")
 
-LEAST_ADDRESSES_B = (
-    4 << 30
-)  # `study` on two cores takes 3.6e9; OpenBLAS waits for ever for 0.4e9
+# `study` on two cores takes 3.6e9; OpenBLAS waits for ever for 0.4e9
+LEAST_ADDRESSES_B = 4 << 30
 
 # Errors by which a machine may refuse resources at any place, and the remedy.
 SPACE = "space for files and for what is printed"
@@ -172,9 +171,8 @@ def _open_closed() -> None:
         try:
             os.fstat(number)
         except OSError:
-            os.set_inheritable(
-                os.open(os.devnull, os.O_RDWR), True
-            )  # the lowest free number
+            # the lowest free number
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, mode, closefd=False))
 

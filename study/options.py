@@ -265,9 +265,8 @@ def config_path(name: str | Path) -> Path:
     `storage.inputs.config.read_toml` finds in ramp-up.toml.
     """
     word = str(name)
-    for shipped in CONFIGS.glob(
-        "*.toml"
-    ):  # no file is looked up by a name that was given
+    # no file is looked up by a name that was given
+    for shipped in CONFIGS.glob("*.toml"):
         if word == shipped.stem:
             return shipped
         if word.startswith(f"{shipped.stem}-") and word in _described(shipped):

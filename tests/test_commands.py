@@ -81,9 +81,8 @@ def named_commands() -> list[Words]:
             if "--cluster" in words:  # whose processes would run the real simulator
                 place = words.index("--cluster")
                 words = [*words[:place], *words[place + 2 :]]
-            if not {"$@", "$*", "NAME"} & set(
-                words
-            ):  # placeholders: names stand elsewhere too
+            # placeholders: names stand elsewhere too
+            if not {"$@", "$*", "NAME"} & set(words):
                 found.add((command, *words))
     return sorted(words for words in found if words[0] in SHORT)
 

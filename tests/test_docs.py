@@ -172,11 +172,8 @@ def test_all_examples_of_the_sampler_run_in_their_order(
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "__main__"}
     taught, listed = map(code_blocks, pages)
-    blocks = [
-        *taught,
-        taught[-1],
-        *listed,
-    ]  # the last that is taught is a program to run again
+    # the last that is taught is a program to run again
+    blocks = [*taught, taught[-1], *listed]
     for number, code in enumerate(blocks):
         exec(compile(code, f"the sampler's pages, block {number}", "exec"), names)
     said = capsys.readouterr().out

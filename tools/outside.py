@@ -54,16 +54,10 @@ Floats = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 Settings = Mapping[str, float | int | str]  # one candidate: its parameters by name
 
-TUNING = (
-    "digits-network",
-    "transport-solver",
-    "cluster-evolution",
-)  # our defaults saw them
-REPORTED = (
-    "tumour-boosting",
-    "cart-pole",
-    "stiff-reactions",
-)  # looked at once, at the end
+# our defaults saw them
+TUNING = ("digits-network", "transport-solver", "cluster-evolution")
+# looked at once, at the end
+REPORTED = ("tumour-boosting", "cart-pole", "stiff-reactions")
 # Measured yields, with computed descriptors of each component: Shields et al. 2021,
 # "Bayesian reaction optimization as a tool for chemical synthesis", Nature 590, 89;
 # data of the EDBO repository, MIT licence. Features are three principal components of a
@@ -80,17 +74,11 @@ GROUPS = {
 DATA = ROOT / "tools" / "data"
 METADATA_KEY = b"outside"
 COST = "cost"
-FEATURE_PREFIX = (
-    "feature."  # of a column's name: a feature may be called as a parameter is
-)
+# of a column's name: a feature may be called as a parameter is
+FEATURE_PREFIX = "feature."
 RANKING = "ranking"  # the feature that is the problem's mean rank, low is good
-DECIDING = (
-    "numpy",
-    "scipy",
-    "scikit-learn",
-    "optuna",
-    "cmaes",
-)  # packages, for every arm
+# packages, for every arm
+DECIDING = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes")
 ENQUEUED = 3  # rows that are tried before a peer's own first trial
 
 

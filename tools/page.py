@@ -36,7 +36,8 @@ def made_by() -> str:
     """The line of a page: command, day, machine and versions that made it."""
     command = " ".join(["python", f"tools/{Path(sys.argv[0]).name}", *sys.argv[1:]])
     machine = f"{os.cpu_count()} cores, {platform.system()} {platform.machine()}"
-    return f"Written by `{command}` on {time.strftime('%Y-%m-%d')}: {machine}; {versions(*PACKAGES)}."
+    day = time.strftime("%Y-%m-%d")
+    return f"Written by `{command}` on {day}: {machine}; {versions(*PACKAGES)}."
 
 
 def versions(*packages: str) -> str:

@@ -54,10 +54,8 @@ DELAY_STEPS = 3
 TURN_RAD = 0.3
 EXACT = 1e-8  # of what should be equal, relative to the largest
 CALM = 1e3  # of positions and rates: in those of a model that blows up, noise is lost
-SIGMAS, SIGMAS_OF_ONE = (
-    4.0,
-    6.0,
-)  # of a deviation: of all numbers, of one of many coordinates
+# of a deviation: of all numbers, of one of many coordinates
+SIGMAS, SIGMAS_OF_ONE = (4.0, 6.0)
 LEAST_FRICTION = 1e-5  # MuJoCo's mjMINMU
 
 WORDS = OK, NOTHING, REFUSED, WRONG = "ok", "-", "refused", "WRONG"

@@ -25,9 +25,8 @@ from storage.databases.studies import known_tables
 
 Row = dict[str, Any]
 Tables = dict[str, sql.Table]
-METRIC_ATTRIBUTE = (
-    "study:metric_names"  # where `optuna.Study.set_metric_names` puts them
-)
+# where `optuna.Study.set_metric_names` puts them
+METRIC_ATTRIBUTE = "study:metric_names"
 as_json = cache(distribution_to_json)
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
 

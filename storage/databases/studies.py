@@ -40,15 +40,13 @@ from storage.databases.urls import public_url as public_url
 from storage.inputs.errors import InputError
 
 MEMORY_NAME = ":memory:"  # which SQLite takes for no file
-NO_RECORD = (
-    "Record does not exist."  # Optuna's KeyError for a study or trial that was deleted
-)
+# Optuna's KeyError for a study or trial that was deleted
+NO_RECORD = "Record does not exist."
 ALONE = "a study that no other program changes while it runs"
 BUSY_TIMEOUT_S = 5.0  # a writer of ours holds the database for milliseconds
 
-SCHEMA_VERSION = (
-    12  # Optuna 3.0 to 5.0, with the column types of revision v3.2.0.a and later
-)
+# Optuna 3.0 to 5.0, with the column types of revision v3.2.0.a and later
+SCHEMA_VERSION = 12
 _SCHEMA = json.loads(
     Path(__file__).with_name("schema.json").read_text(encoding="utf-8")
 )
@@ -65,11 +63,8 @@ OF_TRIALS = tuple(
     for name, columns in TABLES.items()
     if "trial_id" in columns and name != "trials"
 )
-COUNTED = (
-    "studies",
-    "version_info",
-    REVISION_TABLE,
-)  # the last two have a row, which Optuna adds
+# the last two have a row, which Optuna adds
+COUNTED = ("studies", "version_info", REVISION_TABLE)
 
 
 ATTRIBUTES = """
@@ -141,9 +136,8 @@ def read_studies(url: str) -> Iterator[RDBStorage | None]:
                 storage = RDBStorage(
                     address, engine_kwargs=options, skip_table_creation=True
                 )
-            optuna.logging.set_verbosity(
-                optuna.logging.ERROR
-            )  # no warnings about damaged values
+            # no warnings about damaged values
+            optuna.logging.set_verbosity(optuna.logging.ERROR)
             yield storage
     finally:
         optuna.logging.set_verbosity(verbosity)
@@ -431,9 +425,8 @@ def _lock_file(url: str, study_name: str) -> Path:
     with writable(path, "storage"):
         path = path.resolve()
         if path.exists():
-            remove_orphans(
-                path
-            )  # a second name may be that of a process killed while it made it
+            # a second name may be that of a process killed while it made it
+            remove_orphans(path)
             names = path.stat().st_nlink
             if names > 1:  # SQLite itself takes two names for two databases
                 allowed = f"a file with one name; this has {names} hard links"

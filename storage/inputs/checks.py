@@ -250,9 +250,8 @@ def unmasked(values: Any) -> Any:
         return [unmasked(each) for each in values]
     if not np.ma.is_masked(values):
         return values
-    return np.ma.filled(
-        values.astype(np.float64), np.nan
-    )  # pandas has filled its own by now
+    # pandas has filled its own by now
+    return np.ma.filled(values.astype(np.float64), np.nan)
 
 
 def finite(field: str, values: Any) -> NDArray[np.float64]:
@@ -271,9 +270,8 @@ def row_numbers(field: str, values: Any, count: int) -> NDArray[Any]:
     except ValueError:  # lists of different lengths
         raise InputError(field, values, "whole numbers, [k]") from None
     if rows.shape == (0,):
-        rows = rows.astype(
-            np.intp
-        )  # of nothing, NumPy makes numbers that are not whole
+        # of nothing, NumPy makes numbers that are not whole
+        rows = rows.astype(np.intp)
     if rows.ndim != 1 or rows.dtype.kind not in "iu":
         raise InputError(field, values, "whole numbers, [k]")
     outside = rows[(rows < 0) | (rows >= count)]

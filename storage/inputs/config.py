@@ -26,15 +26,13 @@ class Table:
         mistakes: Collection[str] = (),
     ) -> None:
         self.folder = folder  # that names of files start from
-        self._mistakes = (
-            mistakes  # fields whose values were taken out: see `read_whole`
-        )
+        # fields whose values were taken out: see `read_whole`
+        self._mistakes = mistakes
         self._data = dict(data)
         self._name = name
         self._known: list[str] = []
-        self._has_all_keys = (
-            True  # else a mistaken word, such as a kind, tells which there are
-        )
+        # else a mistaken word, such as a kind, tells which there are
+        self._has_all_keys = True
         self._tables: dict[str, Table] = {}
 
     def path(self, key: str) -> str:
@@ -237,9 +235,8 @@ def _file_and_variant(path: Path) -> tuple[Path, str]:
     """The file that is there, and the name of its variant; "" for the file itself."""
     if not is_file(path):
         for cut in reversed(range(1, len(path.stem))):
-            base = path.parent / (
-                path.stem[:cut] + path.suffix
-            )  # of any text: it may be ".."
+            # of any text: it may be ".."
+            base = path.parent / (path.stem[:cut] + path.suffix)
             if path.stem[cut] == "-" and is_file(base):
                 return base, path.stem[cut + 1 :]
     return path, ""

@@ -17,9 +17,8 @@ from typing import Any
 
 from storage.inputs.errors import InputError
 
-MOST_BYTES = (
-    16 << 20
-)  # of a text, unpacked: a hundred times the longest of this project
+# of a text, unpacked: a hundred times the longest of this project
+MOST_BYTES = 16 << 20
 DEEPEST = 100  # tables and lists in each other
 PACKED_BY = {".gz": "gzip", ".bz2": "bz2", ".xz": "lzma", ".lzma": "lzma"}
 

@@ -18,9 +18,8 @@ WITH_POINT = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+){EXPONENT}")
 WITH_COMMA = rf"[+-]?[0-9]*,[0-9]+{EXPONENT}"
 EITHER = r"[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+"  # 1,234: a decimal comma, or a mark of thousands
 MARKS = "., '\N{RIGHT SINGLE QUOTATION MARK}\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}"
-MEANT = re.compile(
-    rf"[+-]?[.,]?[0-9][0-9{MARKS}]*([eE][+-]?[0-9]+)?"
-)  # in any way of writing
+# in any way of writing
+MEANT = re.compile(rf"[+-]?[.,]?[0-9][0-9{MARKS}]*([eE][+-]?[0-9]+)?")
 CLOCK = re.compile(
     r"[0-9]{1,4}([-/.])[0-9]{1,2}\1[0-9]{1,4}([T ,].*)?|[0-9]{1,2}:[0-9]{2}.*"
 )
@@ -43,9 +42,8 @@ def number(field: str, word: str) -> float:
     if not WITH_POINT.fullmatch(text):
         raise InputError(field, word, mend(text) or "a number, such as 0.92")
     value = float(text)
-    is_lost = value == 0.0 and re.search(
-        "[1-9]", text.lower().partition("e")[0]
-    )  # 1e-400
+    # 1e-400
+    is_lost = value == 0.0 and re.search("[1-9]", text.lower().partition("e")[0])
     if is_lost or not math.isfinite(value):
         raise InputError(field, word, "a finite number")
     return value
@@ -112,9 +110,8 @@ def separator(text: str) -> str:
         text = text[:SAMPLE_CHARACTERS].rpartition("\n")[0]
     parted = {mark: _cells(text, mark) for mark in SEPARATORS}
     fitting = [mark for mark, rows in parted.items() if _is_even(rows)]
-    if (
-        len(fitting) > 1
-    ):  # a mark within numbers, such as a decimal comma, may part rows evenly too
+    # a mark within numbers, such as a decimal comma, may part rows evenly too
+    if len(fitting) > 1:
         fitting = [
             mark for mark in fitting if not _cuts_words(parted[mark], fitting, mark)
         ]

@@ -11,12 +11,10 @@ from taichi_nmm.result import RESULT_DTYPE, smooth_cost
 
 TIME, POSITION = "time", "position"  # columns of a log: a clock, and metres
 MOST_TRIALS = 10.0  # that a log may last: one in milliseconds would last a thousand
-LONGEST_S = (
-    3600.0  # where a trial has no end: milliseconds, or a clock that jumps by an hour
-)
-LONGEST_GAP_S = (
-    30.0  # between rows of which the others are near: 143059, 143100 is no second
-)
+# where a trial has no end: milliseconds, or a clock that jumps by an hour
+LONGEST_S = 3600.0
+# between rows of which the others are near: 143059, 143100 is no second
+LONGEST_GAP_S = 30.0
 USUAL_GAPS = 10.0  # times the median
 FASTEST_MPS = 30.0  # a cheetah (Sharp 1997): a position in centimetres would be faster
 

@@ -37,9 +37,8 @@ def main(args: Namespace) -> None:
     experiment, store = read_experiment(config_path(CONFIG)), out / "store"
     url = f"sqlite:///{out / 'studies.db'}"
     names = [study_name(experiment.name, arm, RUN) for arm in ARMS]
-    for (
-        name
-    ) in names:  # those that cannot be resumed are refused before the store is made
+    # those that cannot be resumed are refused before the store is made
+    for name in names:
         require_lockable(url, name)
     with read_studies(url):
         pass

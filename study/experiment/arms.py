@@ -25,9 +25,8 @@ from taichi_nmm.conditions import TRIAL_S
 
 PAPER_ARM = "dog"  # the paper's
 OUR_ARM = "worlds"  # ours, to which all others are compared; to the paper's where it is missing
-Kind = Literal[
-    "ours", "peer", "control"
-]  # peers are of others, or plain; controls: no model
+# peers are of others, or plain; controls: no model
+Kind = Literal["ours", "peer", "control"]
 
 PRINTED = "phi_printed"
 NOTHING = "nothing but its own trials"  # what an arm without a store has seen

@@ -230,9 +230,8 @@ def world_table(
     store = open_store(path)
     store.require_bounds()
     for line in cautions_of(store):
-        warnings.warn(
-            line, stacklevel=3
-        )  # of the caller, beyond the check of arguments
+        # of the caller, beyond the check of arguments
+        warnings.warn(line, stacklevel=3)
     return table_of_worlds(store, (cost or Objective().in_worlds, *others))
 
 

@@ -187,9 +187,8 @@ def live_artifacts(url: str, out: Path) -> Path:
 
 
 FINGERPRINT_LENGTH = 16
-LIVE_ATTRIBUTE = (
-    "experiment"  # of a live study: its document; of a comparison's: a name
-)
+# of a live study: its document; of a comparison's: a name
+LIVE_ATTRIBUTE = "experiment"
 
 
 def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:

@@ -192,10 +192,8 @@ def _of_folder(folder: Path, trial: str) -> dict[str, Any]:
         for path in paths:
             table = read_columns(path)
             with reading("storage", path, "a comparison's table of trials"):
-                for (
-                    name,
-                    value,
-                ) in wanted.items():  # as text: a number may be too large for Arrow
+                # as text: a number may be too large for Arrow
+                for name, value in wanted.items():
                     table = table.filter(
                         pc.equal(table[name].cast("string"), str(value))
                     )

@@ -53,16 +53,13 @@ GOAL_COLUMN = "goal_{}"  # of a table of trials: the cost by the goal of this na
 GOAL_NAME = re.compile(r"[A-Za-z]\w{0,30}", re.ASCII)
 FUNCTION = re.compile(r"[\w./-]+:\w+")
 IMPORTED = "a function that can be imported: module:function, or file.py:function"
-SUCCESS_SPEED_MPS = (
-    1.0  # people walk at 1.3; with 1.1, up a ramp, first walkers come later
-)
-WALKING_SUCCESS = (
-    150.0  # walking_cost: who falls pays 300 less the distance, who lasts below 130
-)
+# people walk at 1.3; with 1.1, up a ramp, first walkers come later
+SUCCESS_SPEED_MPS = 1.0
+# walking_cost: who falls pays 300 less the distance, who lasts below 130
+WALKING_SUCCESS = 150.0
 MOST_WEIGHT = 1e9
-TRIAL_DTYPE = np.dtype(
-    [(name, RESULT_DTYPE[name]) for name in NEEDED]
-)  # by the paper's costs
+# by the paper's costs
+TRIAL_DTYPE = np.dtype([(name, RESULT_DTYPE[name]) for name in NEEDED])
 
 
 @dataclass(frozen=True)

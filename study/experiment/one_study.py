@@ -263,10 +263,8 @@ def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) 
     worth = worth_of_study(experiment, arm, run, study)
     if worth is None:
         return
-    from optuna_dashboard import (
-        get_note,
-        save_note,
-    )  # a second, which other studies need not spend
+    # a second, which other studies need not spend
+    from optuna_dashboard import get_note, save_note
 
     known, note = get_note(study), worth.markdown()
     if note != known and (

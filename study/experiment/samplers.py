@@ -197,9 +197,8 @@ class WarmCmaEsSampler(RowSampler):
         self._row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
         self._draws = generator(task.seed, Purpose.CMAES)
         self._search: Any = None  # pycma's object
-        self._asked: list[
-            Floats
-        ] = []  # the generation under way, points of the unit cube
+        # the generation under way, points of the unit cube
+        self._asked: list[Floats] = []
         self._told = 0  # trials of the generations before it
 
     def sample_relative(

@@ -51,9 +51,8 @@ from taichi_nmm.terrain import Terrain
 from taichi_nmm.walker_simulator import Walker, terrain_document
 from taichi_nmm.world import Worlds
 
-WALKING_SPEED_MPS = (
-    0.3  # slower, a walker that lasted to the end has stood rather than walked
-)
+# slower, a walker that lasted to the end has stood rather than walked
+WALKING_SPEED_MPS = 0.3
 MEASURES = ("duration_s", "distance_m", "mean_speed_mps")  # named in words about a walk
 
 # Columns kept of a trial beside its cost: how it ended, and the components of the
@@ -69,9 +68,8 @@ ATTRIBUTES = (
     "phi_corrected",
     "survived_fraction",
 )
-ADDED = tuple(
-    each.name for each in (*DEVICE, *ASYMMETRIES)
-)  # none, unless they are searched
+# none, unless they are searched
+ADDED = tuple(each.name for each in (*DEVICE, *ASYMMETRIES))
 PAID = tuple(
     name for name in RESULT_DTYPE.names or () if name not in (END_REASON, SURVIVED)
 )

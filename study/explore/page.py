@@ -165,9 +165,8 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
     """
     rows = open_rows(path, study)
     robot = None if simulator is None else filmable(simulator, rows.parameter_names)
-    if robot is not None and not isinstance(
-        rows, Trials
-    ):  # whose numbers have no kinds
+    # whose numbers have no kinds
+    if robot is not None and not isinstance(rows, Trials):
         require_parameters(rows, robot)
 
     def fill(walkers: Executor, makers: Executor, document: Document) -> None:

@@ -206,9 +206,8 @@ def label_ends(axes: Axes, ends: Sequence[tuple[float, Look]], x: float) -> None
             fontweight="bold" if look.front else "normal",
             annotation_clip=False,
         )
-        height = [
-            (place - low) / (high - low)
-        ] * 2  # the arm's line beside its name, as a key
+        # the arm's line beside its name, as a key
+        height = [(place - low) / (high - low)] * 2
         key = look.line() | {"markevery": [1], "transform": axes.transAxes}
         axes.plot([1.015, 1.04], height, clip_on=False, **key)
 
@@ -359,9 +358,8 @@ def _draw_row(axes: Axes, trials: int, row: int, arm: ArmRuns, look: Look) -> No
     axes.plot(
         x, row + y, "o", ms=DOT_PT, color=look.colour, markeredgewidth=0.0, zorder=3
     )
-    index = np.arange(
-        len(arm.runs) - len(found)
-    )  # of runs without a walker: dots in columns
+    # of runs without a walker: dots in columns
+    index = np.arange(len(arm.runs) - len(found))
     step = min(STEP, (TO - NONE_FROM - 2.0 * STEP) / max(-(-len(index) // PILE), 1))
     right = NONE_FROM + STEP + step * (index // PILE)
     down = row + DOTS_AT + PITCH * (index % PILE - 0.5 * (PILE - 1))

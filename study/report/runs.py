@@ -296,9 +296,8 @@ def _require_form(document: dict[str, Any], form: dict[str, Check], name: str) -
             check(f"{name}: {key}", part[last])
 
 
-Kind = tuple[
-    Callable[[pa.DataType], bool], str
-]  # whether a type is of the kind; allowed values
+# whether a type is of the kind; allowed values
+Kind = tuple[Callable[[pa.DataType], bool], str]
 
 NAMES: Kind = pa.types.is_string, "letters, digits, '.', '_' and '-'"
 COUNTS: Kind = pa.types.is_integer, "whole numbers from 0"

@@ -200,9 +200,8 @@ def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     row, values = trial.user_attrs.get(ROW_ATTRIBUTE), values_of(trial)
     if isinstance(row, int) and 0 <= row < len(table):
         expected = table.as_parameters(row)
-        if (
-            values == expected
-        ):  # nearly always; the rest is for those that have more, or fewer
+        # nearly always; the rest is for those that have more, or fewer
+        if values == expected:
             return row
         named = {name: values[name] for name in expected if name in values}
         is_whole = len(named) == len(expected) or trial.state is not TrialState.COMPLETE

@@ -196,9 +196,8 @@ def take_output() -> str:
     return said
 
 
-MOST_BYTES = (
-    4 << 30
-)  # of memory: a command that takes more is wrong, and fails by itself
+# of memory: a command that takes more is wrong, and fails by itself
+MOST_BYTES = 4 << 30
 MOST_CASES = 10_000_000
 
 DOORS = ExitStack()  # of a process of cases, for good: it does nothing else

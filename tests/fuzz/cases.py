@@ -118,9 +118,8 @@ class Format:
         if not self.files:
             return damaged_words(rng, words)
         path = folder / (name := pick(rng, self.files))
-        if path.parent.name == "arms" and chance(
-            rng, 0.5
-        ):  # as of an unfinished comparison
+        # as of an unfinished comparison
+        if path.parent.name == "arms" and chance(rng, 0.5):
             (path.parents[1] / "trials.parquet").unlink()
         (misplaced if chance(rng, 0.04) else self.damage)(rng, path)
         return tuple(word.replace("{file}", name) for word in words)
@@ -171,9 +170,8 @@ FORMATS = tuple(
 )
 SHARES = np.array([each.share for each in FORMATS], dtype=float)
 NAMES = tuple(each.name for each in FORMATS)
-HERE = (
-    "here"  # of a case, where its command is run: a ".." leads no farther than the case
-)
+# of a case, where its command is run: a ".." leads no farther than the case
+HERE = "here"
 
 
 @dataclass(frozen=True)

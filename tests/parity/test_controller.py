@@ -200,9 +200,8 @@ def test_recorded_states_give_the_torques_of_the_walk(
 ) -> None:
     settings = Settings(precision=precision, arch="cpu")
     walks = record(twelve_gains(), settings)
-    assert walks.up[
-        -1, :2
-    ].all()  # The published gains and the reference walk to the end
+    # The published gains and the reference walk to the end
+    assert walks.up[-1, :2].all()
     double = precision == "float64"
     states = (
         sensed(walks, Bodies.nominal(WALKERS)) if double else sensed_in_float32(walks)

@@ -174,9 +174,8 @@ def test_files_move_into_a_named_folder(
 
 def test_files_appear_together(tmp_path: Path) -> None:
     folder = tmp_path / "deep" / "report"
-    (tmp_path / "deep" / ".report.new").mkdir(
-        parents=True
-    )  # of a process that was killed
+    # of a process that was killed
+    (tmp_path / "deep" / ".report.new").mkdir(parents=True)
     (tmp_path / "deep" / ".report.new" / "old").touch()
     for text in ("1", "2"):
         with together(folder) as new:

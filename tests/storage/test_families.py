@@ -27,11 +27,8 @@ RAMPS = {
     ),
 }
 THETA_REF = LOW_LEVEL_GAINS[7]
-POINT_3 = [
-    5.53585406,
-    1.44055244,
-    1.84605681,
-]  # of the sequence 7, row 16, before groups
+# of the sequence 7, row 16, before groups
+POINT_3 = [5.53585406, 1.44055244, 1.84605681]
 WORLD = {"friction": [0.3, 0.9], "contact_stiffness": [0.5, 4.0]}
 WALKER = Walker(Settings())
 FIRST = range(8)  # rows of a shard
@@ -209,9 +206,8 @@ def test_progress_is_shared_by_work_and_rises_to_one() -> None:
     for part in parts:
         part(1.0)
     base, robust, down, up = (end - start for start, end in pairwise([0.0, *seen]))
-    assert down == pytest.approx(up) and robust == pytest.approx(
-        3 * up
-    )  # six settings, not two
+    # six settings, not two
+    assert down == pytest.approx(up) and robust == pytest.approx(3 * up)
     assert 0.3 < base < 0.5 and seen[-1] == 1.0
     seen.clear()
     score_rows(store, FIRST, seen.append)

@@ -150,9 +150,8 @@ def test_gaps_and_infinity(tmp_path: Path) -> None:
     assert np.array_equal(
         table.numbers("x"), [0.5, np.nan, 1.0, -0.001], equal_nan=True
     )
-    table = of_columns(
-        tmp_path, x=["s", None]
-    )  # no row of units: nothing else is a number
+    # no row of units: nothing else is a number
+    table = of_columns(tmp_path, x=["s", None])
     with pytest.raises(InputError, match=r"table.x\[0\]: 's' .* one in each row$"):
         table.numbers("x")
 
@@ -186,10 +185,8 @@ def test_types_of_a_parquet_file(tmp_path: Path) -> None:
         np.isnan(table.numbers("none")).all() and np.isnan(table.values("none")).all()
     )
     assert table.numbers("half").tolist() == [0.5, 1.5]
-    assert table.values("id").tolist() == [
-        2**60,
-        2**60 + 1,
-    ]  # as choices they are what they are
+    # as choices they are what they are
+    assert table.values("id").tolist() == [2**60, 2**60 + 1]
     with pytest.raises(InputError, match=r"table.id: .* whole numbers up to 2\^53"):
         table.numbers("id")
 

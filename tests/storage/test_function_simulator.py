@@ -161,9 +161,8 @@ def test_points_fill_their_distributions() -> None:
     )
     points = sobol_points(1, 0, 4096, parameters)
     assert points[:, 0].min() >= 0.1 and points[:, 0].max() <= 10.0
-    assert np.mean(points[:, 0] < 1.0) == pytest.approx(
-        0.5, abs=0.01
-    )  # of its logarithm
+    # of its logarithm
+    assert np.mean(points[:, 0] < 1.0) == pytest.approx(0.5, abs=0.01)
     assert np.mean(points[:, 1] < 0.5) == pytest.approx(0.75, abs=0.01)
     for place, values in ((2, range(1, 6)), (3, range(2))):
         found, counts = np.unique(points[:, place], return_counts=True)

@@ -172,9 +172,8 @@ def test_worlds_do_what_their_names_say() -> None:
     assert moved(strength=0.5) == moved(mass=2.0) == pytest.approx(0.5, rel=5e-3)
     assert moved(delay_s=0.2) == pytest.approx(0.64, rel=5e-3)
     assert abs(moved(mass_spread=0.3, mass=1.0) - 1.0) > 1e-3
-    assert (
-        0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5
-    )  # at a time between .5 and 1 s or not at all
+    # at a time between .5 and 1 s or not at all
+    assert 0.1 < abs(moved(push_mps=5.0) - 1.0) < 2.5
     block = of_share(BLOCK, still)
     slopes = []
     for slope, friction in ((0.1, 1.0), (0.5, 1.0), (0.5, 3.0)):

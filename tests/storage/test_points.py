@@ -20,9 +20,8 @@ def test_points_are_of_one_long_run_warn_of_no_length_and_fill_the_bounds_evenly
     unit = (points - lower_bounds()) / (upper_bounds() - lower_bounds())
     assert unit.min() >= 0 and unit.max() <= 1
     counts = [np.histogram(column, bins=16, range=(0, 1))[0] for column in unit.T]
-    assert np.all(
-        np.array(counts) == 64
-    )  # a Sobol sequence's promise, not a random one's
+    # a Sobol sequence's promise, not a random one's
+    assert np.all(np.array(counts) == 64)
     assert qmc.discrepancy(unit[:, :4]) < 1e-3
     assert not np.any(sobol_points(3, 0, 8, GAINS) == sobol_points(4, 0, 8, GAINS))
     theta_ref = LOW_LEVEL_GAINS[7]

@@ -128,9 +128,8 @@ def test_an_error_of_a_unit_is_raised_here(workers: int) -> None:
         with pytest.raises(ArithmeticError) as caught:
             list(pool.results(units.fail, deque([0])))
         assert workers == 1 or "in fail" in caught.value.__notes__[0]
-        assert dict(pool.results(units.square, deque([3]))) == {
-            3: 9
-        }  # the pool goes on
+        # the pool goes on
+        assert dict(pool.results(units.square, deque([3]))) == {3: 9}
 
 
 @pytest.mark.parametrize("accident", [die, die_while_answering])

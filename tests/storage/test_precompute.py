@@ -25,11 +25,8 @@ from tests.storage.fake import content
 
 SHARD = "part-00003.parquet"
 rows_of = partial(pq.read_table, partitioning=None)
-STOPS = [
-    (0, {}, 0),
-    (3, {}, 3),
-    (5, {"robust": True}, 2),
-]  # the last one within the family
+# the last one within the family
+STOPS = [(0, {}, 0), (3, {}, 3), (5, {"robust": True}, 2)]
 
 
 @pytest.fixture
@@ -124,9 +121,8 @@ def test_shards_of_mixed_kind(
 def test_processes_compute_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delitem(
-        vars(taichi_nmm), "simulate"
-    )  # the real one, which the processes have
+    # the real one, which the processes have
+    monkeypatch.delitem(vars(taichi_nmm), "simulate")
     short = {"duration_s": 0.2, "arch": "cpu"}
     specification = fake.specification(
         samples=24, simulation=short, searched=["theta_ref"]

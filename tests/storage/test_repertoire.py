@@ -115,9 +115,8 @@ def test_two_runs_on_any_executor_are_the_same_bytes(
         precompute(
             evolving(), tmp_path / "b", progress=seen.append, pool=Pool(executor, 3)
         )
-        precompute(
-            evolving(), tmp_path / "c", pool=Pool(executor, 200)
-        )  # more than points
+        # more than points
+        precompute(evolving(), tmp_path / "c", pool=Pool(executor, 200))
     assert content(tmp_path / "b") == content(tmp_path / "c") == content(finished[0])
     assert seen == sorted(seen) and seen[0] == 0
     assert seen[-1] == 70 + WALKS <= evolving().work

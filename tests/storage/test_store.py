@@ -188,9 +188,8 @@ def test_a_wrong_hash_is_found_when_verified(folder: Path) -> None:
 def test_a_flipped_bit_changes_no_value(folder: Path, tmp_path: Path) -> None:
     """Wherever it lies, the values are those that were written, or one line refuses the file."""
     truth, rng = open_store(folder).table(), np.random.default_rng(34)
-    files = sorted(
-        path.name for path in folder.glob("[mp]*.*")
-    )  # the manifest and the shards
+    # the manifest and the shards
+    files = sorted(path.name for path in folder.glob("[mp]*.*"))
     refused = 0
     for number in range(60):
         flipped = shutil.copytree(folder, tmp_path / f"flipped-{number}")

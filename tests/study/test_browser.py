@@ -19,9 +19,8 @@ from tests.study.experiment.fake_results import experiment, results
 
 pytestmark = pytest.mark.slow
 
-SCRIPT = (
-    "<img src=x onerror=window.ran=1>"  # whoever writes to a database names its studies
-)
+# whoever writes to a database names its studies
+SCRIPT = "<img src=x onerror=window.ran=1>"
 
 
 @pytest.fixture(scope="module")

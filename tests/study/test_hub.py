@@ -21,9 +21,8 @@ FOLDER = REGISTRY / "samplers" / "feature_kernel"
 
 @pytest.fixture(scope="module")
 def optunahub():
-    os.environ.setdefault(
-        "GIT_PYTHON_REFRESH", "quiet"
-    )  # nothing is cloned: git may be missing
+    # nothing is cloned: git may be missing
+    os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
     return importlib.import_module("optunahub")
 
 
@@ -74,9 +73,8 @@ def test_files_and_front_matter_are_what_the_registry_asks_for(optunahub):
     assert files == {"README.md", "LICENSE", "__init__.py"}  # and no data
     assert (FOLDER / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
     readme = (FOLDER / "README.md").read_text()
-    front = yaml.load(
-        readme.split("---\n")[1], Loader=yaml.BaseLoader
-    )  # all must be strings
+    # all must be strings
+    front = yaml.load(readme.split("---\n")[1], Loader=yaml.BaseLoader)
     assert set(front) == {
         "author",
         "title",

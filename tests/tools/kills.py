@@ -94,9 +94,8 @@ class Watch:
     def __init__(self, death: Death, report: int) -> None:
         self._death, self._report = death, report
         self._count = 0
-        self._dying: tuple[str, int] | None = (
-            None  # kind of event, and thread, that dies next
-        )
+        # kind of event, and thread, that dies next
+        self._dying: tuple[str, int] | None = None
 
     def begin(self) -> None:
         """Watch from here on."""
@@ -217,18 +216,13 @@ class Theatre:
 
 
 OF_THE_DATABASE = (".db-wal", ".db-shm")  # read with it
-OF_REPEATS = {
-    "failed_trial",
-    "retry_history",
-    "fixed_params",
-}  # of a trial that was cut short
+# of a trial that was cut short
+OF_REPEATS = {"failed_trial", "retry_history", "fixed_params"}
 VERSION = re.compile("note_ver")  # counts how often a note was written
-TRIAL_NOTE = re.compile(
-    r"dashboard:(\d+):"
-)  # by the trial's identity, in the order of writing
-IDENTITIES = re.compile(
-    r"/artifacts/\d+/\d+/"
-)  # of study and trial, in the order of writing
+# by the trial's identity, in the order of writing
+TRIAL_NOTE = re.compile(r"dashboard:(\d+):")
+# of study and trial, in the order of writing
+IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -328,9 +322,8 @@ def main() -> None:
         import_module(f"study.commands.{name.replace('-', '_')}")
     for late in ("ribs.archives", "optuna_dashboard"):
         import_module(late)
-    folder = Path(
-        tempfile.mkdtemp()
-    )  # TemporaryDirectory's would go with the first process
+    # TemporaryDirectory's would go with the first process
+    folder = Path(tempfile.mkdtemp())
     try:
         counts = kill(Theatre(folder), args.commands.split(","), args.kills, args.seed)
     finally:

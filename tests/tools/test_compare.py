@@ -79,9 +79,8 @@ def test_a_store_in_place_of_the_configs(command: Comparison) -> None:
     facts = json.loads((command.out / "experiment.json").read_text())
     assert facts["stores"] == {"flat": store_digest(store)}
     command.refuses(".*flat", trials=4, arms="dog")
-    command.refuses(
-        f"store: '{store}' ", trials=3, store=store
-    )  # its arms read two stores
+    # its arms read two stores
+    command.refuses(f"store: '{store}' ", trials=3, store=store)
 
 
 def test_sessions_that_cannot_be_read_are_refused_before_the_work(

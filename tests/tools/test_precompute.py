@@ -66,9 +66,8 @@ def test_text_says_what_was_done_where(
     assert command.run(out="") == 0
     assert "96 in 12 shards (96 computed now)" in command.tool.out
     assert "points in its worlds" in command.tool.out and "runs/s" in command.tool.out
-    assert (
-        str(Path("out", "store")) in command.tool.out
-    )  # named after the configuration
+    # named after the configuration
+    assert str(Path("out", "store")) in command.tool.out
     assert "run/s" in command.tool.err and "96/96" in command.tool.err
     assert (command.folder / "out" / "store" / "manifest.json").is_file()
 

@@ -142,9 +142,8 @@ def test_every_case_is_measured(tmp_path: Path) -> None:
         ("ours", 5, 100),
     ]
     lines = (tmp_path / "sampler-timing.md").read_text().splitlines()
-    rows = [line for line in lines if line.count(" | ") == 11][
-        1:
-    ]  # the first is the heading
+    # the first is the heading
+    rows = [line for line in lines if line.count(" | ") == 11][1:]
     for row, case in zip(rows, cases, strict=True):
         sizes = f"{case.rows:,} | {case.features} | {case.observations:,} | {TIMES.REPEATS} |"
         assert row.startswith(f"| {TIMES.LABELS[case.sampler]} | {sizes}")

@@ -37,16 +37,13 @@ pytestmark = [
 ]
 
 PAGE = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
-HERE = {
-    "10.0.0.1": "127.0.0.21",
-    "10.0.0.2": "127.0.0.22",
-}  # the page's machines, on this one
+# the page's machines, on this one
+HERE = {"10.0.0.1": "127.0.0.21", "10.0.0.2": "127.0.0.22"}
 LINES = re.findall(
     r"^dask (?:scheduler|worker) .*$", PAGE.replace("\\\n", " "), re.MULTILINE
 )
-EXPORTS = re.findall(
-    r"DASK_(DISTRIBUTED\w+)=(\w+\.pem)", PAGE
-)  # of the command's own machine
+# of the command's own machine
+EXPORTS = re.findall(r"DASK_(DISTRIBUTED\w+)=(\w+\.pem)", PAGE)
 
 
 @pytest.fixture
@@ -85,9 +82,8 @@ def test_what_the_page_starts_is_reached_by_the_given_address_alone(
     worker = [document["address"] if "8786" in word else word for word in worker]
     start(processes, tmp_path, ["1" if word == "16" else word for word in worker])
     found = [set[str](), set[str]()]
-    for addresses, process in zip(
-        found, processes, strict=True
-    ):  # a page of its own comes last
+    # a page of its own comes last
+    for addresses, process in zip(found, processes, strict=True):
         until(
             lambda seen=addresses, pid=process.pid: (
                 sockets(seen, pid) and len(seen) >= 2

@@ -100,9 +100,8 @@ def test_what_is_loaded_equals_what_optuna_adds(storage) -> None:
     for mine, other in zip(ours.trials, theirs.trials, strict=True):
         assert list(mine.params) == list(other.params)
         other._trial_id = mine._trial_id
-        assert (
-            mine == other
-        )  # params, distributions, values, attributes, state, number, dates
+        # params, distributions, values, attributes, state, number, dates
+        assert mine == other
 
 
 def test_only_what_is_missing_is_added(storage) -> None:

@@ -164,8 +164,7 @@ def test_no_bomb_is_unpacked(
 def test_a_file_that_is_too_long(tmp_path: Path) -> None:
     path = tmp_path / "long"
     with path.open("wb") as file:
-        file.truncate(
-            reading.MOST_BYTES + 1
-        )  # of zeros, and takes no place on the disk
+        # of zeros, and takes no place on the disk
+        file.truncate(reading.MOST_BYTES + 1)
     for door in ("gains", "toml", "terrain"):
         assert "MiB" in refused(DOORS[door], path)

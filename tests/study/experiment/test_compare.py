@@ -25,12 +25,8 @@ from tests.study.experiment.fake_results import STATE_SCHEMA, experiment
 
 pytestmark = pytest.mark.slow
 
-STATEFUL = (
-    "random",
-    "dog",
-    "cmaes-cold",
-    "cmaes-warm",
-)  # one of each way to keep a state
+# one of each way to keep a state
+STATEFUL = ("random", "dog", "cmaes-cold", "cmaes-warm")
 CutInto = Callable[[int, int], None]
 
 
@@ -77,9 +73,8 @@ def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) ->
     keys = frame[["arm", "run", "trial"]]
     assert not keys.duplicated().any()
     assert keys.equals(keys.sort_values(["arm", "run", "trial"], ignore_index=True))
-    np.testing.assert_allclose(
-        frame.theta_ref, np.deg2rad(6.0)
-    )  # not searched: its default
+    # not searched: its default
+    np.testing.assert_allclose(frame.theta_ref, np.deg2rad(6.0))
     best = frame.groupby(["arm", "run"]).cost.cummin()
     np.testing.assert_array_equal(frame.best_cost, best)
     store = pq.read_table(
@@ -109,9 +104,8 @@ def test_growing_an_experiment_is_the_same_as_all_at_once(
     grown = comparisons.run("grown", arms=("random", "cmaes-cold", "dog"))
     whole = comparisons.run("whole", arms=("dog", "cmaes-cold", "random"))
     assert grown.computed < whole.computed == 72
-    assert (
-        comparisons.run("grown", arms=("dog",), runs=1, trials=2).computed == 0
-    )  # a smaller one
+    # a smaller one
+    assert comparisons.run("grown", arms=("dog",), runs=1, trials=2).computed == 0
     assert comparisons.content("grown") == comparisons.content("whole")
 
 
@@ -239,9 +233,8 @@ def test_a_seventeenth_parameter_is_searched_and_written(
     assert frame.theta_ref.nunique() > 50
     assert frame.theta_ref.between(np.deg2rad(-10), np.deg2rad(30)).all()
     simulated = np.concatenate([call["low_level_gains"] for call in fake_walker.calls])
-    walks = frame.drop_duplicates(
-        ["run", *GAIN_NAMES, "theta_ref"]
-    )  # of two arms, once
+    # of two arms, once
+    walks = frame.drop_duplicates(["run", *GAIN_NAMES, "theta_ref"])
     assert sorted(simulated[:, 7]) == sorted(walks.theta_ref)
     assert (simulated[:, :7] == [gain.default for gain in LOW_LEVEL_GAINS[:7]]).all()
     store = pq.read_table(folder / "store" / "part-00000.parquet").to_pandas()

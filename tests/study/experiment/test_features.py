@@ -26,10 +26,8 @@ from tests.study.conftest import refused
 
 @pytest.mark.filterwarnings("error:FeatureTable")
 def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
-    strict = {
-        "settings": 1,
-        "min_survival_s": 2.8,
-    }  # a third of the fake's points falls sooner
+    # a third of the fake's points falls sooner
+    strict = {"settings": 1, "min_survival_s": 2.8}
     families = dict.fromkeys(("rough", "up"), strict)
     fake_walker.write_store(
         comparisons.folder / "strict", robust=strict, families=families

@@ -56,9 +56,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dotted = Request(folder / "dots", arms=("random",), runs=1, trials=1)
         compare(replace(toy, name="rough-8.5_b"), dotted, lambda progress: None)
         storage = open_studies(f"sqlite:///{folder}/live.db")
-        run_study(
-            toy, find_arm("dog"), 1, 3, storage
-        ).ask()  # a fourth, which nobody finishes
+        # a fourth, which nobody finishes
+        run_study(toy, find_arm("dog"), 1, 3, storage).ask()
         storage.engine.dispose()
     other = optuna.create_study(
         study_name="other", storage=f"sqlite:///{folder}/other.db"

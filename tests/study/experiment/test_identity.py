@@ -74,9 +74,8 @@ def changed(kind: type, name: str, value: Any) -> WalkerExperiment:
     """The tiny experiment with one field of itself or of one of its parts changed."""
     change, conditions = {name: value}, TINY.conditions
     if kind is WalkerExperiment:
-        searched = (
-            {"searched": ("exo_peak",)} if name == "fixed" else {}
-        )  # something must be
+        # something must be
+        searched = {"searched": ("exo_peak",)} if name == "fixed" else {}
         return replace(TINY, **searched | change)
     if kind is Settings:
         change = {"settings": replace(conditions.settings, **change)}
@@ -127,9 +126,8 @@ def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
     assert list(ours["parameters"]) == list(TINY.names)
     assert ours["terrain"]["name"] == "rough +-0.02 m every 1 m"
     assert ours["ground"] == {"kind": "rough", "amplitude_m": 0.02}
-    assert (
-        "until_walker" not in ours
-    )  # it is off: folders of before there was one go on
+    # it is off: folders of before there was one go on
+    assert "until_walker" not in ours
 
 
 @pytest.mark.parametrize(
@@ -192,9 +190,8 @@ def test_an_experiment_that_was_read_back_draws_alike(
     }
     ours = experiment(seed=8, **changes)
     read = read_back(ours)
-    machine = replace(
-        read.conditions.settings, arch="cpu"
-    )  # of which tables say nothing
+    # of which tables say nothing
+    machine = replace(read.conditions.settings, arch="cpu")
     assert replace(read.conditions, settings=machine) == ours.conditions
     for name in ("name", "seed", "searched", "objective", "parameters"):
         assert getattr(read, name) == getattr(ours, name)

@@ -43,9 +43,8 @@ def test_costs_in_worlds_are_those_of_a_trial(
     names = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
     values = np.array([[1.0, 0.5, np.nan], [1.2, 1.2, np.nan], [5.0, 9.0, np.nan]])
     given = dict(zip(names, values[:, None], strict=True))
-    found = Objective(cost).in_worlds(
-        given, 20.0
-    )  # who lasts 20 s is taken to last 100 s
+    # who lasts 20 s is taken to last 100 s
+    found = Objective(cost).in_worlds(given, 20.0)
     assert_allclose(found, [[walker, faller, np.nan]])
 
 
@@ -55,13 +54,8 @@ def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
     rows["mean_speed_mps"] = 0.84, 0.7, 2.0, 0.8, 0.8
     rows["cost_of_transport_jpkgpm"] = 4.0
     rows["duration_s"] = 5.0
-    expected = [
-        8.0,
-        8.0 + 100.0 * 0.05,
-        50.0,
-        50.0 * 1.25,
-        100.0,
-    ]  # the third costs 123: no more
+    # the third costs 123: no more
+    expected = [8.0, 8.0 + 100.0 * 0.05, 50.0, 50.0 * 1.25, 100.0]
     assert_allclose(AT_08.costs(rows), expected)
     given = {name: rows[name][:, None] for name in rows.dtype.names or ()}
     assert_allclose(AT_08.in_worlds(given, 5.0)[:, 0], expected)

@@ -43,9 +43,8 @@ def test_studies_end_with_first_walker(
     earlier = rows.groupby(["arm", "run"]).walked.transform(
         lambda walked: walked.cumsum() - walked
     )
-    expected = rows[earlier == 0].reset_index(
-        drop=True
-    )  # of each study, up to its first walker
+    # of each study, up to its first walker
+    expected = rows[earlier == 0].reset_index(drop=True)
     fake_walker.calls.clear()
     until.run("whole", **request)
     whole = frame(until.table("whole"))
@@ -92,9 +91,8 @@ def test_progress_counts_what_there_is_to_do_and_the_report_reads(
     compare(
         until.experiment, replace(request, arms=ARMS[:2], runs=1, trials=1), told.append
     )
-    assert (
-        told[-1].trials == told[-1].total > told[-1].studies == 2
-    )  # of a smaller request
+    # of a smaller request
+    assert told[-1].trials == told[-1].total > told[-1].studies == 2
     results = read_results(until.folder / "out")
     assert results.complete and results.trials == TRIALS and results.runs == 3
     rows = frame(until.table("out"))

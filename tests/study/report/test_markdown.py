@@ -131,11 +131,8 @@ def test_the_condensed_table_has_the_numbers() -> None:
     dog, best = arm("dog", [9] * 20, cost=2.0), arm("worlds-stairs", [1] * 20, cost=1.5)
     found = numbers(counted(dog, best, arm("random", [30.0] + [np.inf] * 19, cost=3.0)))
     table = rows(condensed_table(found))
-    assert list(table)[2:] == [
-        "`worlds-stairs`",
-        "`dog`",
-        "`random`",
-    ]  # most walkers, the soonest
+    # most walkers, the soonest
+    assert list(table)[2:] == ["`worlds-stairs`", "`dog`", "`random`"]
     cost = found.arms[0].cost_after[30]
     assert table["`worlds-stairs`"] == [
         "`worlds-stairs`",
@@ -156,20 +153,14 @@ def test_the_condensed_table_has_the_numbers() -> None:
         "-0.5",
         "< 1e-4",
     ]
-    assert (
-        table["`dog`"][10] == "20" and table["`random`"][10] == "-"
-    )  # known without 60 trials
+    # known without 60 trials
+    assert table["`dog`"][10] == "20" and table["`random`"][10] == "-"
     assert table["`dog`"][12:14] == table["`dog`"][15:] == ["-", "-"]
     short = rows(
         condensed_table(numbers(counted(arm("worlds-stairs", [1, 1], trials=12))))
     )
-    assert short["`worlds-stairs`"][12:] == [
-        "-",
-        "-",
-        "-",
-        "-",
-        "-",
-    ]  # one arm, 12 trials
+    # one arm, 12 trials
+    assert short["`worlds-stairs`"][12:] == ["-", "-", "-", "-", "-"]
 
 
 def test_a_comparison_ends_with_a_line_an_arm(tmp_path: Path) -> None:

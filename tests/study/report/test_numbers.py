@@ -36,9 +36,8 @@ def test_walkers_are_counted() -> None:
     assert list(numbers(counted(arm("dog", [1], trials=10))).arms[0].cost_after) == [10]
     assert found.cost_after[30].value == pytest.approx(1.0 + 2 + 1.0 - 29 / 39)
     assert found.best_cost.value == pytest.approx(1.0 + 2)
-    found = numbers(counted(arm("dog", [1, 2, 5], trials=8))).arms[
-        0
-    ]  # all have walkers
+    # all have walkers
+    found = numbers(counted(arm("dog", [1, 2, 5], trials=8))).arms[0]
     assert found.within == {1: 1, 3: 2, 10: 3, 30: 3, 60: 3, 100: 3}
     assert 10 not in numbers(counted(arm("dog", [1, np.inf], trials=8))).arms[0].within
 
@@ -52,9 +51,8 @@ def test_arms_are_compared_with_ours_or_the_papers_on_the_same_runs() -> None:
     ]
     assert found[0].cost.pairs == found[1].cost.pairs == 10
     assert found[0].difference.value == pytest.approx(-0.5)
-    assert found[0].cost.p == pytest.approx(
-        2 / 2**10, rel=0.2
-    )  # ties: all differ by as much
+    # ties: all differ by as much
+    assert found[0].cost.p == pytest.approx(2 / 2**10, rel=0.2)
     assert found[0].walkers.unequal == 0
     arms = [
         arm(name, [1] * 10, cost=1.5) for name in ("worlds-stairs", "tpe", "random")

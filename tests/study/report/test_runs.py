@@ -62,10 +62,8 @@ def test_the_order_of_the_rows_does_not_matter(folder: Path, table: pa.Table) ->
     known = read_results(folder).arms
     shuffled = table.take(np.random.default_rng(0).permutation(len(table)))
     rewrite(folder, shuffled)
-    for found in (
-        read_results(folder).arms,
-        runs_of(shuffled),
-    ):  # of the file, and in memory
+    # of the file, and in memory
+    for found in (read_results(folder).arms, runs_of(shuffled)):
         assert list(found) == list(known)
         for arm, theirs in known.items():
             np.testing.assert_array_equal(found[arm].best, theirs.best)

@@ -90,9 +90,8 @@ def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
     model = model_after(seen, cost, WITH_WORLDS, ensemble)
     looked_at = model._looked_at(many, np.ones(len(many), dtype=bool), rng)
     assert len(looked_at) == acquisition.MOST_IN_WORLDS
-    best = np.argsort(ensemble.mean)[
-        :200
-    ]  # half of what is looked at: ten times as many
+    # half of what is looked at: ten times as many
+    best = np.argsort(ensemble.mean)[:200]
     assert len(set(best) & set(looked_at)) > 190
 
 

@@ -317,9 +317,8 @@ def test_failed_and_pruned_trials_teach_nothing_nor_do_their_limits(table, state
     rows, expected = rows_of(lost), rows_of(clean)
     assert rows[:7] == expected
     assert rows[7] not in rows[:7]
-    score = table.rows.features[
-        :, 0
-    ]  # it goes on where it was, as if nothing had been learned
+    # it goes on where it was, as if nothing had been learned
+    score = table.rows.features[:, 0]
     assert abs(score[rows[7]] - score[expected[6]]) < 0.2
 
 

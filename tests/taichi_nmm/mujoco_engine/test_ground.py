@@ -22,9 +22,8 @@ MUJOCO = Settings(engine="mujoco", arch="cpu")
 POSES = 300  # of each ground
 SPACING_M = 1e-5  # of the points of the ground that are looked at
 AROUND_M = 0.03
-STEEPEST = (
-    5.0  # of these grounds, its length along a metre: the points on it are so far apart
-)
+# of these grounds, its length along a metre: the points on it are so far apart
+STEEPEST = 5.0
 FASTEST_MPS = 2.4  # see `terrain.GRID_END_M`
 FILE = "0, 0\n1, 0.5\n1.31, 0.2\n7, 0.21\n40, -3\n"
 ABOVE_M = 1000.0
