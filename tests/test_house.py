@@ -25,16 +25,16 @@ COMMANDS = ("tools", "study.commands")
 # No measure may be larger. A node is one of the syntax tree: neither width nor
 # docstrings nor comments change their number.
 BOUNDS = {
-    "nodes of the product": 275_000,
-    "nodes of the tests": 266_000,
+    "nodes of the product": 268_500,
+    "nodes of the tests": 256_500,
     "characters a line of the product": 46.5,
     "characters a line of the tests": 48.0,
     "lines of 90 and more columns, %": 7.0,
     "lines with `fmt: skip`": 60,
-    "constructions of six and more by place": 13,
+    "constructions of six and more by place": 10,
     "public fields without words, %": 5.0,
     "lines of the longest function": 90,
-    "lines of the longest file": 610,
+    "lines of the longest file": 600,
     "words of the documents": 50_000,
 }
 

@@ -290,7 +290,7 @@ def _engine(settings: Settings) -> tuple[Any, ...]:
 
 
 def _computes(arch: str) -> bool:
-    """Whether a program that was begun stores numbers: where a driver has no device, none arrive."""
+    """Whether a program that was begun stores numbers: without a device none arrive."""
     if arch == "cpu":
         return True
     values = np.ones(4, dtype=np.float32)
