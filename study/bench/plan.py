@@ -388,6 +388,8 @@ def _beside(path: Path, url: str, name: str) -> str:
 
 
 def _goal(table: Table) -> Goal:
+    # All numbers are read before any is judged: then all that are wrong are named.
+    success = _number(table, "success", None)
     duration_s = _number(table, "duration_s", None)
     at_once = _number(table, "failed_at_once", None)
     at_end = _number(table, "failed_at_end", None)
@@ -403,7 +405,7 @@ def _goal(table: Table) -> Goal:
     return Goal(
         value=table.text("value", "value"),
         maximise=table.boolean("maximise", False),
-        success=_number(table, "success", None),
+        success=success,
         failed=failed,
         duration_s=duration_s or math.inf,
     )

@@ -122,7 +122,12 @@ def test_lines_are_taken(
     assert film[1:4] == ["-m", "taichi_nmm", "walk"]
     assert dashboard[1:4] == ["-m", "taichi_nmm", "dashboard"]
     films: list[Any] = []
-    monkeypatch.setattr("study.pictures.write_movie", lambda *made: films.append(made))
+
+    def write_movie(path: Path, *shown: Any) -> Path:
+        films.append((path, *shown))
+        return path
+
+    monkeypatch.setattr("study.pictures.write_movie", write_movie)
     for name in ("strip", "gait_cycle"):
         monkeypatch.setattr(f"study.pictures.write_{name}", lambda *_: Path("x"))
     assert command.tool(*film[3:], "--out", command.folder / "film") == 0
