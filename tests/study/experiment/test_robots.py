@@ -18,6 +18,7 @@ from study.commands.compare import main
 from study.commands.report import main as report_command
 from study.commands.study import main as study_command
 from study.experiment import arms, compare
+from study.experiment.folder import LIVE_ATTRIBUTE
 from study.experiment.robots import ARMS, RobotExperiment, read_robots
 from study.options import parser_of
 from study.report.runs import read_results
@@ -235,6 +236,17 @@ def test_a_live_study_has_these_trials(
         asked = [*words, "--arm", arm, *more.split()]
         with refused(match):
             study_command(parser_of("study").parse_args(asked))
+
+    # As 0.4.0 wrote it: the version is what a reader is told of.
+    document = study.user_attrs[LIVE_ATTRIBUTE]
+    older = document["versions"] | {"taichi-nmm": "0.4.0"}
+    del document["format"]
+    study.set_user_attr(LIVE_ATTRIBUTE, document | {"versions": older})
+    line = (
+        r"^study carts/.*: versions\.taichi-nmm: .* '0\.4\.0', with which it was made"
+    )
+    with refused(line):
+        study_command(parser_of("study").parse_args([*words, "--arm", arm]))
 
 
 @pytest.mark.parametrize(
