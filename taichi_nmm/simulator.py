@@ -163,12 +163,14 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
     step_s = settings.physics_step_s
     rough = int(heights.any())
     muscles = muscle_table(step_s).astype(real)
+    activation_blend, load_blend = blends(step_s)
 
     bound: tuple[NDArray[Any], backend.BoundKernel] | None = None
 
     def launch(packs: Packs, first_tick: int, ticks: int) -> None:
         nonlocal bound
         if bound is None or bound[0] is not packs.rows:
+            # In the order of the kernel's own parameters.
             kernel = backend.BoundKernel(
                 advance,
                 backend.lanes_a_turn(),
@@ -181,7 +183,8 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
                 ticks,
                 settings.substeps,
                 step_s,
-                *blends(step_s),
+                activation_blend,
+                load_blend,
                 rough,
             )
             bound = packs.rows, kernel

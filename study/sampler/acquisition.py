@@ -287,25 +287,25 @@ class Model:
     def _utility(self, points: Points) -> Floats:
         """log expected improvement plus the log of the chance that all limits are kept, [m]."""
         visible = self.visible(points)
-        kept = np.zeros(len(points))
+        log_chance_kept = np.zeros(len(points))
         for posterior in self.limit_posteriors:
-            kept += log_kept(*posterior.predict(visible))
+            log_chance_kept += log_chance_below_zero(*posterior.predict(visible))
         feasible = self.feasible
         if not feasible.any():
-            return kept  # nothing to improve on: first find a candidate that holds
+            return log_chance_kept  # nothing to improve on: first find a candidate that holds
         mean, variance = self.posterior.predict(visible)
         cost = self.cost()
         mean += self.expected(points, cost)
         if self.success is not None and self.costs[feasible].min() > self.success:
             (goal,) = self.standard(np.array([self.success]), self.costs)
-            chance = log_kept(mean - goal, variance) + kept
+            chance = log_chance_below_zero(mean - goal, variance) + log_chance_kept
             # Rows come first, and decide for the points off the table too.
             if self._in_sight is None:
                 self._in_sight = bool(chance.max() >= LEAST_LOG_CHANCE)
             if self._in_sight:
                 return chance
         best = float(cost[feasible].min())
-        return log_expected_improvement(mean, np.sqrt(variance), best) + kept
+        return log_expected_improvement(mean, np.sqrt(variance), best) + log_chance_kept
 
 
 def along_feature(
@@ -370,7 +370,7 @@ def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:
     return int(rng.choice(tied))
 
 
-def log_kept(mean: Floats, variance: Floats) -> Floats:
+def log_chance_below_zero(mean: Floats, variance: Floats) -> Floats:
     """log P(limit <= 0) of a limit, or of a cost above its goal, ~ N(mean, variance), [m].
 
     Gelbart, Snoek, Adams 2014, section 3. Of limits that are 1 (failed) or -1, it is

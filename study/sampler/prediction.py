@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from study.sampler.acquisition import Model, log_kept
+from study.sampler.acquisition import Model, log_chance_below_zero
 from study.sampler.arrays import Floats, Whole
 from study.sampler.diagnostics import NORMAL_95, Present, trials_text
 from study.sampler.gp import misfit
@@ -219,7 +219,7 @@ def prediction_of(
 def _chance_below(away: Floats, variance: Floats, freedom: float) -> Floats:
     """P(y <= mean + away), [m]; by Student's t where the variance is that of few samples."""
     if isinf(freedom):
-        return np.exp(log_kept(-away, variance))
+        return np.exp(log_chance_below_zero(-away, variance))
     return np.asarray(
         scipy.special.stdtr(freedom, away / np.sqrt(np.maximum(variance, 1e-24)))
     )

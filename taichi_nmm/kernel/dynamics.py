@@ -184,9 +184,9 @@ def solve(lane, step_s, const: Rows, work: Rows):
     left = eliminate_leg(lane, 0, step_s, base, const, work)
     right = eliminate_leg(lane, 1, step_s, base, const, work)
     hxx, hxz, hzz, px, pz = base[0], base[1], base[2], base[3], base[4]
-    determinant = 1.0 / (hxx * hzz - hxz * hxz)
-    vx = (px * hzz - pz * hxz) * determinant
-    vz = (pz * hxx - px * hxz) * determinant
+    inverse_determinant = 1.0 / (hxx * hzz - hxz * hxz)
+    vx = (px * hzz - pz * hxz) * inverse_determinant
+    vz = (pz * hxx - px * hxz) * inverse_determinant
     e0x, e0z = slope_vector(lane, 0, work)
     coupling = const.a_hat[lane] * (e0x * vx + e0z * vz)
     work.new_qdot[0, lane] = vx

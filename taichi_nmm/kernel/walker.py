@@ -58,7 +58,7 @@ def step(
     work: Rows,
 ):
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
-    # Of any lane: each of these phases changes nothing of the lanes that do without it.
+    # True if any lane needs the phase: it changes nothing of the lanes that do not.
     catch = highest(const.catch_ns, lanes) > 0.0
     own = highest(const.own_muscles, lanes) > 0.0
     for substep in range(substeps):

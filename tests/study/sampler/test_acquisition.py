@@ -103,7 +103,9 @@ def test_limits_are_the_constraints_that_trials_have_and_are_kept_with_the_norma
     assert read_limits([one]).shape == (1, 2)
     assert read_limits([optuna.create_trial(value=0.0)]).shape == (1, 0)
     mean, sd = np.array([-1.0, 0.0, 2.0, 60.0]), np.array([0.5, 1.0, 4.0, 1.0])
-    assert_allclose(acquisition.log_kept(mean, sd**2), norm.logcdf(-mean / sd))
+    assert_allclose(
+        acquisition.log_chance_below_zero(mean, sd**2), norm.logcdf(-mean / sd)
+    )
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
