@@ -200,9 +200,8 @@ def document(experiment: Experiment, arms: Iterable[Arm]) -> dict[str, Any]:
     by_name = sorted(arms, key=lambda arm: arm.name)
     stores = sorted({arm.store for arm in by_name if arm.store})
     return {
-        # First: what an older version made is refused by its number.
-        "versions": versions(*experiment.packages),
         "format": FORMAT,
+        "versions": versions(*experiment.packages),
         **experiment.document(),
         "parameters": {name: ends_of(of) for name, of in experiment.space.items()},
         "arms": {arm.name: arm.definition for arm in by_name},

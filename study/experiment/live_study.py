@@ -199,7 +199,11 @@ def _check_study(
             "another --storage: this study is of a comparison, which goes on by itself"
         )
         raise InputError("study", name, allowed)
-    elif found := difference(identity, known):
+    # Versions first: what an older one made is refused by its number.
+    elif found := (
+        difference(identity["versions"], known.get("versions"), "versions")
+        or difference(identity, known)
+    ):
         field, ours, theirs = found
         allowed = (
             f"{theirs!r}, with which it was made; or another name, or another database"
