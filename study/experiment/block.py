@@ -63,9 +63,9 @@ class Walks:
             rows = experiment.simulate(tried, points[new])
             self.add(tried, points[new], rows, experiment.objective.values(rows))
         found = [self._found[key] for key in keys]
-        return np.array([row for row, _ in found]), np.array(
-            [cost for _, cost in found]
-        )
+        rows = np.array([row for row, _ in found])
+        costs = np.array([cost for _, cost in found])
+        return rows, costs
 
 
 @dataclass(frozen=True)

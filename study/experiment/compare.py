@@ -3,7 +3,7 @@
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -261,29 +261,42 @@ def _go_on(
 
     def first_stretch(studies: tuple[Key, ...]) -> Block:
         target = min(map(finished.done, studies)) + STRETCH_TRIALS
-        return Block(experiment, studies, finished.known(studies), min(target, trials))
+        return Block(
+            experiment=experiment,
+            studies=studies,
+            known=finished.known(studies),
+            trials=min(target, trials),
+        )
 
-    def take(block: Block, advanced: Advanced) -> Iterator[Block]:
-        finished.add(advanced.table)
+    def next_stretch(block: Block, advanced: Advanced) -> Block | None:
+        """What is left to do of a block that was advanced; None where all have their trials."""
         going_on = [
             (key, study)
             for key, study in zip(block.studies, advanced.studies, strict=True)
             if finished.lacks(key, trials)
         ]
-        if going_on:
-            keys, handed_on = zip(*going_on, strict=True)
-            target = min(block.trials + STRETCH_TRIALS, trials)
-            yield Block(
-                experiment, keys, finished.known(()), target, handed_on, advanced.walks
-            )
-        report(finished.progress(trials))
+        if not going_on:
+            return None
+        studies, handed_on = zip(*going_on, strict=True)
+        return Block(
+            experiment=experiment,
+            studies=studies,
+            known=finished.known(()),  # nothing: the studies are handed on whole
+            trials=min(block.trials + STRETCH_TRIALS, trials),
+            handed_on=handed_on,
+            walks=advanced.walks,
+        )
 
     unfinished = [key for key in finished.studies if finished.lacks(key, trials)]
     blocks = deque(map(first_stretch, cut(unfinished, pool.slots)))
     written_s = time.monotonic()
     try:
         for block, advanced in pool.results(advance, blocks):
-            blocks.extend(take(block, advanced))
+            finished.add(advanced.table)
+            left = next_stretch(block, advanced)
+            if left is not None:
+                blocks.append(left)  # `results` takes what is put there while it runs
+            report(finished.progress(trials))
             if time.monotonic() - written_s >= CHECKPOINT_S:
                 commit(True)
                 written_s = time.monotonic()
