@@ -31,6 +31,8 @@ Kind = Literal["ours", "peer", "control"]
 PRINTED = "phi_printed"
 NOTHING = "nothing but its own trials"  # what an arm without a store has seen
 
+NewSampler = Callable[[Task], BaseSampler]
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -59,7 +61,7 @@ class Arm:
     label: str
     kind: Kind
     summary: str
-    new_sampler: Callable[[Task], BaseSampler]
+    new_sampler: NewSampler
     store: str = ""
     feature: str = ""
     fresh: bool = False
@@ -102,6 +104,15 @@ def _worlds(task: Task) -> BaseSampler:
 
 
 WORLDS_OPTIONS = {"success_speed_mps": SUCCESS_SPEED_MPS}
+
+
+def _seeded(sampler: type[TPESampler] | type[NSGAIISampler]) -> NewSampler:
+    """A sampler of Optuna's: begun anew at each turn, it draws from the study and the turn."""
+
+    def new_sampler(task: Task) -> BaseSampler:
+        return sampler(seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn))
+
+    return new_sampler
 
 
 def _plain(task: Task) -> BaseSampler:
@@ -163,9 +174,7 @@ _ALL = (
         label="TPE",
         kind="peer",
         summary="Optuna's TPESampler",
-        new_sampler=lambda task: TPESampler(
-            seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)
-        ),
+        new_sampler=_seeded(TPESampler),
         fresh=True,
         takes_goals=True,
     ),
@@ -174,9 +183,7 @@ _ALL = (
         label="NSGA-II",
         kind="peer",
         summary="Optuna's NSGAIISampler",
-        new_sampler=lambda task: NSGAIISampler(
-            seed=seed_32bit(task.seed, Purpose.CANDIDATES, task.turn)
-        ),
+        new_sampler=_seeded(NSGAIISampler),
         fresh=True,
         replayed=True,
         takes_goals=True,
