@@ -347,7 +347,9 @@ class TablePolicy(Policy):
                     f"those of {goals} goals, as many as the study has: [n, w, {goals}]"
                 )
                 raise InputError("table.outcomes", f"costs of {worlds.goals}", allowed)
-            known = worlds.costs[rows.numbers].reshape(-1, goals)
+            # One goal needs no ends of costs, and the copy is of the whole table.
+            if goals > 1:
+                known = worlds.costs[rows.numbers].reshape(-1, goals)
         return self.one_goal(found, turn(study, trial), known)
 
     @property
