@@ -29,6 +29,10 @@ window.frames_shown = () => {
     return named("stage-frames").data.time_s[0].filter((time) => time <= now + 1e-6).length
 }
 
+// Resolves when what was set before has been painted: the browser finds marks where they are painted.
+window.painted = () =>
+    new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))
+
 // Hip, knee, ankle, heel and ball of a leg as it is shown now, x and z each, metres.
 window.bones_of = (leg) => {
     const end = 10 * frames_shown()

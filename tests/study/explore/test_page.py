@@ -294,6 +294,7 @@ def point_at(page: Any, side: str, muscle: str) -> None:
     axis = (lower - upper) / np.hypot(*(lower - upper))
     front = np.array([-axis[1], axis[0]])
     x, z = upper + place["along_m"] * axis + place["ahead_m"] * front
+    page.evaluate("painted")
     page.mouse.move(*page.evaluate("place_of", ["stage", float(x), float(z)]))
 
 
