@@ -45,10 +45,12 @@ OF_THE_PROGRAM = (
     "debug_dump",
     "device_memory",
     "kernel_profiler",
+    "max_block_dim",  # of the device, as is
     "num_compile",
     "offline_cache",
     "print_",
     "random_seed",
+    "saturating_grid_dim",  # the number of blocks that fill it
     "timeline",
     "verbose",
     "vk_",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from taichi_nmm import InputError, Settings
-from taichi_nmm.kernel import backend, compiler, registers
+from taichi_nmm.kernel import backend, compiler, program, registers
 from taichi_nmm.kernel.backend import ti
 from taichi_nmm.kernel_cache import COMPILER
 
@@ -89,6 +89,13 @@ def test_a_bound_kernel_takes_other_numbers_on_any_device(
         bound.launch(amount=2)
         bound.launch(amount=5)
     assert values.tolist() == [14.0, 14.0, 14.0]
+
+
+def test_kernels_leave_the_size_of_the_device_to_the_program() -> None:
+    backend.start(Settings(arch="cpu"))
+    options = program.options(program.living(), "float32", None)
+    # Else a GPU has no blocks, and the compiler aborts the process.
+    assert not {"max_block_dim", "saturating_grid_dim"} & set(options)
 
 
 def test_a_kernel_in_a_class_of_the_user_is_still_a_method() -> None:
