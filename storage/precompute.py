@@ -47,12 +47,12 @@ ScoredRows = tuple[pa.Table, dict[str, Any]]
 
 
 class Unit(NamedTuple):
-    """A unit of work: a shard, or a part of one.
+    """A unit of work: a shard, a part of one, or several that follow one another.
 
     Attributes:
         specification: of the store.
-        shard: its number, from 0.
-        rows: of the store, all in this shard.
+        shard: the first one's number, from 0.
+        rows: of the store, all in these shards.
         evolved: the points of these rows, [n, p]; None: they are Sobol points.
         name_kind: whether to name the kind of machine that computes it.
     """
@@ -191,12 +191,17 @@ def _fill(
     tally.add(0)
     score = score_here if pool.in_process else _score
     for unit, (table, computed_by) in pool.results(score, units):
-        parts[unit.shard].append(table)
-        if sum(map(len, parts[unit.shard])) == folder.layout.shard_range(unit.shard)[1]:
-            whole = (
-                pa.concat_tables(parts.pop(unit.shard)).sort_by("row").combine_chunks()
-            )
-            folder.write_shard(unit.shard, whole, code | computed_by)
+        place, number = 0, unit.shard
+        while place < len(table):
+            first, size = folder.layout.shard_range(number)
+            part = table.slice(place, first + size - unit.rows[place])
+            parts[number].append(part)
+            if sum(map(len, parts[number])) == size:
+                whole = (
+                    pa.concat_tables(parts.pop(number)).sort_by("row").combine_chunks()
+                )
+                folder.write_shard(number, whole, code | computed_by)
+            place, number = place + len(part), number + 1
         tally.add(len(table))
 
 
@@ -208,13 +213,21 @@ def _units(
 ) -> deque[Unit]:
     """The shards; those of the last round in parts, two a slot, so that all slots end together.
 
-    A mixed pool cuts none: a shard is of one machine.
+    A mixed pool cuts none: a shard is of one machine. In this process shards of the
+    grid that follow one another are a unit, as many as the simulator wants.
     """
     layout, last = asked.layout, len(missing) % pool.slots or pool.slots
     cut = 2 * pool.slots // last if pool.shares_machine and not pool.mixed else 1
     units: deque[Unit] = deque()
+    most = asked.simulator.points_at_once if pool.in_process else 0
     for place, number in enumerate(missing):
         first, size = layout.shard_range(number)
+        if units and evolved is None:
+            before = units[-1].rows
+            if before.stop == first and len(before) + size <= most:
+                rows = range(before.start, first + size)
+                units[-1] = units[-1]._replace(rows=rows)
+                continue
         step = -(-size // cut) if place >= len(missing) - last else size
         for start in range(first, first + size, step):
             rows = range(start, min(start + step, first + size))

@@ -275,6 +275,11 @@ class Simulator(Protocol):
         """The same for one of several processes of a machine; no result depends on it."""
         return self
 
+    @property
+    def points_at_once(self) -> int:
+        """Points of a call of `run` that make full use of the machine; 0: a shard's."""
+        return 0
+
     def require_machine(self) -> None:
         """Refuse a machine on which the simulator cannot run; nothing is written.
 

@@ -71,6 +71,29 @@ def test_a_store_is_its_shards_a_specification_and_a_manifest(store: Path) -> No
     assert content(store) == before
 
 
+def test_shards_that_are_computed_together_are_the_same(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = content(store)
+    for number in (0, 1, 2, 4, 6):
+        (store / f"part-{number:05d}.parquet").unlink()
+    units = []
+    kind = type(fake.specification().simulator)
+    monkeypatch.setattr(kind, "points_at_once", 16)  # of shards of 8
+    score = filling.score_rows
+    monkeypatch.setattr(
+        filling,
+        "score_rows",
+        lambda specification, rows, *others: (
+            units.append(rows),
+            score(specification, rows, *others),
+        )[1],
+    )
+    fill(store)
+    assert units == [range(16), range(16, 24), range(32, 40), range(48, 50)]
+    assert content(store) == before
+
+
 def test_shards_in_any_order(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
