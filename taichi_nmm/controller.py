@@ -146,7 +146,7 @@ class Controller:
         self._torques = np.zeros((len(packs.rows), JOINTS, packs.lanes), dtype=real)
         self._kernel = backend.BoundKernel(
             actuate,
-            backend.lanes_a_turn(),
+            packs.lanes,
             packs.rows,
             packs.constants,
             muscle_table(step_s).astype(real),

@@ -1,6 +1,6 @@
 """From the kernel's rows to result rows and recorded trajectories."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,13 @@ from storage.inputs import checks
 from storage.inputs.errors import InputError
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel import joints as stops
-from taichi_nmm.kernel.layout import LEGS, RINGS, State, Sums, WalkerRows
+from taichi_nmm.kernel.layout import LEGS, RINGS, Ends, State, Sums, WalkerRows
 from taichi_nmm.kernel.muscle_table import (
     FMAX_N,
     OPTIMAL_LENGTH_M,
     TORQUES_NM,
     VMAX_PER_S,
 )
-from taichi_nmm.packs import Packs
 from taichi_nmm.result import (
     COLUMNS,
     ENERGY,
@@ -28,10 +27,11 @@ from taichi_nmm.result import (
     Trajectory,
 )
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
-from taichi_nmm.world import Worlds
+from taichi_nmm.walkers import Batch
 
 Array = NDArray[np.float64]
 
+ROWS_AT_ONCE = 4096  # which the nearer caches hold
 TICKS_PER_SECOND = round(1.0 / CONTROL_TICK_S)
 
 
@@ -43,13 +43,28 @@ def result_rows(
     A quotient over nothing (no step, no distance) is zero.
 
     Args:
-        final: state rows, [n, State.count].
+        final: `layout.Ends`, [n, Ends.count].
         sums: summed rows, [n, Sums.count]; NaN of a walker that diverged counts as 0.
-        bodies: n of them.
+        bodies: n of them, or one of all.
         duration_s: that was asked for.
     """
     rows = np.zeros(len(final), dtype=RESULT_DTYPE)
-    state = State.of(final.T)
+    mass = np.broadcast_to(bodies.mass_kg.sum(axis=1), len(final))
+    for first in range(0, len(final), ROWS_AT_ONCE):
+        some = slice(first, first + ROWS_AT_ONCE)
+        _fill(rows[some], final[some], sums[some], mass[some], duration_s)
+    return rows
+
+
+def _fill(
+    rows: NDArray[np.void],
+    final: NDArray[Any],
+    sums: Array,
+    mass: Array,
+    duration_s: float,
+) -> None:
+    """Compute the columns of some rows, of walkers of a mass in kg, [n]."""
+    state = Ends.of(final.T)
     # A diverged walker's last numbers may be NaN; finite sums are kept.
     total = Sums.of(np.nan_to_num(sums, nan=0.0, posinf=0.0, neginf=0.0).T)
     rows["end_reason"] = state.end_reason.astype(np.uint8)
@@ -59,7 +74,6 @@ def result_rows(
     rows["hip_z_m"] = state.end_z
     rows["distance_m"] = rows["hip_x_m"]
     rows["mean_speed_mps"] = _quotient(rows["distance_m"], rows["duration_s"])
-    mass = bodies.mass_kg.sum(axis=1)
     work = mass * np.maximum(rows["distance_m"], 0.0)
     rows[OF_MUSCLES] = _quotient(total.metabolic_energy, work)
     rows[ENERGY] = _quotient(total.metabolic_energy + total.motor_energy, work)
@@ -74,7 +88,6 @@ def result_rows(
     rows["phi_printed"] = binary + rows["m5_sum_mps"]
     rows["phi_corrected"] = binary + rows["m5_corrected_sum"]
     _summary(rows, total, mass * GRAVITY_MPS2)
-    return rows
 
 
 def _summary(rows: NDArray[np.void], total: Any, weight_n: Array) -> None:
@@ -129,19 +142,17 @@ class Recorder:
     """Cuts chunks of ticks at the sample times, and keeps the rows of chosen walkers there."""
 
     def __init__(
-        self, walkers: Sequence[int], rate_hz: float, worlds: Worlds, settings: Settings
+        self, walkers: Sequence[int], rate_hz: float, batch: Batch, settings: Settings
     ) -> None:
-        self._walkers = tuple(
-            checks.row_numbers("record", walkers, len(worlds)).tolist()
-        )
-        self._settings, self._worlds = settings, worlds
+        self.walkers = tuple(checks.row_numbers("record", walkers, len(batch)).tolist())
+        self._settings, self._worlds = settings, batch.worlds
         if not 0 < rate_hz <= TICKS_PER_SECOND or TICKS_PER_SECOND % rate_hz:
             raise InputError(
                 "record_rate_hz", rate_hz, f"a divisor of {TICKS_PER_SECOND}"
             )
         self._interval = round(TICKS_PER_SECOND / rate_hz)
         self._samples: dict[int, dict[int, Array]] = {
-            walker: {} for walker in self._walkers
+            walker: {} for walker in self.walkers
         }
 
     def parts(self, tick: int, ticks: int) -> Iterator[int]:
@@ -149,26 +160,23 @@ class Recorder:
         end = tick + ticks
         while tick < end:
             part = end - tick
-            if self._walkers:
+            if self.walkers:
                 part = min(part, self._interval - tick % self._interval)
             yield part
             tick += part
 
-    def sample(self, tick: int, packs: Packs) -> None:
+    def sample(self, tick: int, rows_of: Callable[[int], NDArray[Any] | None]) -> None:
         """At a sample time, keep the rows of the recorded walkers that are up."""
         if tick % self._interval:
             return
         for walker, samples in self._samples.items():
-            seat = packs.lane_of(walker)
-            if seat is None:
-                continue
-            rows = packs.rows[seat[0], :, seat[1]].astype(np.float64)
-            if rows[State.end_tick] >= tick:
-                samples[tick] = rows
+            found = rows_of(walker)
+            if found is not None and found[State.end_tick] >= tick:
+                samples[tick] = found.astype(np.float64)
 
     def trajectories(self) -> tuple[Trajectory, ...]:
         """The trajectories, in the order of `walkers`."""
-        return tuple(map(self._trajectory, self._walkers))
+        return tuple(map(self._trajectory, self.walkers))
 
     def _trajectory(self, walker: int) -> Trajectory:
         # Empty for a walker that diverged before the first sample.
@@ -179,8 +187,9 @@ class Recorder:
         state, fibres = walk.state, walk.fibres
         q = state.q.T
         swing = np.stack([state.hip_torque, state.knee_torque], axis=1)
-        optimal_m = OPTIMAL_M * self._worlds.optimal_length[walker]
-        prosthesis = self._worlds.prosthesis[walker]
+        world = walker % len(self._worlds)
+        optimal_m = OPTIMAL_M * self._worlds.optimal_length[world]
+        prosthesis = self._worlds.prosthesis[world]
         return Trajectory(
             walker=walker,
             time_s=ticks.astype(np.float64) * CONTROL_TICK_S,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.layout import State, Sums, WalkerRows
+from taichi_nmm.kernel.layout import Ends, State, Sums, WalkerRows
 
 # So few that there is no second copy of all rows, and what is turned stays in the
 # cache.
@@ -46,7 +46,7 @@ class Packs:
         self.rows = self.fold(rows.astype(real), starts)
         self.constants = self.fold(constants.astype(real))  # [pack, row, lane]
         self.terrains = self.fold(grounds[:, None])[:, 0, :].copy()  # [pack, lane]
-        self._final = np.zeros((count, State.count), dtype=real)
+        self._final = np.zeros((count, Ends.count), dtype=real)
         self._sums = np.zeros((count, Sums.count))
 
     def drain(self) -> None:
@@ -76,7 +76,7 @@ class Packs:
         self.terrains = self.terrains[:packs]
 
     def collect(self) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Final state rows [n, State.count] and summed rows [n, Sums.count] of every walker."""
+        """Final rows [n, Ends.count] and summed rows [n, Sums.count] of every walker."""
         self._keep_final(np.arange(len(self.walkers)))
         return self._final, self._sums
 
@@ -85,13 +85,20 @@ class Packs:
         places = np.flatnonzero(self.walkers == walker)
         return divmod(int(places[0]), self.lanes) if len(places) else None
 
+    def rows_of(self, walker: int) -> NDArray[Any] | None:
+        """The rows of a walker, [WalkerRows.count], None once it has gone."""
+        place = self.lane_of(walker)
+        return None if place is None else self.rows[place[0], :, place[1]]
+
     def up(self) -> NDArray[np.bool_]:
         """Which of `walkers` have neither fallen nor diverged."""
         return self.unfold(self.rows[:, State.active : State.active + 1, :])[:, 0] > 0.5
 
     def _keep_final(self, places: NDArray[np.intp]) -> None:
         pack, lane = np.divmod(places, self.lanes)
-        self._final[self.walkers[places]] = self.rows[pack, : State.count, lane]
+        first = State.end_reason
+        ends = self.rows[pack, first : first + Ends.count, lane]
+        self._final[self.walkers[places]] = ends
 
     def _copy(self, sources: NDArray[np.intp], places: NDArray[np.intp]) -> None:
         """Copy the rows of some places to others, or of one to all of them."""

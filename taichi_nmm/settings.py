@@ -12,6 +12,9 @@ PHYSICS_STEPS_S = (1e-3, 0.5e-3, 0.25e-3)
 PRECISIONS = ("float32", "float64")
 ARCHITECTURES = ("auto", "cpu", "cuda")
 
+# Of 5 s on a GPU 1,024 walkers were slower than on 16 cores, 4,096 faster (docs/speed.md).
+LEAST_ON_GPU = 2048
+
 # Gaits converge with the step; at 0.03 (Geyer & Herr 2010) they do not.
 CONTACT_RELAXATION_SPEED_MPS = 0.10
 
@@ -56,7 +59,8 @@ class Settings:
         physics_step_s: 1, 0.5 or 0.25 ms; the controller ticks every 1 ms.
         contact_relaxation_speed_mps: outward speed at which a contact lets go.
         precision: "float32" or "float64".
-        arch: "auto" (CUDA if there is a device, else the CPU), "cpu" or "cuda".
+        arch: "cpu", "cuda", or "auto": CUDA for a batch that is large enough to gain by
+            it, if there is a device. The two round differently.
         threads: CPU threads; None takes every core. Results do not depend on it.
         engine: the engine that moves the bodies: "taichi", this simulator's own, or
             "mujoco".
@@ -111,6 +115,11 @@ class Settings:
     def substeps(self) -> int:
         """How many physics steps fit into a control tick: 1, 2 or 4."""
         return round(CONTROL_TICK_S / self.physics_step_s)
+
+    def of_batch(self, walkers: int) -> "Settings":
+        """The same for so many walkers: where `arch` is "auto", few are no work for a GPU."""
+        is_small = self.arch == "auto" and walkers < LEAST_ON_GPU
+        return self.on_processor() if is_small else self
 
     def on_processor(self) -> "Settings":
         """The same on this machine's processor, where a launch costs microseconds."""

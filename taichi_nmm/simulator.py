@@ -1,9 +1,9 @@
 """`simulate`: a batch of walkers from gains, bodies and terrains to results; `forward_dynamics`.
 
 The host's loop: launch a chunk of control ticks, drain the sums, drop the walkers that
-have ended, report, repeat. Between chunks a run can be interrupted; no result depends
-on the other walkers of the batch, on its order, on the chunks or on the number of
-threads.
+have ended, report, repeat; on a GPU walkers queue (`queue`). Between chunks a run can
+be interrupted; no result depends on the other walkers of the batch, on its order, on
+the chunks or on the number of threads.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,21 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from taichi_nmm.body import Bodies
-from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.entry_points import accelerate, advance
-from taichi_nmm.kernel.layout import COORDINATES, LEGS, WalkerRows
-from taichi_nmm.kernel.muscle import SHORTEST_FIBRE
-from taichi_nmm.kernel.muscle_table import (
-    OPTIMAL_LENGTH_M,
-    SLACK_LENGTH_M,
-    muscle_table,
-)
+from taichi_nmm.kernel.layout import COORDINATES, LEGS
+from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.observation import LARGEST_ANGLE_RAD, require_within
 from taichi_nmm.outcome import Recorder, result_rows
 from taichi_nmm.packs import Packs
 from taichi_nmm.parameters import PUBLISHED_GAINS
+from taichi_nmm.queue import LAUNCH_TICKS, SEATS, Queue
 from taichi_nmm.result import Result
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 from taichi_nmm.terrain import Terrain
@@ -40,6 +35,7 @@ from taichi_nmm.walkers import (
     blends,
     check_batch,
     constant_rows,
+    start_rows,
 )
 from taichi_nmm.world import Worlds
 
@@ -48,6 +44,8 @@ LONGEST_WALK_S = 10_000.0  # ticks stay whole numbers in float32
 Progress = Callable[[float, int], None]
 Launch = Callable[[Packs, int, int], None]
 """Advances packs from a first control tick by so many."""
+Walked = tuple[NDArray[Any], NDArray[np.float64], dict[str, Any]]
+"""`layout.Ends` and sums of all walkers, and the engine's metadata."""
 
 
 @checks.checked(
@@ -88,7 +86,8 @@ def simulate(
         record: rows of the walkers that get a `Trajectory`.
         record_rate_hz: samples a second of the trajectories; a divisor of 1000.
         progress: called between chunks with the simulated time in s and the walkers
-            still up.
+            still up; on a GPU that more walkers queue for than it takes at once, with
+            the share of them that are done, as a time.
 
     Raises:
         InputError: a shape, a value or an index that cannot be used.
@@ -96,13 +95,74 @@ def simulate(
     """
     settings = Settings() if settings is None else settings
     batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains, worlds)
+    settings = settings.of_batch(len(batch))
     if not CONTROL_TICK_S <= duration_s <= LONGEST_WALK_S:
         raise InputError(
             "duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}"
         )
     ticks = round(duration_s / CONTROL_TICK_S)
-    recorder = Recorder(record, record_rate_hz, batch.worlds, settings)
+    recorder = Recorder(record, record_rate_hz, batch, settings)
     schedule = Schedule(batch, settings, switches)
+    walks = _walks_queued if _takes_queue(settings) else _walks_packed
+    final, sums, metadata = walks(
+        batch, settings, ticks, schedule, recorder, progress or _silent
+    )
+    rows = result_rows(final, sums, batch.bodies, duration_s)
+    return Result(rows, recorder.trajectories(), metadata)
+
+
+def _silent(now_s: float, up: int) -> None:
+    """Report nothing."""
+
+
+def _takes_queue(settings: Settings) -> bool:
+    """Whether walkers queue on a GPU, which is started then."""
+    if settings.engine != OWN_ENGINE:
+        return False
+    backend.start(settings)
+    return backend.is_gpu()
+
+
+def _walks_queued(
+    batch: Batch,
+    settings: Settings,
+    ticks: int,
+    schedule: Schedule,
+    recorder: Recorder,
+    progress: Progress,
+) -> Walked:
+    """All walks on a GPU."""
+    count, duration_s = len(batch), ticks * CONTROL_TICK_S
+    at_once = bool(recorder.walkers) or not schedule.is_constant
+    queue = Queue(batch, settings, ticks, at_once)
+    up = count
+    while up and at_once and queue.tick < ticks:
+        chunk = LAUNCH_TICKS
+        if not schedule.is_constant:
+            rows, chunk = schedule.at(queue.tick)
+            queue.set_constants(rows)
+        for part in recorder.parts(queue.tick, min(chunk, ticks - queue.tick)):
+            up = queue.advance(part)
+            recorder.sample(queue.tick, queue.rows_of)
+        progress(queue.tick * CONTROL_TICK_S, up)
+    while up:
+        up = queue.advance()
+        walked_s = (1.0 - up / count) * duration_s
+        if count <= SEATS:  # all began together
+            walked_s = min(queue.tick * CONTROL_TICK_S, duration_s)
+        progress(walked_s, up)
+    return *queue.collect(), backend.metadata()
+
+
+def _walks_packed(
+    batch: Batch,
+    settings: Settings,
+    ticks: int,
+    schedule: Schedule,
+    recorder: Recorder,
+    progress: Progress,
+) -> Walked:
+    """All walks on the processor."""
     launch, packs, engine = _start(batch, settings)
     tick = 0
     while tick < ticks and packs.walkers.size:
@@ -110,14 +170,11 @@ def simulate(
         for part in recorder.parts(tick, min(chunk, ticks - tick)):
             launch(packs, tick, part)
             tick += part
-            recorder.sample(tick, packs)
+            recorder.sample(tick, packs.rows_of)
         packs.drain()
-        if progress is not None:
-            progress(tick * CONTROL_TICK_S, int(np.count_nonzero(packs.up())))
+        progress(tick * CONTROL_TICK_S, int(np.count_nonzero(packs.up())))
         packs.compact()
-    final, sums = packs.collect()
-    rows = result_rows(final, sums, batch.bodies, duration_s)
-    return Result(rows, recorder.trajectories(), engine())
+    return *packs.collect(), engine()
 
 
 def _start(
@@ -125,12 +182,12 @@ def _start(
 ) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
     """The function that advances packs, the walkers at the start, and the engine's metadata."""
     if settings.engine == OWN_ENGINE:
-        backend.start(settings)
         return launcher(batch, settings), start_packs(batch, settings), backend.metadata
     require_mujoco()
     from taichi_nmm.mujoco_engine import engine
 
     backend.start(settings.on_processor())
+    batch = batch.each()
     packs = start_packs(batch, settings)
     return (
         engine.launcher(batch, settings, packs),
@@ -141,19 +198,9 @@ def _start(
 
 def start_packs(batch: Batch, settings: Settings) -> Packs:
     """The walkers at the start. The backend runs already: it sets lanes and precision."""
-    rows = np.array([initial_rows(terrain) for terrain in batch.terrains])
-    index = starts = batch.terrain_index
-    fibre, slack = batch.worlds.optimal_length, batch.worlds.slack_length
-    if np.any((fibre != 1.0) | (slack != 1.0)):
-        # Relaxed fibres of other lengths: a row a walker.
-        rows = rows[index]
-        starts = np.arange(len(batch), dtype=np.int32)
-        slack_m = np.tile(SLACK_LENGTH_M, LEGS)
-        optimal_m = np.tile(OPTIMAL_LENGTH_M, LEGS)
-        lengths = WalkerRows.of(rows.T).fibres.length.T
-        lengths += (1.0 - slack) * slack_m / optimal_m
-        lengths[:] = np.maximum(lengths / fibre, SHORTEST_FIBRE)
-    return Packs(rows, constant_rows(batch, settings), index, starts=starts)
+    rows, starts = start_rows(batch)
+    constants = constant_rows(batch, settings)
+    return Packs(rows, constants, batch.terrain_index, starts=starts)
 
 
 def launcher(batch: Batch, settings: Settings) -> Launch:
@@ -173,7 +220,7 @@ def launcher(batch: Batch, settings: Settings) -> Launch:
             # In the order of the kernel's own parameters.
             kernel = backend.BoundKernel(
                 advance,
-                backend.lanes_a_turn(),
+                packs.lanes,
                 packs.rows,
                 packs.constants,
                 packs.terrains,

@@ -6,6 +6,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from ctypes.util import find_library
 from dataclasses import dataclass, replace
+from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
 from typing import Any, ClassVar, Self
@@ -66,6 +67,7 @@ KEPT = tuple(
 )
 SLOWEST_MPS = 0.4  # a slower gait may be about to stand, which survives any ground
 
+POINTS_ON_GPU = 131_072  # half a second of an H200 (docs/speed.md), which a stop loses
 CANARY_WALKERS = 16
 CANARY_S = 1.0
 CANARY_SEED = 1
@@ -257,7 +259,7 @@ class Walker:
             terrain_index=world,
             worlds=worlds.surroundings.take(world),
             low_level_gains=low_level if self.searched else None,
-            settings=self.settings,
+            settings=self._one_machine(),
             progress=lambda now_s, _: report(now_s / horizon_s),
         )
         return self._columns_of(result).reshape(len(points), count), result.metadata
@@ -305,9 +307,14 @@ class Walker:
             duration_s=CANARY_S,
             bodies=Bodies.disturbed(list(range(CANARY_WALKERS))),
             terrains=rough(seed=CANARY_SEED),
-            settings=self.settings,
+            settings=self._one_machine(),
         )
         return self._columns_of(result)
+
+    def _one_machine(self) -> Settings:
+        """The settings with one architecture for all batches, however large."""
+        arch = "cuda" if takes_gpu(self.settings) else "cpu"
+        return replace(self.settings, arch=arch)
 
     def _columns_of(self, result: Result) -> NDArray[np.void]:
         """The rows of a result with `columns` alone."""
@@ -329,14 +336,12 @@ class Walker:
         Raises:
             InputError: no such GPU.
         """
-        arch, engine = self.settings.arch, self.settings.engine
-        if (
-            arch == "cpu"
-            or engine != OWN_ENGINE
-            or (arch == "auto" and not find_library("cuda"))
-        ):
-            return cores
-        return cores if started_arch(self.settings) == "cpu" else 1
+        return 1 if takes_gpu(self.settings) else cores
+
+    @property
+    def points_at_once(self) -> int:
+        """On a GPU so many that its queue is long."""
+        return POINTS_ON_GPU if takes_gpu(self.settings) else 0
 
 
 def require_engine(settings: Settings) -> None:
@@ -350,6 +355,20 @@ def require_engine(settings: Settings) -> None:
         require_mujoco()
     if settings.arch == "cuda":
         started_arch(settings)
+
+
+@cache
+def takes_gpu(settings: Settings) -> bool:
+    """Whether a GPU computes; it is started then.
+
+    Raises:
+        InputError: no such GPU.
+    """
+    if settings.arch == "cpu" or settings.engine != OWN_ENGINE:
+        return False
+    if settings.arch == "auto" and not find_library("cuda"):
+        return False
+    return started_arch(settings) != "cpu"
 
 
 def started_arch(settings: Settings) -> str:

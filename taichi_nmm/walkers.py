@@ -20,10 +20,16 @@ from taichi_nmm.body import (
     Bodies,
     Collection,
 )
+from taichi_nmm.initial import initial_rows
 from taichi_nmm.kernel.contact import STATIC_DEFLECTION_M
-from taichi_nmm.kernel.layout import LEGS, Const
-from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S
-from taichi_nmm.kernel.muscle_table import T_STRAIN, muscle_table
+from taichi_nmm.kernel.layout import LEGS, LOW_LEVEL, PER_WALKER, Const, WalkerRows
+from taichi_nmm.kernel.muscle import ACTIVATION_TIME_S, SHORTEST_FIBRE
+from taichi_nmm.kernel.muscle_table import (
+    OPTIMAL_LENGTH_M,
+    SLACK_LENGTH_M,
+    T_STRAIN,
+    muscle_table,
+)
 from taichi_nmm.kernel.reflexes import LOAD_FILTER_S
 from taichi_nmm.packs import Packs
 from taichi_nmm.parameters import (
@@ -40,6 +46,7 @@ from taichi_nmm.world import Worlds
 R = TypeVar("R", bound=Collection)
 
 CHUNK_TICKS = 250  # 0.25 s: fallen walkers leave the packs this often
+WALKERS_AT_ONCE = 4096  # whose gains the nearer caches hold
 BLEND_TICKS = 10  # of a switch, for which gains stay the same
 
 
@@ -49,8 +56,9 @@ class Batch:
 
     Attributes:
         gains: in the order of `parameters.GAINS`, [n, 16].
-        low_level: in the order of `parameters.LOW_LEVEL_GAINS`, [n, 28].
-        bodies: one a walker, n of them.
+        low_level: in the order of `parameters.LOW_LEVEL_GAINS`, [n, 28], or [1, 28] of
+            all walkers.
+        bodies: one a walker, n of them, or one of all.
         worlds: likewise.
         terrains: the different grounds.
         terrain_index: the ground of each walker, [n].
@@ -65,6 +73,21 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.gains)
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether walkers differ in gains and terrain alone."""
+        return len(self.low_level) == len(self.bodies) == len(self.worlds) == 1
+
+    def each(self) -> "Batch":
+        """The same with a body and a world for each walker."""
+        every = np.arange(len(self))
+        bodies, worlds = self.bodies, self.worlds
+        return replace(
+            self,
+            bodies=bodies.take(every % len(bodies)),
+            worlds=worlds.take(every % len(worlds)),
+        )
 
 
 def check_batch(
@@ -99,22 +122,22 @@ def check_batch(
 
 
 def _one_each(field: str, one: str, given: R, kind: type[R], count: int) -> R:
-    """Bodies or worlds of `count` walkers, from theirs or from one of all."""
+    """Bodies or worlds of `count` walkers, one each or one of all."""
     rows: R = checks.instance(kind)(field, given)
     if len(rows) not in (1, count):
         raise InputError(field, len(rows), f"one {one}, or {count}: one a walker")
-    return rows.take(np.arange(count) % len(rows))
+    return rows
 
 
 def _row_each(
     field: str, given: ArrayLike, group: tuple[Parameter, ...], count: int
 ) -> NDArray[np.float64]:
-    """Gains of `count` walkers, [n, gain], from theirs or from those of all."""
+    """Gains of `count` walkers, [n, gain], or of all, [1, gain]."""
     rows = gain_rows(given, group, field)
     size = len(group)
     if len(rows) not in (1, count):
         raise InputError(f"{field}.shape", rows.shape, f"[{count}, {size}] or [{size}]")
-    return rows[np.arange(count) % len(rows)]
+    return rows
 
 
 def _check_terrains(
@@ -186,16 +209,28 @@ class Schedule:
                 len(batch),
             )
             gains = _row_each(f"{field}.gains", switch.gains, GAINS, len(batch))
+            gains = np.broadcast_to(gains, batch.gains.shape)
             later = replace(batch, gains=gains, low_level=low_level)
             self._ticks += [
                 round(time / CONTROL_TICK_S) for time in (at_s, at_s + over_s)
             ]
             self._rows += [self._rows[-1], constant_rows(later, settings)]
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether all constants stay as they are."""
+        return len(self._ticks) == 1
+
     def set_constants(self, packs: Packs, tick: int) -> int:
         """Give the walkers that are up the constants of a tick; for how many ticks they hold."""
-        if len(self._ticks) == 1:
+        if self.is_constant:
             return CHUNK_TICKS  # as they were packed
+        rows, ticks = self.at(tick)
+        packs.constants[...] = packs.fold(rows[packs.walkers])
+        return ticks
+
+    def at(self, tick: int) -> tuple[NDArray[np.float64], int]:
+        """The constants of a tick, [n, Const.count], and for how many ticks they hold."""
         place = bisect_right(self._ticks, tick) - 1
         last = place == len(self._ticks) - 1
         before = self._rows[place]
@@ -204,9 +239,45 @@ class Schedule:
         end = tick + CHUNK_TICKS if last else self._ticks[place + 1]
         changes = after is not before
         share = (tick - begin) / (end - begin) if changes else 0.0
-        rows = ((1.0 - share) * before + share * after)[packs.walkers]
-        packs.constants[...] = packs.fold(rows)
-        return min(BLEND_TICKS if changes else CHUNK_TICKS, end - tick)
+        rows = (1.0 - share) * before + share * after
+        return rows, min(BLEND_TICKS if changes else CHUNK_TICKS, end - tick)
+
+
+def leg_gains(batch: Batch, real: type[np.floating[Any]]) -> NDArray[Any]:
+    """The gains of each walker's legs, [PER_WALKER, n]."""
+    asymmetry = batch.low_level[:, -len(ASYMMETRIES) :]
+    of_legs = np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1)
+    of_legs = np.broadcast_to(of_legs, (len(batch), *of_legs.shape[1:]))
+    found = np.empty((PER_WALKER, len(batch)), dtype=real)
+    for first in range(0, len(batch), WALKERS_AT_ONCE):
+        some = slice(first, first + WALKERS_AT_ONCE)
+        gains = of_legs[some] * batch.gains[some, :, None]
+        found[:, some] = gains.reshape(-1, PER_WALKER).T
+    return found
+
+
+def kind_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
+    """The other rows of `layout.Const`, of each walker or of all, [n or 1, row]."""
+    if batch.is_alike:
+        index = batch.terrain_index[:1]
+        batch = replace(batch, gains=batch.gains[:1], terrain_index=index)
+    return constant_rows(batch, settings)[:, PER_WALKER:]
+
+
+def start_rows(batch: Batch) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Rows at the start, [start, WalkerRows.count], and which of them each walker has, [n]."""
+    rows = np.array([initial_rows(terrain) for terrain in batch.terrains])
+    fibre, slack = batch.worlds.optimal_length, batch.worlds.slack_length
+    if np.all((fibre == 1.0) & (slack == 1.0)):
+        return rows, batch.terrain_index
+    # Relaxed fibres of other lengths: a row a walker.
+    rows = rows[batch.terrain_index]
+    slack_m = np.tile(SLACK_LENGTH_M, LEGS)
+    optimal_m = np.tile(OPTIMAL_LENGTH_M, LEGS)
+    lengths = WalkerRows.of(rows.T).fibres.length.T
+    lengths += (1.0 - slack) * slack_m / optimal_m
+    lengths[:] = np.maximum(lengths / fibre, SHORTEST_FIBRE)
+    return rows, np.arange(len(batch), dtype=np.int32)
 
 
 def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
@@ -215,10 +286,8 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     mass, inertia, com = bodies.mass_kg, bodies.inertia_kgm2, bodies.com_m
     rows = np.zeros((len(batch), Const.count))
     const = Const.of(rows.T)
-    low_level, asymmetry = np.split(batch.low_level, [-len(ASYMMETRIES)], axis=1)
-    of_legs = np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1)
-    by_leg = (of_legs * batch.gains[:, :, None]).reshape(len(batch), -1)
-    rows[:, : Const.total_mass] = np.hstack([by_leg, low_level])
+    rows[:, :PER_WALKER] = leg_gains(batch, np.float64).T
+    rows[:, LOW_LEVEL : Const.total_mass] = batch.low_level[:, : -len(ASYMMETRIES)]
     const.leg_angle_blend[:] = 1.0 - np.exp(-const.w_filter * CONTROL_TICK_S)
     const.total_mass[:] = mass.sum(axis=1)
     nominal_n_per_m = mass.sum(axis=1) * GRAVITY_MPS2 / STATIC_DEFLECTION_M
@@ -237,7 +306,7 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     const.ankle_stiffness[:] = stiffness
     const.ankle_damping[:] = damping
     const.ankle_rest[:] = rest
-    const.exo_share[:] = worlds.exoskeleton[:, :, :3].reshape(len(rows), -1).T
+    const.exo_share[:] = worlds.exoskeleton[:, :, :3].reshape(len(worlds), -1).T
     const.exo_power[:] = worlds.exoskeleton[:, :, 3].T
     const.hat_weight[:] = mass[:, 0] * GRAVITY_MPS2
     # The HAT's centre of mass lies above the hip while D points down: hence the sign.

@@ -12,7 +12,6 @@ from taichi_nmm.kernel.entry_points import (
     load_table,
     save,
     save_slots,
-    seat,
 )
 from taichi_nmm.kernel.layout import (
     LEGS,
@@ -92,18 +91,17 @@ def actuate(
     """Joint torques of all packs for one physics step, N m.
 
     packs [p, WalkerRows.count, lane], constants [p, Const.count, lane], muscles [7,
-    TABLE_COLUMNS], sensed [p, Sense.count, lane], torques [p, 6, lane]. A turn takes
-    `lanes` lanes of a pack.
+    TABLE_COLUMNS], sensed [p, Sense.count, lane], torques [p, 6, lane].
     """
     ti.loop_config(serialize=True)  # waking a thread takes longer than the work
-    for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
+    for p in range(packs.shape[0]):
         work = named_rows(Work, lanes)
         table = load_table(muscles)
-        state = load(packs, turn, 0, State, lanes)
-        fibres = load(packs, turn, WalkerRows.fibres, Muscle, lanes)
-        delay = load_slots(packs, turn, tick, lanes)
-        const = load(constants, turn, 0, Const, lanes)
-        senses = load(sensed, turn, 0, Sense, lanes)
+        state = load(packs, p, 0, State, lanes)
+        fibres = load(packs, p, WalkerRows.fibres, Muscle, lanes)
+        delay = load_slots(packs, p, tick, lanes)
+        const = load(constants, p, 0, Const, lanes)
+        senses = load(sensed, p, 0, Sense, lanes)
         step(
             tick,
             commands,
@@ -118,10 +116,9 @@ def actuate(
             const,
             work,
         )
-        save(packs, turn, 0, lanes, state)
-        save(packs, turn, WalkerRows.fibres, lanes, fibres)
-        save_slots(packs, turn, tick, lanes, delay)
-        p, place = seat(turn, packs.shape[2], lanes)
+        save(packs, p, 0, lanes, state)
+        save(packs, p, WalkerRows.fibres, lanes, fibres)
+        save_slots(packs, p, tick, lanes, delay)
         for lane in range(lanes):
             for joint in ti.static(range(3 * LEGS)):
-                torques[p, joint, place + lane] = work.joint_torque[joint, lane]
+                torques[p, joint, lane] = work.joint_torque[joint, lane]

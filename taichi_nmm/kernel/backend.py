@@ -5,17 +5,19 @@ arrays, and each phase of the step is an innermost loop over them. LLVM's loop
 vectoriser turns that loop into SIMD instructions, as long as its body has no branch,
 calls no library function and touches no memory but local arrays (a field access reloads
 a pointer in every turn, which halves the vector width). So the physics is plain scalar
-code; on a GPU the same code runs with one walker a thread, and a pack holds the walkers
-of a warp, whose threads read side by side.
+code; on a GPU the same code runs with one walker a thread (`queue`).
 """
 
+import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from storage.inputs.errors import InputError
 from taichi_nmm.kernel import compiler, program, registers
@@ -30,7 +32,6 @@ __all__ = [
     "Static",
     "is_double",
     "lanes",
-    "lanes_a_turn",
     "launch",
     "local_rows",
     "metadata",
@@ -41,7 +42,11 @@ __all__ = [
 ]
 
 LANES_CPU = 8  # where the registers' width is unknown
-LANES_GPU = 32  # a warp
+FIRST_START = (
+    "the GPU's kernels compile for up to a minute, unless an earlier process kept them"
+)
+LOG = logging.getLogger(__name__)
+DEVICE_TYPES = {"float32": "f32", "float64": "f64", "int32": "i32"}
 
 if TYPE_CHECKING:
     Rows: TypeAlias = Any
@@ -55,6 +60,7 @@ else:
 
 _running: Settings | None = None
 _arch = "cpu"
+_automatic = "auto"  # what the architecture "auto" has turned out to be
 _lanes = LANES_CPU
 _compiled: set[str] = set()
 _process = 0  # number of the process that runs Taichi
@@ -78,7 +84,7 @@ def start(settings: Settings) -> None:
             the script's program; or this process was forked from one that had started
             Taichi.
     """
-    global _running, _process, _session
+    global _running, _process, _session, _automatic
     if _process not in (0, os.getpid()):
         raise _forked()
     found = program.living()
@@ -90,11 +96,13 @@ def start(settings: Settings) -> None:
     _require_main_thread()
     _running = None  # until this has worked
     _find_program(settings, is_same)
+    if settings.arch == "auto":
+        _automatic = _arch
     _settle(settings)
     program.forget_kernels()
     _compiled.clear()
     _session += 1
-    _running = settings
+    _running = replace(settings, arch=_arch)
     _process = os.getpid()
 
 
@@ -136,12 +144,13 @@ def _settle(settings: Settings) -> None:
     """By which options, and how many walkers in a pack, kernels are compiled from now on."""
     global _options, _width, _lanes
     on_cpu = _arch == "cpu"
+    compiler.unrolls = not on_cpu
     _options = program.options(_program, settings.precision, settings.threads)
     width = registers.width() if on_cpu and settings.wide_registers else 0
     told = program.tell_vectoriser(width)
     program.tell_vectoriser(0)  # but while our kernels are compiled
     _width = width if told else 0
-    _lanes = _width or (LANES_CPU if on_cpu else LANES_GPU)
+    _lanes = _width or LANES_CPU
 
 
 @contextmanager
@@ -164,6 +173,8 @@ def launch(kernel: Callable[..., None], *arguments: Any) -> None:
             kernel(*arguments)
         return
     _require_main_thread()
+    if compiler.unrolls and not _compiled:
+        LOG.warning(FIRST_START)
     try:
         with _compiling():
             kernel(*arguments)
@@ -253,14 +264,44 @@ def _require_main_thread() -> None:
         )
 
 
+def on_device(array: NDArray[Any], copy: Callable[..., None]) -> Any:
+    """An array [row, column] where the kernels compute: itself on a processor.
+
+    Args:
+        array: of float32, float64 or int32.
+        copy: the kernel that copies its first argument to its second.
+    """
+    if _arch == "cpu":
+        return array
+    found = empty_on_device(array.shape, array.dtype)
+    launch(copy, np.ascontiguousarray(array), found)
+    return found
+
+
+def empty_on_device(shape: tuple[int, ...], dtype: Any) -> Any:
+    """An array without values where the kernels compute."""
+    if _arch == "cpu":
+        return np.empty(shape, dtype)
+    return ti.ndarray(getattr(ti, DEVICE_TYPES[np.dtype(dtype).name]), shape)
+
+
+def on_host(array: Any, copy: Callable[..., None]) -> NDArray[Any]:
+    """The values of such an array."""
+    if isinstance(array, np.ndarray):
+        return array
+    found = np.empty(array.shape, compiler.to_numpy_type(array.dtype))
+    launch(copy, array, found)
+    return found
+
+
+def is_gpu() -> bool:
+    """Whether the kernels compute on another device than the processor."""
+    return _arch != "cpu"
+
+
 def lanes() -> int:
     """Walkers side by side in a pack on the machine that runs."""
     return _lanes
-
-
-def lanes_a_turn() -> int:
-    """How many lanes of a pack a turn of the kernels' loop takes: all; on a GPU one."""
-    return _lanes if _arch == "cpu" else 1
 
 
 def is_double() -> bool:
@@ -286,7 +327,8 @@ def metadata() -> dict[str, Any]:
 
 def _engine(settings: Settings) -> tuple[Any, ...]:
     """The settings that Taichi is initialised for."""
-    return settings.precision, settings.arch, settings.threads, settings.wide_registers
+    arch = _automatic if settings.arch == "auto" else settings.arch
+    return settings.precision, arch, settings.threads, settings.wide_registers
 
 
 def _computes(arch: str) -> bool:

@@ -5,10 +5,12 @@ is used of their insides stands here, side by side where they differ; pyproject.
 pins their versions.
 """
 
+import ast
 import contextlib
 import io
 import os
 import sys
+import warnings
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -22,6 +24,7 @@ with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
     ti: Any = import_module(COMPILER)
 
 VERSION = ".".join(str(part) for part in ti.__version__)
+to_numpy_type = ti.lang.util.to_numpy_type
 core, impl, kernel_impl = ti._lib.core, ti.lang.impl, ti.lang.kernel_impl
 
 
@@ -34,18 +37,22 @@ class LocalRows:
     column: a kernel compiles in a quarter of the time, to the same bits.
     """
 
-    def __init__(self, column: Any, lanes: int, first: Any = 0) -> None:
+    def __init__(
+        self, column: Any, lanes: int, first: Any = 0, offset: Any = 0
+    ) -> None:
         self._column, self._lanes, self._first = column, lanes, first
+        self._offset = offset  # of the first lane
 
     def __getitem__(self, index: Any) -> Any:
         """As NumPy: a slice of rows, one row (of which a lane is taken then), or a number."""
         if isinstance(index, slice):
-            return LocalRows(self._column, self._lanes, self._first + index.start)
+            first = self._first + index.start
+            return LocalRows(self._column, self._lanes, first, self._offset)
         if not isinstance(index, tuple):
             return LocalRow(self, index)
         row, lane = index
         builder = impl.get_runtime().compiling_callable.ast_builder()
-        place = (self._first + row) * self._lanes + lane
+        place = (self._first + row) * self._lanes + lane + self._offset
         return impl.subscript(builder, self._column, place)
 
 
@@ -71,7 +78,54 @@ def named_rows(layout: Layout, lanes: int) -> Any:
     return layout.of(local_rows(layout.count, lanes))
 
 
-for function in (local_rows, named_rows):  # known to the compiler: no warning
+class SplitRows:
+    """Rows of which the first lie in one place and the others in another."""
+
+    _data_oriented = True  # as a `NamedRows`
+
+    def __init__(self, rows: Any, others: Any, count: int) -> None:
+        self._rows, self._others, self._count = rows, others, count
+
+    def __getitem__(self, index: Any) -> Any:
+        """As NumPy: a slice of rows or a row, in one of the places, or a number."""
+        if isinstance(index, tuple):
+            return self[index[0]][index[1]]
+        start = index.start if isinstance(index, slice) else index
+        if start < self._count:
+            return self._rows[index]
+        if isinstance(index, slice):
+            return self._others[start - self._count : index.stop - self._count]
+        return self._others[start - self._count]
+
+
+def shared_table(rows: int, columns: int) -> Any:
+    """An array [row, column] that on a GPU the threads of a block share."""
+    if not unrolls:
+        return local_rows(rows, columns)
+    real = impl.get_runtime().default_fp
+    return LocalRows(ti.simt.block.SharedArray((rows * columns,), real), columns)
+
+
+def shared_rows(layout: Layout, first: int, turn: Any, turns: int) -> Any:
+    """Named rows [row, 1], which on a GPU lie from `first` on in a block's shared memory.
+
+    Each thread has its own: registers are few, and the nearest cache is shared memory
+    too.
+
+    Args:
+        layout: of the rows.
+        first: row of the layout.
+        turn: number of the parallel loop's turn.
+        turns: of a block.
+    """
+    if not unrolls:
+        return named_rows(layout, 1)
+    shared = shared_table(layout.count - first, turns)
+    others = LocalRows(shared._column, turns, 0, turn % turns)
+    return layout.of(SplitRows(local_rows(first, 1), others, first))
+
+
+for function in (local_rows, named_rows, shared_table, shared_rows):  # no warning
     setattr(function, f"_is_{COMPILER}_function", False)
 
 
@@ -92,6 +146,39 @@ def _inside_class(level_of_class_stackframe: int) -> bool:
 _compilers_inside_class = kernel_impl._inside_class
 kernel_impl._inside_class = _inside_class
 transformer = ti.lang.ast.ast_transformer_utils
+
+# Whether loops of a known length are written out while a kernel is compiled. A GPU keeps
+# numbers in registers whose row is known then; a CPU would miss its nearest cache.
+unrolls = False
+LONGEST_UNROLLED = 200  # turns; the rows of the delay rings stay in memory anyway
+statements = ti.lang.ast.ast_transformer
+
+
+def _build_loop(ctx: Any, node: Any) -> Any:
+    """A loop of a kernel, written out where that is wanted."""
+    if not (unrolls and _is_known(ctx, node)):
+        return _build_for(ctx, node)
+    with ctx.loop_scope_guard(is_static=True), warnings.catch_warnings():
+        # `range` is no function of Taichi.
+        warnings.simplefilter("ignore", SyntaxWarning)
+        return statements.ASTTransformer.build_static_for(ctx, node, False)
+
+
+def _is_known(ctx: Any, node: Any) -> bool:
+    """Whether a loop is over a `range` of numbers that are known, and runs to its end."""
+    call = node.iter
+    if not isinstance(call, ast.Call) or getattr(call.func, "id", "") != "range":
+        return False
+    if any(isinstance(each, ast.Break) for each in ast.walk(node)):
+        return False
+    ends = [statements.build_stmt(ctx, each) for each in call.args]
+    if not all(isinstance(end, int) for end in ends):
+        return False
+    return len(range(*ends)) <= LONGEST_UNROLLED
+
+
+_build_for = statements.ASTTransformer.build_For
+statements.ASTTransformer.build_For = staticmethod(_build_loop)
 
 # Here the two differ. A function is inlined at each of its calls, and a compiler would
 # look for its source each time. Both cut a parallel loop into blocks of at least 512

@@ -8,7 +8,7 @@ damper, capped by one Coulomb coefficient. Both enter the step linearly implicit
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M
 from taichi_nmm.kernel.backend import Rows, Static, ti
 from taichi_nmm.kernel.dynamics import point_velocity
-from taichi_nmm.kernel.elementary import larger, latch, smaller
+from taichi_nmm.kernel.elementary import larger, latch, smaller, square_root
 from taichi_nmm.kernel.layout import CONTACTS, LEGS
 from taichi_nmm.terrain import GRID_NODES, GRID_SPACING_M, GRID_START_M
 
@@ -77,7 +77,7 @@ def gaps(lane, state: Rows, work: Rows):
     """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
     for c in ti.static(range(CONTACTS)):
         height, slope = work.ground[c, lane], work.slope[c, lane]
-        cosine = 1.0 / ti.sqrt(1.0 + slope * slope)
+        cosine = 1.0 / square_root(1.0 + slope * slope)
         gap = (height - work.point_z[c, lane]) * cosine
         work.gap[c, lane] = gap
         work.normal_x[c, lane] = 0.0 - slope * cosine

@@ -6,7 +6,7 @@ Library functions are calls, and a call stops LLVM's loop vectoriser. Accurate t
 
 from math import factorial, log
 
-from taichi_nmm.kernel import backend
+from taichi_nmm.kernel import backend, compiler
 from taichi_nmm.kernel.backend import Rows, Static, ti
 
 TWO_OVER_PI = 0.6366197723675814
@@ -15,6 +15,7 @@ HALF_PI_HIGH = 1.5703125
 HALF_PI_LOW = 4.838267948966190e-4
 HALF_PI = 1.5707963267948966
 
+LEAST_SQUARE = 1e-30  # normal in float32
 LOG2_E = 1.4426950408889634
 
 # Taylor coefficients, highest power first; sine and cosine in powers of the square.
@@ -60,6 +61,17 @@ def larger(x, y):
 def smaller(x, y):
     """The smaller of both, and x where y is NaN."""
     return ti.select(y < x, y, x)
+
+
+@ti.func
+def square_root(x):
+    """Of 0 or more. On a GPU by one instruction and a product, where `ti.sqrt` calls a function."""
+    root = x
+    if ti.static(compiler.unrolls):
+        root *= ti.rsqrt(larger(x, LEAST_SQUARE))
+    else:
+        root = ti.sqrt(x)
+    return root
 
 
 @ti.func

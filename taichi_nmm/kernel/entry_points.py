@@ -1,9 +1,7 @@
 """The kernels that the host launches: packs side by side, in turns of the parallel loop.
 
 A pack's rows live in NumPy arrays [pack, row, lane] between launches and in local
-arrays within one, since only local arrays let the compiler vectorise (`backend`). On a
-CPU a turn takes all lanes of a pack, on a GPU one: neighbouring threads then read
-neighbouring numbers.
+arrays within one, since only local arrays let the compiler vectorise (`backend`).
 """
 
 from taichi_nmm.kernel import dynamics, kinematics, walker
@@ -25,24 +23,15 @@ from taichi_nmm.kernel.layout import (
 from taichi_nmm.kernel.muscle_table import TABLE_COLUMNS
 
 TURNS_PER_TASK = 1  # of the CPU's thread pool; packs are few and long
-TURNS_PER_BLOCK = 64  # of a GPU: two warps
 
 
 @ti.func
-def seat(turn, lanes_of_pack, lanes: Static):
-    """The pack of a turn, and the first of its lanes there."""
-    turns = lanes_of_pack // lanes
-    return turn // turns, turn % turns * lanes
-
-
-@ti.func
-def load(packs: Rows, turn, first: Static, layout: Static, lanes: Static):
-    """A block of a turn's rows in a local array."""
+def load(packs: Rows, p, first: Static, layout: Static, lanes: Static):
+    """A block of a pack's rows in a local array."""
     rows = named_rows(layout, lanes)
-    p, place = seat(turn, packs.shape[2], lanes)
     for row in range(layout.count):
         for lane in range(lanes):
-            rows[row, lane] = packs[p, first + row, place + lane]
+            rows[row, lane] = packs[p, first + row, lane]
     return rows
 
 
@@ -57,46 +46,42 @@ def load_table(muscles: Rows):
 
 
 @ti.func
-def load_terrains(terrains: Rows, turn, lanes: Static):
+def load_terrains(terrains: Rows, p, lanes: Static):
     """The ground of each lane."""
     terrain = ti.Vector.zero(ti.i32, lanes)
-    p, place = seat(turn, terrains.shape[1], lanes)
     for lane in range(lanes):
-        terrain[lane] = terrains[p, place + lane]
+        terrain[lane] = terrains[p, lane]
     return terrain
 
 
 @ti.func
-def save(packs: Rows, turn, first: Static, lanes: Static, source: Rows):
-    """Copy a local array back into a block of a turn's rows."""
-    p, place = seat(turn, packs.shape[2], lanes)
+def save(packs: Rows, p, first: Static, lanes: Static, source: Rows):
+    """Copy a local array back into a block of a pack's rows."""
     for row in range(source.count):
         for lane in range(lanes):
-            packs[p, first + row, place + lane] = source[row, lane]
+            packs[p, first + row, lane] = source[row, lane]
 
 
 @ti.func
-def load_slots(packs: Rows, turn, tick, lanes: Static):
-    """A local array of a turn's delay rings, with the slots that a tick exchanges."""
+def load_slots(packs: Rows, p, tick, lanes: Static):
+    """A local array of a pack's delay rings, with the slots that a tick exchanges."""
     delay = named_rows(Delay, lanes)
-    p, place = seat(turn, packs.shape[2], lanes)
     for lane in range(lanes):
         for _signal, count, ticks, first in ti.static(RINGS):
             for i in ti.static(range(count)):
                 row = first + i * ticks + ti.raw_mod(tick, ticks)
-                delay[row, lane] = packs[p, WalkerRows.delay + row, place + lane]
+                delay[row, lane] = packs[p, WalkerRows.delay + row, lane]
     return delay
 
 
 @ti.func
-def save_slots(packs: Rows, turn, tick, lanes: Static, delay: Rows):
+def save_slots(packs: Rows, p, tick, lanes: Static, delay: Rows):
     """Copy them back."""
-    p, place = seat(turn, packs.shape[2], lanes)
     for lane in range(lanes):
         for _signal, count, ticks, first in ti.static(RINGS):
             for i in ti.static(range(count)):
                 row = first + i * ticks + ti.raw_mod(tick, ticks)
-                packs[p, WalkerRows.delay + row, place + lane] = delay[row, lane]
+                packs[p, WalkerRows.delay + row, lane] = delay[row, lane]
 
 
 @ti.kernel
@@ -118,22 +103,19 @@ def advance(
     """Advance all packs by `ticks` control ticks; `rough` is 0 where all terrains have height 0.
 
     packs [p, WalkerRows.count, lane], constants [p, Const.count, lane], terrains [p, lane]
-    (rows of `heights` [terrain, node]), muscles [7, TABLE_COLUMNS]. A turn takes
-    `lanes` lanes of a pack.
+    (rows of `heights` [terrain, node]), muscles [7, TABLE_COLUMNS].
     """
-    ti.loop_config(
-        block_dim=ti.static(TURNS_PER_BLOCK if lanes == 1 else TURNS_PER_TASK)
-    )
-    for turn in range(packs.shape[0] * (packs.shape[2] // lanes)):
+    ti.loop_config(block_dim=TURNS_PER_TASK)
+    for p in range(packs.shape[0]):
         work = named_rows(Work, lanes)
         table = load_table(muscles)
-        state = load(packs, turn, 0, State, lanes)
-        fibres = load(packs, turn, WalkerRows.fibres, Muscle, lanes)
-        delay = load(packs, turn, WalkerRows.delay, Delay, lanes)
-        events = load(packs, turn, WalkerRows.events, Gait, lanes)
-        sums = load(packs, turn, WalkerRows.sums, Sums, lanes)
-        const = load(constants, turn, 0, Const, lanes)
-        terrain = load_terrains(terrains, turn, lanes)
+        state = load(packs, p, 0, State, lanes)
+        fibres = load(packs, p, WalkerRows.fibres, Muscle, lanes)
+        delay = load(packs, p, WalkerRows.delay, Delay, lanes)
+        events = load(packs, p, WalkerRows.events, Gait, lanes)
+        sums = load(packs, p, WalkerRows.sums, Sums, lanes)
+        const = load(constants, p, 0, Const, lanes)
+        terrain = load_terrains(terrains, p, lanes)
         for tick in range(first_tick, first_tick + ticks):
             walker.step(
                 tick,
@@ -154,11 +136,11 @@ def advance(
                 const,
                 work,
             )
-        save(packs, turn, 0, lanes, state)
-        save(packs, turn, WalkerRows.fibres, lanes, fibres)
-        save(packs, turn, WalkerRows.delay, lanes, delay)
-        save(packs, turn, WalkerRows.events, lanes, events)
-        save(packs, turn, WalkerRows.sums, lanes, sums)
+        save(packs, p, 0, lanes, state)
+        save(packs, p, WalkerRows.fibres, lanes, fibres)
+        save(packs, p, WalkerRows.delay, lanes, delay)
+        save(packs, p, WalkerRows.events, lanes, events)
+        save(packs, p, WalkerRows.sums, lanes, sums)
 
 
 @ti.kernel

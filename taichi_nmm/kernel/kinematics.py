@@ -7,7 +7,12 @@ th).
 
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
 from taichi_nmm.kernel.backend import Rows, Static, ti
-from taichi_nmm.kernel.elementary import HALF_PI, arctangent2, sine_cosine
+from taichi_nmm.kernel.elementary import (
+    HALF_PI,
+    arctangent2,
+    sine_cosine,
+    square_root,
+)
 from taichi_nmm.kernel.layout import LEGS, SEGMENT_COUNT
 
 
@@ -53,7 +58,7 @@ def contact_points(lane, state: Rows, work: Rows):
         )
         work.ankle_x[leg, lane] = ankle_x
         dx, dz = state.q[0, lane] - ankle_x, state.q[1, lane] - ankle_z
-        work.leg_length[leg, lane] = ti.sqrt(dx * dx + dz * dz)
+        work.leg_length[leg, lane] = square_root(dx * dx + dz * dz)
         work.leg_angle[leg, lane] = 2.0 * HALF_PI - arctangent2(dz, dx)
         for end in ti.static(range(2)):
             offset = ti.static((HEEL_OFFSET_M, BALL_OFFSET_M)[end])

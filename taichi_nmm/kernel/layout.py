@@ -140,6 +140,10 @@ Muscle = Layout(
 # mass matrix: see `dynamics`.
 Const = Layout(
     **dict.fromkeys(GAIN_NAMES, LEGS),
+    strength=MUSCLE_COUNT,  # largest force over the nominal
+    activation_blend=MUSCLE_COUNT,  # 1 - exp(-physics step / activation time)
+    stretch=MUSCLE_COUNT,  # of the tendon over its reference, for an optimal length of the fibre
+    tightness=MUSCLE_COUNT,  # the nominal slack length over the tendon's
     **dict.fromkeys((each.name for each in (*FIXED, *DEVICE)), 1),
     total_mass=1,  # kg
     a_hat=1,  # A of the HAT, kg m; negative, since its centre of mass lies above the hip
@@ -149,11 +153,7 @@ Const = Layout(
     contact_stiffness=1,  # N/m
     relaxation_speed=1,  # of a contact, m/s
     friction=1,  # Coulomb's coefficient
-    strength=MUSCLE_COUNT,  # largest force over the nominal
-    own_muscles=1,  # 1 where any of the next three is not the nominal one
-    activation_blend=MUSCLE_COUNT,  # 1 - exp(-physics step / activation time)
-    stretch=MUSCLE_COUNT,  # of the tendon over its reference, for an optimal length of the fibre
-    tightness=MUSCLE_COUNT,  # the nominal slack length over the tendon's
+    own_muscles=1,  # 1 where the activation blend, stretch or tightness is not the nominal one
     nerve_blend=1,  # 1 - exp(-tick / lag); 1 without a lag
     sensing_noise=1,
     noise_seed=1,
@@ -167,6 +167,8 @@ Const = Layout(
     leg_weight=LEGS,  # N
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)
 )
+PER_WALKER = Const.strength  # rows of the gains; walkers may share all others
+LOW_LEVEL = Const.tightness + MUSCLE_COUNT  # the first row of the low-level gains
 
 # Scratch of one step. First comes what several of its parts use. After it lies what one
 # part alone uses, in rows that the next part overwrites: the more rows, the longer a
@@ -347,6 +349,9 @@ Sums = Layout(
     motor_energy=1,  # positive work of ideal torques and exoskeleton, J
     impulse=2 * LEGS,  # ground force times time, N s: left x, left z, right x, right z
 )
+
+# What stays of a walker's state, as it lies there.
+Ends = Layout(end_reason=1, end_tick=1, end_x=1, end_z=1)
 
 # Rows of a walker between launches.
 WalkerRows = Layout(state=State, fibres=Muscle, delay=Delay, events=Gait, sums=Sums)

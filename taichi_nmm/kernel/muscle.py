@@ -11,7 +11,13 @@ waits (docs/speed.md).
 import numpy as np
 
 from taichi_nmm.kernel.backend import Rows, Static, ti
-from taichi_nmm.kernel.elementary import LOG2_E, larger, smaller, two_to
+from taichi_nmm.kernel.elementary import (
+    LOG2_E,
+    larger,
+    smaller,
+    square_root,
+    two_to,
+)
 from taichi_nmm.kernel.layout import LEGS, MUSCLES_PER_LEG
 from taichi_nmm.kernel.muscle_table import (
     REFERENCE_STRAIN,
@@ -118,7 +124,7 @@ def nearer(
     excess = force * bottom - (pull + pull_slope * v)
     half_slope = half_fall * bottom + 0.5 * (pull_slope - c * force)
     curve = bend * bottom - 2.0 * c * half_fall
-    root = ti.sqrt(larger(0.0, half_slope * half_slope - curve * excess))
+    root = square_root(larger(0.0, half_slope * half_slope - curve * excess))
     return smaller(larger(low, v + excess / (half_slope + root)), high)
 
 

@@ -10,6 +10,7 @@ from taichi_nmm import Bodies, Settings, Terrain, simulate, terrain
 from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from tests.processes import printed
+from tests.taichi_nmm.test_queue import queue_on_processor
 
 pytestmark = pytest.mark.slow
 
@@ -68,12 +69,13 @@ def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
         assert backend.lanes() == (width if wide and width else backend.LANES_CPU)
 
 
-def test_a_lane_a_turn_as_on_gpus(
-    whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("launch_ticks", [130, 5000])
+def test_a_queue_as_on_gpus(
+    whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch, launch_ticks: int
 ) -> None:
-    assert backend.lanes_a_turn() == backend.lanes() > 1
-    monkeypatch.setattr(backend, "lanes_a_turn", lambda: 1)
-    assert rows(np.arange(200)).tobytes() == whole[:200].tobytes()
+    queue_on_processor(monkeypatch, launch_ticks)
+    index = np.arange(300)[::-1]
+    assert rows(index).tobytes() == whole[index].tobytes()
 
 
 def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from taichi_nmm.kernel import backend
-from taichi_nmm.kernel.layout import Const, State, WalkerRows
+from taichi_nmm.kernel.layout import Const, Ends, State, WalkerRows
 from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 
@@ -30,6 +30,7 @@ def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended() -> 
         for walker in walkers:
             pack, lane = packs.lane_of(walker) or (-1, -1)
             packs.rows[pack, State.active, lane] = 0.0
+            packs.rows[pack, State.end_reason, lane] = 1.0
         packs.compact()
         up -= set(walkers)
         assert set(packs.walkers[packs.up()]) == up
@@ -39,4 +40,4 @@ def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended() -> 
         )
         assert np.array_equal(packs.constants[:, 0], packs.terrains)
         assert np.isin(packs.terrains, packs.walkers).all()  # idle lanes are copies
-    assert not packs.collect()[0][:, State.active].any()
+    assert packs.collect()[0][:, Ends.end_reason].all()

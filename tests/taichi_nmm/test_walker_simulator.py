@@ -38,7 +38,13 @@ def test_a_core_each(
     """Where no GPU computes: MuJoCo computes on the processor, even beside a GPU."""
     monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
     monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
-    assert Walker(settings).processes(7) == processes
+    uncached = walker_simulator.takes_gpu.__wrapped__
+    monkeypatch.setattr(walker_simulator, "takes_gpu", uncached)
+    walker = Walker(settings)
+    assert walker.processes(7) == processes
+    assert (walker.points_at_once > 0) == (processes == 1)
+    # For small batches, too: a store does not mix bits of both.
+    assert walker._one_machine().arch == ("cuda" if processes == 1 else "cpu")
 
 
 def test_parameters_are_gains_and_named_low_level_gains_and_points_are_split_into_them() -> (

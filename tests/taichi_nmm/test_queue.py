@@ -1,0 +1,103 @@
+"""Walkers that queue for the threads of a GPU: here for those of a processor."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from taichi_nmm import Bodies, Settings, Worlds, queue, simulate, simulator
+from taichi_nmm.kernel import backend
+from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
+from taichi_nmm.result import Result
+from taichi_nmm.walkers import Switch
+
+SEATS = 128  # of one block
+COUNT = 200
+CPU = Settings(arch="cpu")
+
+
+def queue_on_processor(monkeypatch: pytest.MonkeyPatch, launch_ticks: int) -> None:
+    """Let walkers queue for a few seats, a seat a turn of the processor's loop."""
+    monkeypatch.setattr(backend, "is_gpu", lambda: True)
+    monkeypatch.setattr(queue, "LAUNCH_TICKS", launch_ticks)
+    for module in (queue, simulator):
+        monkeypatch.setattr(module, "SEATS", SEATS)
+
+
+def gains(count: int) -> NDArray[np.float64]:
+    rng = np.random.default_rng(3)
+    some = rng.uniform(lower_bounds(), upper_bounds(), (count, 16))
+    some[::4] = PUBLISHED_GAINS * rng.uniform(0.97, 1.03, (len(some[::4]), 1))
+    return some
+
+
+def same(one: Result, other: Result) -> bool:
+    return one.rows.tobytes() == other.rows.tobytes()
+
+
+def test_worlds_recordings_and_switches_are_those_of_packs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    short = np.ones((COUNT, 14))
+    short[::3, 2] = 0.95
+    worlds = Worlds(**{**vars(Worlds.nominal(COUNT)), "optimal_length": short})
+    words = {
+        "duration_s": 0.7,
+        "bodies": Bodies.disturbed(range(COUNT)),
+        "worlds": worlds,
+        "settings": CPU,
+        "record": [0, 57, COUNT - 1],
+    }
+    switch = Switch(0.2, PUBLISHED_GAINS, over_s=0.1)
+    packed = simulate(gains(COUNT), **words)
+    switched = simulate(gains(COUNT), **words, switches=[switch])
+    queue_on_processor(monkeypatch, 5000)
+    queued = simulate(gains(COUNT), **words)
+    assert same(queued, packed)
+    for one, other in zip(queued.trajectories, packed.trajectories, strict=True):
+        for name, values in vars(one).items():
+            assert np.array_equal(values, getattr(other, name)), name
+    # Sums are drained at other ticks: their last digits differ.
+    later = simulate(gains(COUNT), **words, switches=[switch])
+    for name in ("end_reason", "duration_s", "hip_x_m", "hip_z_m"):
+        assert np.array_equal(later[name], switched[name])
+        assert not same(switched, packed)
+    assert np.allclose(later["phi_printed"], switched["phi_printed"], rtol=1e-5)
+
+
+def test_float64_and_half_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = Settings(arch="cpu", precision="float64", physics_step_s=0.5e-3)
+    packed = simulate(gains(20), duration_s=0.3, settings=settings)
+    queue_on_processor(monkeypatch, 100)
+    assert same(simulate(gains(20), duration_s=0.3, settings=settings), packed)
+
+
+def test_progress_grows_and_a_walk_stops_at_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    queue_on_processor(monkeypatch, 100)
+    told: list[tuple[float, int]] = []
+    for count, duration_s in ((30, 0.35), (COUNT, 0.35)):
+        told.clear()
+        simulate(
+            gains(count),
+            duration_s=duration_s,
+            settings=CPU,
+            progress=lambda now_s, up: told.append((now_s, up)),
+        )
+        times = [now_s for now_s, _ in told]
+        assert times == sorted(times)
+        assert told[-1] == (pytest.approx(duration_s), 0)
+    assert len(told) > 4
+
+    def interrupt(now_s: float, up: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(gains(5), duration_s=1.0, settings=CPU, progress=interrupt)
+
+
+def test_few_walkers_are_no_work_for_a_gpu() -> None:
+    assert Settings().of_batch(10).arch == "cpu"
+    assert Settings().of_batch(1_000_000).arch == "auto"
+    for arch in ("cpu", "cuda"):
+        assert Settings(arch=arch).of_batch(10).arch == arch
