@@ -15,6 +15,8 @@ from storage.precompute import Summary, precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar
 
+SEARCH_ON_GPU = "note: a search tries few points at a time: --arch cpu is faster"
+
 
 def main(args: Namespace) -> None:
     """Compute, or go on."""
@@ -26,6 +28,8 @@ def main(args: Namespace) -> None:
     simulator.require_machine()
     out = args.out or Path("out") / args.config.stem
     workers = simulator.processes(cores()) if args.workers is None else args.workers
+    if specification.repertoire is not None and simulator.points_at_once:
+        print(SEARCH_ON_GPU, file=sys.stderr)
     folder = None if args.fresh else out
     cluster = Cluster.asked(args.cluster, args.mixed, args.workers)
     opened = open_pool(workers, cluster, folder, simulator.on_one_thread())
