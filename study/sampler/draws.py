@@ -41,6 +41,7 @@ class Purpose(IntEnum):
     WORLD = 13
     COST_NOISE = 14
     GOALS = 15
+    HILL = 16
 
 
 def stream(seed: int, purpose: Purpose, *key: int) -> np.random.SeedSequence:
