@@ -21,6 +21,7 @@ from study.experiment.objective import SUCCESS_SPEED_MPS
 from study.experiment.samplers import FIRST_ROWS, Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
+from study.sampler.table import FeatureTable
 from taichi_nmm.conditions import TRIAL_S
 
 PAPER_ARM = "dog"  # the paper's
@@ -117,6 +118,26 @@ def _seeded(sampler: type[TPESampler] | type[NSGAIISampler]) -> NewSampler:
 
 def _plain(task: Task) -> BaseSampler:
     return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
+
+
+def _hill(task: Task) -> BaseSampler:
+    return samplers.RankedSampler(task, then=samplers.HillSampler(task))
+
+
+def _residual(task: Task) -> BaseSampler:
+    """Our sampler over the mean alone, as one world: which world is like the robot is not asked."""
+    known = task.table.rows
+    score = known.features[known.numbers, 0]
+    table = FeatureTable.from_arrays(
+        {
+            name: known.parameters[known.numbers, column]
+            for column, name in enumerate(known.names)
+        },
+        outcomes=-score,
+        better="lower",
+        space=known.space.as_dict(),
+    )
+    return FeatureKernelSampler(table, seed=task.seed)
 
 
 def _tpe_ranking(task: Task) -> BaseSampler:
@@ -226,6 +247,25 @@ _ALL = (
         kind="peer",
         summary="the ranking's first three rows, then Bayesian optimisation over the gains",
         new_sampler=lambda task: samplers.RankedSampler(task, then=_plain(task)),
+        store="worlds",
+        feature=RANKING,
+    ),
+    Arm(
+        name="hill-ranking",
+        label="hill climber after 3",
+        kind="peer",
+        summary="the ranking's first three rows, then steps from the best trial",
+        new_sampler=_hill,
+        store="worlds",
+        feature=RANKING,
+        options={"sigma": samplers.HILL_SIGMA},
+    ),
+    Arm(
+        name="residual",
+        label="residual BO",
+        kind="peer",
+        summary="Bayesian optimisation of what the mean over the worlds leaves",
+        new_sampler=_residual,
         store="worlds",
         feature=RANKING,
     ),

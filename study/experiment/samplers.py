@@ -1,6 +1,7 @@
 """Samplers that do not look at features: rows in the order of a score, or so begun, and CMA-ES.
 
-CMA-ES starts in two ways: from nowhere, and from a good row.
+After the first rows a hill climber may go on. CMA-ES starts in two ways: from nowhere,
+and from a good row.
 """
 
 import warnings
@@ -35,6 +36,8 @@ Floats = NDArray[np.float64]
 
 SIGMA_COLD = 0.2  # of each range
 SIGMA_WARM = 0.1
+HILL_SIGMA, LEAST_HILL_SIGMA, MOST_HILL_SIGMA = 0.1, 0.005, 0.5
+HILL_GROWTH = 1.5  # after a better trial; four others undo it
 FIRST_ROWS = 3  # of the ranking, with which a peer begins
 START_ROWS = 100  # best rows by score, of which a warm start takes one
 
@@ -73,6 +76,7 @@ class RowSampler(ReproducibleRandomSampler):
 
     def __init__(self, task: Task) -> None:
         super().__init__(seed=task.seed)
+        self._task_seed = task.seed
         self._table = task.table
 
     def infer_relative_search_space(
@@ -145,6 +149,37 @@ def score_order(table: FeatureTable) -> NDArray[np.int64]:
     score = rows.features[:, 0]
     order = np.argsort(-np.where(np.isfinite(score), score, -np.inf), kind="stable")
     return order[rows.offered[order]]
+
+
+class HillSampler(RowSampler):
+    """A hill climber: normal steps from the best trial, in the unit cube, reflected at its faces.
+
+    The one-fifth rule (Rechenberg 1973) sets their size: it grows with each trial that
+    was better than all before, and shrinks with the others.
+    """
+
+    def sample_relative(
+        self,
+        study: optuna.Study,
+        trial: FrozenTrial,
+        search_space: dict[str, BaseDistribution],
+    ) -> dict[str, Any]:
+        """A point near the best trial, which follows from the finished trials and the turn."""
+        finished = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+        costs = [each.values[0] for each in finished]
+        size = HILL_SIGMA
+        for number in range(FIRST_ROWS, len(costs)):
+            is_better = costs[number] < min(costs[:number])
+            size *= HILL_GROWTH if is_better else HILL_GROWTH**-0.25
+            size = min(max(size, LEAST_HILL_SIGMA), MOST_HILL_SIGMA)
+        space = self._table.rows.space
+        best = space.row(finished[int(np.argmin(costs))].params)
+        assert best is not None  # the study suggests no other parameters
+        rng = generator(self._task_seed, Purpose.HILL, turn(study, trial))
+        centre = space.fractions(best[None])
+        target = np.abs(centre + size * rng.standard_normal(centre.shape))
+        target = np.clip(np.where(target > 1.0, 2.0 - target, target), 0.0, 1.0)
+        return space.values(space.from_fractions(target)[0])
 
 
 class ColdCmaEsSampler(CmaEsSampler):
