@@ -8,9 +8,13 @@ Gaussian process over the parameters, the same for all columns but for their siz
 
 with Matern's shape M (nu = 5/2) and a length scale for each parameter. The second part
 is what neighbours among the rows do not share, as where walkers fall: it is the noise of
-the rows when l and q are learned, and smooth at a finer scale when points are placed. At
-a row the process is what was computed there. Elsewhere it is not sure, and says by how
-much: its own error is one more part of the model's covariance (`gp.new_covariance`).
+the rows when l and q are learned, and smooth at a finer scale when points are placed.
+
+Rows have what was computed at them. Elsewhere the emulator is not sure, and says by how
+much: its own error is one more part of the model's covariance
+(`covariance.new_covariance`). A place also counts as `PESSIMISM` of its errors worse
+than the process expects, and rows that no world ran as the worst that is known, so that
+points stay near rows where costs are jagged.
 """
 
 from dataclasses import dataclass
@@ -42,7 +46,7 @@ SPREAD_ROWS = 128  # over the whole table
 UNKNOWN_SCALE = 1e3  # of a parameter that all rows share, in ranges
 FINER = 4.0  # times: the scale of what neighbours do not share
 ROW_NOISE = Constant(log(0.1), 2.0, (1e-4, 1e1))
-ROUGH = 0.1  # of what neighbours do not share, even the nearest: bred rows lie close
+UNSHARED = 0.1  # of q: what not even the nearest share, since bred rows lie close
 JITTER = 1e-6  # of the variance
 # Standard errors by which a place is taken for worse than it seems: the best of many
 # places seems better than it is, and where walkers fall most places are worse.
@@ -165,7 +169,7 @@ class Near:
         self._whole = whole
         self._rows = whole.scaled[pool]
         gram = whole.kernel(self._rows, self._rows)[0]
-        gram[np.diag_indices(len(gram))] += ROUGH * whole.shape.share + JITTER
+        gram[np.diag_indices(len(gram))] += UNSHARED * whole.shape.share + JITTER
         factor = scipy.linalg.lapack.dpotrf(gram, lower=1)[0]
         lower = np.tril(scipy.linalg.lapack.dpotri(factor, lower=1)[0])
         self._solver = lower + np.tril(lower, -1).T  # the inverse
