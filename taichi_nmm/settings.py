@@ -116,11 +116,6 @@ class Settings:
         """How many physics steps fit into a control tick: 1, 2 or 4."""
         return round(CONTROL_TICK_S / self.physics_step_s)
 
-    def of_batch(self, walkers: int) -> "Settings":
-        """The same for so many walkers: where `arch` is "auto", few are no work for a GPU."""
-        is_small = self.arch == "auto" and walkers < LEAST_ON_GPU
-        return self.on_processor() if is_small else self
-
     def on_processor(self) -> "Settings":
         """The same on this machine's processor, where a launch costs microseconds."""
         return replace(self, arch="cpu")
@@ -140,3 +135,9 @@ class Settings:
             del document["contact_relaxation_speed_mps"]
             document |= {"engine": self.engine, "mujoco": asdict(self.mujoco)}
         return document
+
+
+def settings_of_batch(settings: Settings, walkers: int) -> Settings:
+    """The same for so many walkers: where `arch` is "auto", few are no work for a GPU."""
+    is_small = settings.arch == "auto" and walkers < LEAST_ON_GPU
+    return settings.on_processor() if is_small else settings

@@ -26,7 +26,12 @@ from taichi_nmm.packs import Packs
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.queue import LAUNCH_TICKS, SEATS, Queue
 from taichi_nmm.result import Result
-from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
+from taichi_nmm.settings import (
+    CONTROL_TICK_S,
+    OWN_ENGINE,
+    Settings,
+    settings_of_batch,
+)
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.walkers import (
     Batch,
@@ -95,7 +100,7 @@ def simulate(
     """
     settings = Settings() if settings is None else settings
     batch = check_batch(gains, bodies, terrains, terrain_index, low_level_gains, worlds)
-    settings = settings.of_batch(len(batch))
+    settings = settings_of_batch(settings, len(batch))
     if not CONTROL_TICK_S <= duration_s <= LONGEST_WALK_S:
         raise InputError(
             "duration_s", duration_s, f"{CONTROL_TICK_S} to {LONGEST_WALK_S:g}"
@@ -117,7 +122,7 @@ def _silent(now_s: float, up: int) -> None:
 
 def _takes_queue(settings: Settings) -> bool:
     """Whether walkers queue on a GPU, which is started then."""
-    if settings.engine != OWN_ENGINE:
+    if settings.engine != OWN_ENGINE or settings.arch == "cpu":
         return False
     backend.start(settings)
     return backend.is_gpu()

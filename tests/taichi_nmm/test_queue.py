@@ -8,6 +8,7 @@ from taichi_nmm import Bodies, Settings, Worlds, queue, simulate, simulator
 from taichi_nmm.kernel import backend
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from taichi_nmm.result import Result
+from taichi_nmm.settings import settings_of_batch
 from taichi_nmm.walkers import Switch
 
 SEATS = 128  # of one block
@@ -97,7 +98,15 @@ def test_progress_grows_and_a_walk_stops_at_an_interrupt(
 
 
 def test_few_walkers_are_no_work_for_a_gpu() -> None:
-    assert Settings().of_batch(10).arch == "cpu"
-    assert Settings().of_batch(1_000_000).arch == "auto"
+    assert settings_of_batch(Settings(), 10).arch == "cpu"
+    assert settings_of_batch(Settings(), 1_000_000).arch == "auto"
     for arch in ("cpu", "cuda"):
-        assert Settings(arch=arch).of_batch(10).arch == arch
+        assert settings_of_batch(Settings(arch=arch), 10).arch == arch
+
+
+def test_few_walkers_and_many_share_a_program_where_no_gpu_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(backend, "_automatic", "auto")
+    monkeypatch.setattr(backend, "_has_driver", lambda: False)
+    assert backend._engine(Settings()) == backend._engine(Settings(arch="cpu"))
