@@ -250,7 +250,7 @@ def worth_of_study(
 
     Of several goals there is none: the dashboard draws their front by itself.
     """
-    if experiment.objective.goals:
+    if experiment.objective.goals or arm.kind != "ours":
         return None
     sampler = new_sampler(experiment, arm, run) if arm.store else None
     if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
