@@ -293,7 +293,7 @@ class Plan:
         allowed: NDArray[np.bool_] | None = None,
         limits_of: Sequence[FrozenTrial] = (),
     ) -> FeatureKernelSampler:
-        """The sampler over candidates; trials off the table have the features of the nearest rows.
+        """The sampler over candidates; trials off the table have what their nearest rows have.
 
         Args:
             candidates: the rows.
@@ -306,7 +306,7 @@ class Plan:
 
             def features(points: Floats) -> Floats:
                 places = rows.space.unit(points)
-                return rows.mixed(rows.features[rows.numbers], places)
+                return rows.mixed(rows.features[rows.numbers], places, places)
 
             options = {"feature_function": features}
         return FeatureKernelSampler(

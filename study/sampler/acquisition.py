@@ -3,13 +3,19 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
+import scipy
 
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.covariance import Covariance, Kernel, new_covariance
-from study.sampler.gp import Posterior, condition, learn
+from study.sampler.gp import (
+    Covariance,
+    Kernel,
+    Posterior,
+    condition,
+    learn,
+    new_covariance,
+)
 from study.sampler.similarity import Relation
 from study.sampler.transforms import (
     Columns,
@@ -19,15 +25,16 @@ from study.sampler.transforms import (
     of_log_excess,
     squarable,
 )
-from study.sampler.utility import Chance, Improvement, Utility
 from study.sampler.worlds import Ensemble
 
+TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
+LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
+SQRT_HALF = np.sqrt(0.5)
+SQRT_HALF_PI = np.sqrt(0.5 * np.pi)
 # Of success: below, the likeliest candidate is any that is near the best one, and
 # teaches nothing.
 LEAST_LOG_CHANCE = np.log(0.01)
-SOUGHT_AMONG_ROWS = (
-    10  # trials, after which points off a table may be the first to succeed
-)
+FAR_BELOW, FAR_ABOVE = -1e3, 1e1  # standard deviations
 # A squared exponential bends by 1 / (8 x 100^2) = 1.3e-5 of its height between two
 # nodes.
 NODES_A_LENGTH = 100
@@ -44,23 +51,6 @@ REFITS = ((32, 1), (128, 4), (np.inf, 16))
 
 Learned = dict[tuple[Covariance, bytes], Floats]
 """Constants by the covariance and the trials that they were learned from."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """What one quantity adds to the utility of m candidates.
-
-    Attributes:
-        posterior: of the cost, or of what a limit is exceeded by.
-        utility: of its mean and variance.
-        mean: what to expect of each, [m].
-        variance: how sure that is, [m].
-    """
-
-    posterior: Posterior
-    utility: Utility
-    mean: Floats
-    variance: Floats
 
 
 @dataclass(eq=False)
@@ -102,18 +92,6 @@ class Model:
         """Finished trials that kept all their limits, [n]."""
         return np.asarray(~(self.limits > 0).any(axis=1))
 
-    @property
-    def seeks_success(self) -> bool:
-        """Whether no trial that kept its limits has succeeded yet, where a success is defined."""
-        kept = self.costs[self.feasible]
-        return self.success is not None and not bool((kept <= self.success).any())
-
-    @property
-    def aims_at_success(self) -> bool:
-        """Whether success is sought among rows: some have a chance, and few were tried."""
-        is_early = len(self.costs) < SOUGHT_AMONG_ROWS
-        return self.seeks_success and self._in_sight is True and is_early
-
     def utility(
         self, points: Points, offered: Mask, rng: np.random.Generator
     ) -> Floats:
@@ -143,7 +121,7 @@ class Model:
 
         def y(some: slice) -> Floats:
             cost = self.cost(some)
-            return cost - self.expected(self.trials)[some]
+            return cost - self.expected(self.trials, cost)[some]
 
         posterior = self._after(self.trials, y, standardised=self._in_costs is None)
         running = self.visible(self.running)
@@ -190,16 +168,12 @@ class Model:
             return self._in_costs.costs(cost)
         return of_log_excess(cost, self.costs) if self.kernel.by_order else cost
 
-    def expected(self, points: Points) -> Floats:
-        """The mean over the worlds at points, [m], in the unit of the costs; 0 without worlds."""
+    def expected(self, points: Points, cost: Floats) -> Floats:
+        """The mean over the worlds at points, [m], in the unit of these costs; 0 without worlds."""
         if self.ensemble is None:
             return np.zeros(len(points))
-        return self._unit * self.world_mean(points)
-
-    @property
-    def _unit(self) -> float:
-        """The unit of what the worlds say, in that of the costs as the process sees them."""
-        return 1.0 if self._in_costs is not None else float(self.cost().std()) or 1.0
+        mean = self.world_mean(points)
+        return mean if self._in_costs is not None else (float(cost.std()) or 1.0) * mean
 
     def world_mean(self, points: Points) -> Floats:
         """The mean over the worlds at points, [m], as they have it."""
@@ -251,9 +225,7 @@ class Model:
         if self.ensemble is None:
             return new_columns(features, coordinates)
         beside, worlds = self.ensemble.columns.shape[1], self.ensemble.parts.shape[1]
-        between = 1 + coordinates if isinstance(self.ensemble, Ensemble) else 0
-        own = features - beside - between
-        return new_columns(own, coordinates, worlds, between)
+        return new_columns(features - beside, coordinates, worlds)
 
     def _learned(self, covariance: Covariance, x: Floats, y: Floats) -> Floats:
         """The constants, computed once for the same covariance and trials."""
@@ -302,71 +274,38 @@ class Model:
 
     def _merit(self, points: Points) -> Floats:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
-        linear = slice(self.columns.mean.stop if self.ensemble is not None else None)
-        seen = self.trials.features[:, linear]
+        seen = self.trials.features
         n, k = seen.shape
         residual = self.posterior.y[:n]  # less what running trials are believed to show
         if k <= n:
             slopes = np.linalg.solve(seen.T @ seen + np.eye(k), seen.T @ residual)
         else:  # the same by fewer equations
             slopes = seen.T @ np.linalg.solve(seen @ seen.T + np.eye(n), residual)
-        learned = self.posterior.cost_sd * (
-            points.single[:, linear] @ slopes.astype(np.float32)
-        )
-        return np.asarray(-(learned + self.expected(points)))
+        learned = self.posterior.cost_sd * (points.single @ slopes.astype(np.float32))
+        return np.asarray(-(learned + self.expected(points, self.cost())))
 
     def _utility(self, points: Points) -> Floats:
-        """The log of the expected improvement, and of the chance that limits are kept, [m]."""
-        total = np.zeros(len(points))
-        for part in self._parts(points):
-            total += part.utility(part.mean, part.variance)
-        return total
-
-    def slopes(self, points: Points) -> tuple[Floats, Floats]:
-        """The utility of few candidates, [m], and its derivatives by their columns, [m, p]."""
-        total = np.zeros(len(points))
-        slopes = np.zeros_like(points.matrix)
+        """log expected improvement plus the log of the chance that all limits are kept, [m]."""
         visible = self.visible(points)
-        for part in self._parts(points, few=True):
-            total += part.utility(part.mean, part.variance)
-            by_mean, by_variance = part.utility.slopes(part.mean, part.variance)
-            slopes += part.posterior.slopes(visible, by_mean, by_variance)
-            if part.posterior is self.posterior and self.ensemble is not None:
-                slopes[:, self.columns.mean.start] += by_mean * self._unit
-        return total, slopes
-
-    def _parts(self, points: Points, *, few: bool = False) -> list[_Part]:
-        """What the utility of points is the sum of; of few of them in 64 bits."""
-        visible = self.visible(points)
-
-        def seen(posterior: Posterior) -> tuple[Floats, Floats]:
-            return posterior.exactly(visible) if few else posterior.predict(visible)
-
-        parts = [
-            _Part(posterior, Chance(0.0), *seen(posterior))
-            for posterior in self.limit_posteriors
-        ]
-        if not self.feasible.any():
-            return parts  # nothing to improve on: first find a candidate that holds
-        mean, variance = seen(self.posterior)
-        mean += self.expected(points)
-        kept = sum(part.utility(part.mean, part.variance) for part in parts)
-        utility = self._aim(mean, variance, kept)
-        return [*parts, _Part(self.posterior, utility, mean, variance)]
-
-    def _aim(self, mean: Floats, variance: Floats, log_chance_kept: Any) -> Utility:
-        """Success, until a trial has had it, while any has a chance; else improvement."""
-        cost, feasible = self.cost(), self.feasible
-        if self.success is not None and self.seeks_success:
+        log_chance_kept = np.zeros(len(points))
+        for posterior in self.limit_posteriors:
+            log_chance_kept += log_chance_below_zero(*posterior.predict(visible))
+        feasible = self.feasible
+        if not feasible.any():
+            return log_chance_kept  # nothing to improve on: first find a candidate that holds
+        mean, variance = self.posterior.predict(visible)
+        cost = self.cost()
+        mean += self.expected(points, cost)
+        if self.success is not None and self.costs[feasible].min() > self.success:
             (goal,) = self.standard(np.array([self.success]), self.costs)
-            success = Chance(float(goal))
+            chance = log_chance_below_zero(mean - goal, variance) + log_chance_kept
             # Rows come first, and decide for the points off the table too.
             if self._in_sight is None:
-                chance = success(mean, variance) + log_chance_kept
                 self._in_sight = bool(chance.max() >= LEAST_LOG_CHANCE)
             if self._in_sight:
-                return success
-        return Improvement(float(cost[feasible].min()))
+                return chance
+        best = float(cost[feasible].min())
+        return log_expected_improvement(mean, np.sqrt(variance), best) + log_chance_kept
 
 
 def along_feature(
@@ -387,3 +326,55 @@ def along_feature(
     if nodes is not values:
         found = np.interp(values, nodes, found)
     return found[place]
+
+
+def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
+    """log E[max(best - f, 0)] for f ~ N(mean, sd^2): how far below `best` a cost may come, [m].
+
+    = log sd + log h(z), h(z) = phi(z) + z Phi(z), z = (best - mean) / sd: expected
+    improvement (Jones, Schonlau, Welch 1998, eq. 15), which has the same maximum, but
+    underflows; the logarithm does not (Ament et al. 2023, eq. 9 and appendix A.1).
+    """
+    gain = best - mean
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_improvement = np.log(sd) + _log_h(gain / sd)
+        certain = sd <= 0
+        if certain.any():
+            log_improvement[certain] = np.log(np.maximum(gain[certain], 0.0))
+    return np.asarray(log_improvement)
+
+
+def _log_h(z: Floats) -> Floats:
+    """log h(z) as log phi(z) + log(1 + z Phi(z) / phi(z)), [m].
+
+    Phi(z) / phi(z) = sqrt(pi/2) erfcx(-z / sqrt 2). Far below, 1 + ... is a difference
+    of equals, and its series 1/z^2 - 3/z^4 takes over; far above, h(z) is z.
+    """
+    middle = np.clip(z, FAR_BELOW, FAR_ABOVE)
+    ratio = SQRT_HALF_PI * middle * scipy.special.erfcx(-SQRT_HALF * middle)
+    log_h = np.asarray(np.log(1.0 + ratio) - 0.5 * middle**2 - LOG_SQRT_2PI)
+    far = z > FAR_ABOVE
+    log_h[far] = np.log(z[far])
+    far = z < FAR_BELOW
+    square = z[far] ** 2
+    log_h[far] = np.log1p(-3.0 / square) - np.log(square) - 0.5 * square - LOG_SQRT_2PI
+    return log_h
+
+
+def argmax_random_tie(values: Floats, rng: np.random.Generator) -> int:
+    """Index of the largest value; one of them at random where several are equal."""
+    largest = float(values.max())
+    if np.isinf(largest):
+        return int(rng.choice(np.flatnonzero(values == largest)))
+    tied = np.flatnonzero(values >= largest - TIE_TOLERANCE * abs(largest))
+    return int(rng.choice(tied))
+
+
+def log_chance_below_zero(mean: Floats, variance: Floats) -> Floats:
+    """log P(limit <= 0) of a limit, or of a cost above its goal, ~ N(mean, variance), [m].
+
+    Gelbart, Snoek, Adams 2014, section 3. Of limits that are 1 (failed) or -1, it is
+    the least-squares classifier (Rasmussen, Williams 2006, section 6.5).
+    """
+    sd = np.sqrt(np.maximum(variance, 1e-24))
+    return np.asarray(scipy.special.log_ndtr(-mean / sd))

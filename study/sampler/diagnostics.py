@@ -10,8 +10,7 @@ from optuna.trial import FrozenTrial
 
 from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats
-from study.sampler.covariance import seen_by
-from study.sampler.gp import JITTER, Posterior
+from study.sampler.gp import JITTER, Posterior, seen_by
 from study.sampler.transforms import Points
 
 LEAST_TRIALS = 5

@@ -12,7 +12,7 @@ bends inwards, their sum does not). The least cost of a goal, and the median exc
 it, are those of the table's worlds or, without any, of the trials.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,13 +46,6 @@ class Goals:
         least = np.array([column.min() if len(column) else 0.0 for column in columns])
         typical = [typical_excess(column) if len(column) else 1.0 for column in columns]
         return cls(weights=weights, least=least, typical=np.array(typical))
-
-    @property
-    def even(self) -> "Goals":
-        """Goals that count the same."""
-        return replace(
-            self, weights=np.full_like(self.weights, 1.0 / len(self.weights))
-        )
 
     def cost(self, costs: Floats) -> Floats:
         """The one cost of costs [..., k], [...]."""

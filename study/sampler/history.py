@@ -83,11 +83,6 @@ class History:
         """The sign of the only goal."""
         return float(self.signs[0])
 
-    @property
-    def taken(self) -> Floats:
-        """Parameters of finished and running trials, [t, d]."""
-        return np.vstack([self.done.parameters, self.running.parameters])
-
 
 def next_trial(study: optuna.Study) -> FrozenTrial:
     """The trial that would come next, of which nothing is known; the study stays as it is."""

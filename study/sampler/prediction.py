@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import scipy
 
-from study.sampler.acquisition import Model
+from study.sampler.acquisition import Model, log_chance_below_zero
 from study.sampler.arrays import Floats, Whole
 from study.sampler.diagnostics import NORMAL_95, Present, trials_text
 from study.sampler.gp import misfit
 from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
-from study.sampler.utility import log_chance_below_zero
 from study.sampler.worlds import Ensemble
 
 SHOWN_CANDIDATES = 10
@@ -71,7 +70,7 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     """
     model, trials = present.model, present.trials
     mean, variance = _over_noise(model)
-    mean += model.expected(model.trials)
+    mean += model.expected(model.trials, model.cost())
     kept = ~(read_limits(trials) > 0).any(axis=1)
     told = np.array([trial.values[0] for trial in trials])
     # To the model infinity is a number beyond the others, which noise may bring near to
@@ -183,14 +182,12 @@ def prediction_of(
         if not finite.any() and not model.in_table_units:
             return nothing
         mean, variance = model.posterior.predict(model.visible(points))
-        mean += model.expected(points)
+        mean += model.expected(points, model.cost())
         is_known = np.full(len(points), model.knows_scale)
     elif isinstance(model.ensemble, Ensemble) and model.ensemble.in_costs:
         mean = model.world_mean(points)
         parts = model.columns.worlds
-        unsure = model.columns.between.start  # an emulator's error, 0 at a row
         variance = (points.features[:, parts.start : parts.stop] ** 2).sum(axis=1)
-        variance += points.features[:, unsure] ** 2
         is_known = np.sqrt(variance) > LEAST_SPREAD
         freedom = model.ensemble.freedom
         if freedom > 0.0:  # of a further world, by those that were drawn

@@ -7,11 +7,11 @@ from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.emulator import Emulator, Shape
 from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation
 from study.sampler.space import Number, Space, first_not_taken, standing_for
@@ -19,10 +19,10 @@ from study.sampler.transforms import NormalScores, Points, Scale, Standard
 from study.sampler.worlds import Ensemble, Worlds
 
 T = TypeVar("T")
-MIXED_ROWS = 8  # whose mean a point off the table has
-MOST_GAPS = 10_000  # rows that no world ran, which an emulator looks at
-MIXED_POWER = 4  # of the distance, by which their weights fall
+NEAR_ROWS = 8  # whose mean a point off the table has
+NEAR_POWER = 4  # of the distance, by which their weights fall
 BLOCK = 2**13  # rows at a time, to stay in the cache
+NEAR_POOL = 128  # rows near each centre, among which these are looked for
 # 2^64 / golden ratio: Knuth's multiplicative hashing.
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
@@ -89,6 +89,11 @@ class Rows:
         return np.vstack(blocks)
 
     @cached_property
+    def _lengths(self) -> Floats:
+        """|u|^2 of `unit`, [m]."""
+        return np.asarray(np.einsum("me,me->m", self.unit, self.unit))
+
+    @cached_property
     def numbers(self) -> Whole:
         """Numbers of the rows that may be proposed, ascending, [m]."""
         return np.flatnonzero(self.offered)
@@ -106,10 +111,6 @@ class Rows:
             features = self.scores.own if by_order else self.standard.standard(chosen)
             if ensemble is not None:
                 features = np.hstack([features, ensemble.columns])
-            if isinstance(ensemble, Ensemble):
-                nothing = np.zeros((len(features), 1))
-                scaled = self.unit / self._shape(ensemble).scales
-                features = np.hstack([features, nothing, scaled])
             return Points(
                 features, self.unit if coordinates else np.empty((len(features), 0))
             )
@@ -126,68 +127,52 @@ class Rows:
         if alike is not None:
             return _once(self, "alike", lambda: Alike(self._chosen(alike)))
         assert worlds is not None
+        costs = partial(worlds.of_rows, self.numbers, signs, goals)
+        if goals is not None:
+            return Ensemble(worlds, costs())
+        return _once(self, ("ensemble", *signs), lambda: Ensemble(worlds, costs()))
 
-        def made(goals: Goals | None = None) -> Ensemble:
-            costs = worlds.of_rows(self.numbers, signs, goals)
-            return Ensemble(worlds, costs)
-
-        if goals is None:
-            return _once(self, ("ensemble", *signs), made)
-        found = made(goals)
-        # Learned of the goals together: to learn of each trial's own takes too long.
-        found.kept["shape"] = _once(
-            self, ("shape", *signs), lambda: self._shape(made(goals.even))
-        )
-        return found
-
-    def mixed(self, columns: Floats, points: Floats) -> Floats:
+    def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
         """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
 
-        Each point [e] has a mean of its `MIXED_ROWS` nearest rows, weighted by 1 /
-        distance^4: in many dimensions all but the nearest are about as far.
+        Each point [e] has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 /
+        distance^4 (in many dimensions all but the nearest are about as far). They are
+        looked for among the `NEAR_POOL` rows that are nearest to each of the centres
+        [c, e], which points are near to.
         """
-        mixed = np.empty((len(points), columns.shape[1]))
-        count = min(MIXED_ROWS, len(self.unit))
-        for place, point in enumerate(points):
-            away = np.linalg.norm(self.unit - point, axis=1)
-            near = np.argpartition(away, count - 1)[:count]
-            weights = (away[near] + 1e-3) ** -MIXED_POWER
-            mixed[place] = (weights / weights.sum()) @ columns[near]
-        return mixed
+        pools = [
+            _once(self, ("pool", c.tobytes()), partial(self._pool, c)) for c in centres
+        ]
+        pool = np.unique(np.concatenate(pools))
+        unit = self.unit[pool]
+        # |a|^2 + |b|^2 - 2 a . b, with one product of matrices.
+        squares = (
+            (points**2).sum(axis=1)[:, None]
+            + (unit**2).sum(axis=1)
+            - 2.0 * points @ unit.T
+        )
+        count = min(NEAR_ROWS, len(pool))
+        # Of rows as far as the last one all count. To find how far is a third of
+        # finding which.
+        near = squares <= np.partition(squares, count - 1, axis=1)[:, count - 1 : count]
+        weight = 1.0 / (np.sqrt(np.maximum(squares[near], 0.0)) + 1e-3) ** NEAR_POWER
+        starts = np.append(0, near.sum(axis=1).cumsum())
+        weight /= np.repeat(np.add.reduceat(weight, starts[:-1]), np.diff(starts))
+        places = near.nonzero()[1]
+        matrix = scipy.sparse.csr_array((weight, places, starts), squares.shape)
+        return np.asarray(matrix @ columns[pool])
 
-    def emulator(self, ensemble: Ensemble) -> Emulator:
-        """The worlds, and the features, between the rows; made once.
+    def mixed_at(self, points: Points, place: Floats) -> Floats:
+        """The features of rows that may be proposed, as points, mixed at a place [e]: [k]."""
+        made = partial(self.mixed, points.features, place[None], place[None])
+        return np.asarray(_once(points, place.tobytes(), made)[0])
 
-        Rows that no world ran count as the worst that is known: they failed before, or
-        nobody knows, and neither is a place to go to.
-        """
-
-        def made() -> Emulator:
-            known = np.hstack([self.scores.own, ensemble.columns])
-            unknown = np.zeros((len(self._gaps), known.shape[1]))
-            unknown[:, -2] = 1.0
-            unknown[:, -1] = ensemble.mean.max()
-            return Emulator(
-                unit=np.vstack([self.unit, self._gaps]),
-                columns=np.vstack([known, unknown]),
-                parts=range(self.scores.own.shape[1], known.shape[1] - 2),
-                shape=self._shape(ensemble),
-            )
-
-        return _once(ensemble, "emulator", made)
-
-    def _shape(self, ensemble: Ensemble) -> Shape:
-        """How the mean over the worlds varies with the parameters; learned once."""
-        learned = partial(Shape.learned, self.unit, ensemble.mean, self._gaps)
-        return _once(ensemble, "shape", learned)
-
-    @cached_property
-    def _gaps(self) -> Floats:
-        """Rows that no world ran in the unit cube, evenly some of them, [g, e]."""
-        assert self.worlds is not None
-        rows = np.flatnonzero(self._first & ~self.worlds.known)
-        some = rows[:: max(1, len(rows) // MOST_GAPS)]
-        return self.space.unit(self.parameters[some])
+    def _pool(self, centre: Floats) -> Whole:
+        """Places of the rows that are nearest to a point of the unit cube [e]."""
+        # Less |centre|^2, which all share.
+        squares = self._lengths - 2.0 * (self.unit @ centre)
+        count = min(NEAR_POOL, len(squares))
+        return np.argpartition(squares, count - 1)[:count]
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna takes it: native values by name."""

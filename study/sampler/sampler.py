@@ -15,9 +15,9 @@ from optuna.trial import FrozenTrial, TrialState
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Mask
-from study.sampler.covariance import KERNELS, SIMILARITY, WITH_WORLDS
 from study.sampler.diagnostics import Likeness, Worth, likeness_of, worth_of
 from study.sampler.draws import ReproducibleRandomSampler
+from study.sampler.gp import KERNELS, SIMILARITY, WITH_WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.prediction import Best, Prediction, best_of
 from study.sampler.space_policy import SpacePolicy
@@ -26,7 +26,7 @@ from study.sampler.table_policy import TablePolicy
 from study.sampler.worlds import Ensemble
 
 MOST_OFF_GRID = 1_000_000
-OFF_GRID = 512  # points near the best trials, where worlds say what rows cost
+OFF_GRID = 1500  # points near the best trials, where worlds say what rows cost
 # Antonova, Rai, Atkeson 2016; options that are not named keep their defaults.
 PAPER: dict[str, Any] = {"kernel": "rbf"}
 
@@ -88,15 +88,15 @@ class FeatureKernelSampler(BaseSampler):
         kernel: None: the model above with features, "euclidean" without. "additive":
             the model above; a kernel that is named leaves outcomes out. "rbf": f alone,
             of features as they are (standardised), one length scale for all and the
-            cost as it is, the paper's. "euclidean": over the parameters alone, Matern
-            5/2 with a length scale each. All but the first start with three random
-            trials.
+            cost as it is, the paper's. "euclidean": over the parameters alone, a length
+            scale each, as Hvarfner, Hellsten, Nardi 2024. All but the first start with
+            three random trials.
         feature_function: for a table, features of points off it, in the table's order
             and units.
         off_grid: with such a function, the number of points near the best ones that are
             added to the candidates of each trial; by default none. With outcomes in
-            worlds, of points near the best trials, by default 512, beside which the
-            best climb to better ones; 0: rows alone are proposed.
+            worlds, of points near the best trials, by default 1,500; 0: rows alone are
+            proposed.
         space: what the study suggests: distributions by name. None takes those that all
             finished trials share, the first trial being random. A table has its own.
         strict: True: what does not fit is an error before the objective has its
@@ -108,8 +108,8 @@ class FeatureKernelSampler(BaseSampler):
             uniform.
         success: the value of the study from which on a trial has succeeded: at most
             this, or at least, where values are maximised. Until one has, the candidate
-            that most likely succeeds comes next (with costs in worlds a row, after the
-            three best by their mean), then that of the largest expected improvement.
+            that most likely succeeds comes next (with costs in worlds after the three
+            best rows by their mean), then that of the largest expected improvement.
             None: improvement alone counts.
         allowed: which rows of a table may be proposed, [n]; None: all. Points off it
             are not looked at then.

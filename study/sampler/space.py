@@ -117,33 +117,6 @@ class Space:
         parts = [_to_unit(distribution, values) for distribution, values in columns]
         return np.hstack(parts) if parts else np.zeros((len(rows), 0))
 
-    @property
-    def movable(self) -> Mask:
-        """Coordinates of the unit cube in which a point can move a little, [e]."""
-        pinned = {column for column, _ in self.pins}
-        found: list[bool] = []
-        for column, distribution in enumerate(self.distributions):
-            if isinstance(distribution, CategoricalDistribution):
-                found += [False] * len(distribution.choices)
-            else:
-                found.append(column not in pinned and not distribution.single())
-        return np.array(found, dtype=bool)
-
-    def from_unit(self, unit: Floats) -> Floats:
-        """Rows [n, d] of points of the unit cube [n, e]: steps and integers are rounded."""
-        fractions = np.empty((len(unit), len(self)))
-        first = 0
-        for column, distribution in enumerate(self.distributions):
-            if isinstance(distribution, CategoricalDistribution):
-                count = len(distribution.choices)
-                place = unit[:, first : first + count].argmax(axis=1)
-                fractions[:, column] = (place + 0.5) / count
-            else:
-                count = 1
-                fractions[:, column] = unit[:, first]
-            first += count
-        return self.from_fractions(fractions)
-
     def from_fractions(self, fractions: Floats) -> Floats:
         """Rows [n, d] from numbers between 0 and 1, [n, d]: steps and integers are rounded."""
         rows = np.empty_like(fractions)

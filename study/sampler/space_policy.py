@@ -10,8 +10,8 @@ from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
 from storage.inputs.errors import InputError
+from study.sampler.acquisition import argmax_random_tie
 from study.sampler.arrays import Floats
-from study.sampler.ascent import Plain, climbed
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
@@ -32,12 +32,12 @@ from study.sampler.policy import (
 )
 from study.sampler.space import Space, anywhere, nearby, not_among
 from study.sampler.transforms import NormalScores, Points, Scale, Standard
-from study.sampler.utility import argmax_random_tie
 
 CANDIDATES = 2048  # points anywhere, a trial
 INCUMBENTS = 5  # best trials that points are near to
 LOCAL_SHARE = 4  # one point near them for so many anywhere
-CLIMBERS = 10  # best candidates that climb, where features cost nothing
+# Rounds of points near the best candidates, where features cost nothing.
+REFINEMENTS = 3
 
 
 class SpacePolicy(Policy):
@@ -73,7 +73,7 @@ class SpacePolicy(Policy):
                 if len(history.cost) < self.first_trials:
                     point, features = self._first(space, own_turn)
                 else:
-                    point, features = self.best(space, history, own_turn)
+                    point, features = self._best(space, history, own_turn)
         except InputError as error:
             self.misfit(error)
             draw = self.independent.sample_independent
@@ -171,12 +171,12 @@ class SpacePolicy(Policy):
         best = argmax_random_tie(merit, rng)
         return points[best], features[best]
 
-    def best(
+    def _best(
         self, space: Space, history: History, own_turn: int
     ) -> tuple[Floats, Floats]:
         """The best of points anywhere and near the incumbents, and its features.
 
-        Without features, the best of these climb.
+        Without features, also of points near those, round by round.
         """
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         points = self._candidates(space, history, rng)
@@ -186,18 +186,18 @@ class SpacePolicy(Policy):
         elsewhere = _placed(scale, running, space, history.running.parameters)
         model = self.model(history, seen, running=elsewhere)
         model = self.of_turn(model, own_turn)
+        taken = np.vstack([history.done.parameters, history.running.parameters])
         known = np.asarray(~np.isnan(features).any(axis=1))
-        new = not_among(points, history.taken) & known
+        new = not_among(points, taken) & known
         candidates = _placed(scale, features, space, points)
         utility = model.utility(candidates, new if new.any() else known, rng)
-        if self.function is None:
-            order = np.argsort(-utility, kind="stable")[:CLIMBERS]
-            starts = space.unit(points[order])
-            ends = climbed(model, Plain(), starts, space.movable)
-            points = np.vstack([points[order], space.from_unit(ends)])
+        for _ in range(REFINEMENTS if self.function is None else 0):
+            best = np.argsort(-utility, kind="stable")[:INCUMBENTS]
+            near = nearby(space, points[best], CANDIDATES // LOCAL_SHARE, rng)
+            points = np.vstack([points[best], near])
             features = np.empty((len(points), 0))
             candidates = _placed(scale, features, space, points)
-            utility = model.utility(candidates, not_among(points, history.taken), rng)
+            utility = model.utility(candidates, not_among(points, taken), rng)
         best_one = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return points[best_one], features[best_one]
 

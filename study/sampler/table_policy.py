@@ -17,11 +17,11 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.inputs.errors import InputError
-from study.sampler.acquisition import Model
+from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
-from study.sampler.covariance import WITH_WORLDS
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
+from study.sampler.gp import WITH_WORLDS
 from study.sampler.history import (
     NOTES,
     OFF_TABLE,
@@ -45,14 +45,6 @@ from study.sampler.history import (
     suggested_so_far,
     values_of,
 )
-from study.sampler.off_table import (
-    INCUMBENTS,
-    Around,
-    beside_worlds,
-    by_function,
-    by_parameters,
-    is_left_to_parameters,
-)
 from study.sampler.policy import (
     NOTHING,
     ODD_TURN,
@@ -68,11 +60,16 @@ from study.sampler.policy import (
 from study.sampler.prediction import Prediction, prediction_of
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
-from study.sampler.space import as_suggested
+from study.sampler.space import as_suggested, nearby, not_among, not_near
 from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
-from study.sampler.utility import argmax_random_tie
-from study.sampler.worlds import Ensemble
+
+CENTRES = 8  # best rows that points off the table are near to
+INCUMBENTS = 3  # and best trials
+# Of a range: a point off the table that is nearer to a trial, in every parameter,
+# repeats it. With two knobs half of the trials were such repeats; in 16 dimensions none
+# is.
+REPEAT = 0.01
 
 
 class TableExhaustedError(RuntimeError):
@@ -391,28 +388,16 @@ class TablePolicy(Policy):
     ) -> Proposal:
         """The candidate of the largest utility after some trials; of equal ones any."""
         model = self._model(history, own_turn)
-        if self.options.off_grid and is_left_to_parameters(model, own_turn):
-            plain = self._plain_proposal(history, own_turn)
-            if plain is not None:
-                return plain
         points, free = self._points(model.ensemble), offered[self.rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
             rng = self.rng(Purpose.CANDIDATES, own_turn)
             utility = model.utility(points, free, rng)
-        if self.options.off_grid and not (free.any() and model.aims_at_success):
+        if self.options.off_grid:
             value, off = self._off_table(history, utility, model, own_turn)
             if not free.any() or value > utility.max():
                 return off
         return self._best_row(utility, offered, self.rng(Purpose.TIE_BREAK, own_turn))
-
-    def _plain_proposal(self, history: History, own_turn: int) -> Proposal | None:
-        """A point by the parameters alone; None where it would repeat a trial."""
-        point = by_parameters(self, self.rows.space, history, own_turn)
-        if point is None:
-            return None
-        notes = notes_of(OFF_TABLE, np.full(len(self.rows.feature_names), np.nan))
-        return Proposal(self.rows.space.values(point), notes)
 
     def _model(self, history: History, own_turn: int) -> Model:
         ensemble = self._ensemble(history)
@@ -443,30 +428,42 @@ class TablePolicy(Policy):
     def _off_table(
         self, history: History, utility: Floats, model: Model, own_turn: int
     ) -> tuple[float, Proposal]:
-        """The best point off the table, and its utility.
+        """The best of some points near the best rows and trials, and its utility.
+
+        Beside worlds no point that repeats a trial, unless nothing else is left:
+        repeats are asked for by enqueuing them.
 
         `utility` is that of the rows that may be proposed, [m].
         """
-        rows, order = self.rows, np.lexsort((history.cost, ~model.feasible))
-        around = Around(
-            space=rows.space.pinned(history.fixed),
-            incumbents=history.done.parameters[order[:INCUMBENTS]],
-            taken=history.taken,
-            utility=utility,
-            count=self.options.off_grid,
-            rng=self.rng(Purpose.OFF_GRID, own_turn),
-        )
-        rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
+        rows, space = self.rows, self.rows.space
+        order = np.lexsort((history.cost, ~model.feasible))
+        centres = history.done.parameters[order[:INCUMBENTS]]
         if self.function is not None:
-            off = by_function(around, rows, self.function, self._as_points)
+            best = np.argsort(-utility, kind="stable")[:CENTRES]
+            best = best[np.isfinite(utility[best])]
+            centres = np.vstack([rows.parameters[rows.numbers[best]], centres])
+        rng = self.rng(Purpose.OFF_GRID, own_turn)
+        near = nearby(space.pinned(history.fixed), centres, self.options.off_grid, rng)
+        taken = np.vstack([history.done.parameters, history.running.parameters])
+        new = not_among(near, taken)
+        features = np.full((len(near), len(rows.feature_names)), np.nan)
+        if self.function is not None:
+            features = call_features(self.function, near, features.shape[1])
+            known = np.asarray(~np.isnan(features).any(axis=1))
+            new = new & known if (new & known).any() else known
+            points = self._as_points(near, features)
         else:
-            assert isinstance(model.ensemble, Ensemble)
-            off = beside_worlds(around, rows, model, model.ensemble, rng)
-        utility = model.utility(off.points, off.new, rng)
+            unit = space.unit(near)
+            elsewhere = new & not_near(unit, space.unit(taken), REPEAT)
+            if np.isfinite(utility).any() or elsewhere.any():
+                new = elsewhere
+            own = self._points(model.ensemble).features
+            points = Points(rows.mixed(own, unit, space.unit(centres)), unit)
+        rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
+        utility = model.utility(points, new, rng)
         chosen = argmax_random_tie(utility, rng)
-        notes = notes_of(OFF_TABLE, off.features[chosen])
-        values = rows.space.values(off.parameters[chosen])
-        return float(utility[chosen]), Proposal(values, notes)
+        notes = notes_of(OFF_TABLE, features[chosen])
+        return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
 
     def _of_row(self, row: int) -> Proposal:
         notes = notes_of(row, self.rows.features[row])
@@ -482,7 +479,7 @@ class TablePolicy(Policy):
         )
 
     def _seen(self, placed: Placed, ensemble: Relation | None) -> Points:
-        """Trials as points: with worlds, those off the table have what the emulator says."""
+        """Trials as points: with worlds, those off the table have what their nearest rows have."""
         if ensemble is None:
             return self._as_points(placed.parameters, self._features(placed))
         rows, points = self.rows, self._points(ensemble)
@@ -490,10 +487,8 @@ class TablePolicy(Policy):
         place = np.searchsorted(rows.numbers, placed.rows)
         place = np.minimum(place, len(rows.numbers) - 1)
         features = points.features[place]
-        if isinstance(ensemble, Ensemble):
-            emulator = rows.emulator(ensemble)
-            for off in np.flatnonzero(rows.numbers[place] != placed.rows).tolist():
-                features[off] = emulator.at(unit[off])
+        for off in np.flatnonzero(rows.numbers[place] != placed.rows).tolist():
+            features[off] = rows.mixed_at(points, unit[off])
         return Points(features, unit)
 
     def _as_points(self, parameters: Floats, features: Floats) -> Points:

@@ -34,8 +34,6 @@ class Columns:
             similarity; without either, this and the next two are empty.
         one: a one in each row, whose multiple is the shift.
         mean: the mean over the worlds; 0 where only a similarity is known.
-        between: how unsure these are between rows (0 at a row), and the coordinates in
-            the emulator's length scales; empty without worlds.
         coordinates: of the parameters in the unit cube.
     """
 
@@ -43,16 +41,13 @@ class Columns:
     worlds: range
     one: range
     mean: range
-    between: range
     coordinates: range
 
 
-def new_columns(
-    features: int, coordinates: int, worlds: int | None = None, between: int = 0
-) -> Columns:
+def new_columns(features: int, coordinates: int, worlds: int | None = None) -> Columns:
     """The columns that follow from these counts; worlds None: nothing is known of any."""
     beside = (0, 0, 0) if worlds is None else (worlds, 1, 1)
-    counts = (features, *beside, between, coordinates)
+    counts = (features, *beside, coordinates)
     ends = accumulate(counts)
     parts = zip(ends, counts, strict=True)
     return Columns(*(range(end - count, end) for end, count in parts))

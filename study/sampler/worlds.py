@@ -11,11 +11,10 @@ being those of `Ensemble.standard`, and p_w the weights of the worlds:
              + noise
 
 with s ~ N(0, v) and b ~ N(0, a^2 I). Where no world is like the robot, the trials make
-1 + s small; the fewer worlds there are, the larger v is expected to be. The shift is
-common to all rows: a robot may be worse than all worlds. A point off the table has the
-m and d of an emulator (`study.sampler.emulator`), whose error is one more part of y.
-Outcomes in other units than the study's values (shares survived, scores) tell which
-rows are better, not what they cost: there is no shift then.
+1 + s small. The shift is common to all rows: a robot may be worse than all worlds. A
+point off the table has the m and d of its nearest rows, by distance. Outcomes in other
+units than the study's values (shares survived, scores) tell which rows are better, not
+what they cost: there is no shift then.
 """
 
 from collections.abc import Callable, Mapping

@@ -280,7 +280,7 @@ def test_a_store_of_equal_legs_serves_a_search_of_gains_by_side(
     fake_walker.calls.clear()
     found = compare(
         toy,
-        Request(tmp_path / "out", arms=("worlds", "bo-ranking"), runs=2, trials=14),
+        Request(tmp_path / "out", arms=("worlds", "bo-ranking"), runs=2, trials=8),
         lambda progress: None,
     ).trials.to_pandas()
     first = found[found.trial < 1]

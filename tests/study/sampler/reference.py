@@ -1,14 +1,12 @@
 """scikit-learn's Gaussian process for the covariances of `study.sampler`: what ours is held to."""
 
 import numpy as np
+from scipy.optimize import minimize
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 
 from study.sampler import gp
-from study.sampler.covariance import KERNELS, NEARNESS, SIMILARITY, WITH_WORLDS
 
-# All that there are, by name.
-OTHERS = {"nearness": NEARNESS, "worlds": WITH_WORLDS, "similarity": SIMILARITY}
-FORMS = KERNELS | OTHERS
+FORMS = gp.KERNELS | {"nearness": gp.NEARNESS}  # all that there are, by name
 
 
 class Columns(kernels.Kernel):
@@ -17,6 +15,15 @@ class Columns(kernels.Kernel):
     def __init__(self, kernel, columns):
         self.kernel = kernel
         self.columns = columns
+
+    def get_params(self, deep=True):
+        params = {"kernel": self.kernel, "columns": self.columns}
+        inner = self.kernel.get_params().items() if deep else ()
+        return params | {f"kernel__{name}": value for name, value in inner}
+
+    @property
+    def hyperparameters(self):
+        return self.kernel.hyperparameters
 
     @property
     def theta(self):
@@ -50,18 +57,14 @@ def of_covariance(covariance, theta):
     """The same kernel of scikit-learn's with these constants and the same bounds."""
     total = None
     for term, variance, scales in covariance.valued(theta):
-        first = term.columns.start
-        inner = linear = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
+        columns = slice(term.columns.start, term.columns.stop)
         if len(scales):
-            shape = {"length_scale_bounds": term.scales[0].bounds}
-            shape["length_scale"] = scales[0] if len(scales) == 1 else scales
-            rough = term.rough
-            inner = kernels.Matern(nu=2.5, **shape) if rough else kernels.RBF(**shape)
-        inner = Columns(inner, slice(first + term.sized, term.columns.stop))
-        if term.sized:
-            inner = kernels.Product(Columns(linear, slice(first, first + 1)), inner)
+            limits = term.scales[0].bounds
+            inner = kernels.RBF(scales[0] if len(scales) == 1 else scales, limits)
+        else:
+            inner = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
         factor = kernels.ConstantKernel(variance, term.variance.bounds)
-        product = kernels.Product(factor, inner)
+        product = kernels.Product(factor, Columns(inner, columns))
         total = product if total is None else kernels.Sum(total, product)
     return total + kernels.WhiteKernel(np.exp(theta[-1]), covariance.noise.bounds)
 
@@ -78,3 +81,22 @@ def misfit(covariance, x, y, theta):
     likelihood, gradient = regressor.log_marginal_likelihood(theta, eval_gradient=True)
     z = (theta - covariance.modes) / covariance.spreads
     return float(-likelihood + 0.5 * z @ z), -gradient + z / covariance.spreads
+
+
+def learned(covariance, x, y):
+    """Theta by SciPy's L-BFGS on scikit-learn's likelihood times prior; y in standard units."""
+    few = len(y) <= gp.SECOND_START_TRIALS
+    found = []
+    for shift in gp.NOISE_STARTS if few else gp.NOISE_STARTS[:1]:
+        start = covariance.start.copy()
+        start[-1] += shift
+        result = minimize(
+            lambda theta: misfit(covariance, x, y, theta),
+            np.clip(start, *covariance.bounds.T),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=covariance.bounds,
+            options={"maxiter": gp.ITERATIONS, "ftol": 1e-5},
+        )
+        found.append(result)
+    return min(found, key=lambda result: float(result.fun)).x

@@ -56,13 +56,6 @@ def model_after(trials, costs, kernel, ensemble=None):
     )
 
 
-def by_differences(function, x):
-    """Derivatives of m numbers by their rows of x [m, p], each of its own row."""
-    steps = 1e-4 * np.eye(x.shape[1])
-    ends = [(function(x + step), function(x - step)) for step in steps]
-    return np.column_stack([(more - less) / 2e-4 for more, less in ends])
-
-
 def told(study, space, params, value, **limits):
     """A trial of these parameters that has ended with this value, and limits by name."""
     study.enqueue_trial(params)

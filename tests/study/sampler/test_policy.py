@@ -11,7 +11,7 @@ from study.experiment.arms import find_arm
 from study.experiment.one_study import OneStudy
 from study.sampler import acquisition
 from study.sampler.acquisition import Model
-from study.sampler.covariance import ADDITIVE, NEARNESS
+from study.sampler.gp import ADDITIVE, NEARNESS
 from study.sampler.transforms import PATIENCE, is_doubtful
 from tests.study.sampler.studies import bowl, rows_of, run_code, study_of, summed
 
@@ -181,6 +181,52 @@ def test_trials_that_broke_their_limits_are_neither_success_nor_failure():
     )
     # Kept after number 1: 3, 4, 6, 7, ...; the third of them is told before number 7.
     assert [turn for turn, kernel in asked.items() if kernel is NEARNESS] == [7, 9]
+
+
+DIMENSION, TRIALS = 4, 24
+SEEDS = range(12)  # chosen before the first run
+
+
+def round_bowl(unit):
+    return np.asarray(((unit - 0.65) ** 2).sum(axis=1))
+
+
+def misleading(unit, rng):
+    """The cost, folded at its best tenth: the best rows look like mediocre ones."""
+    cost = round_bowl(unit)
+    return np.abs(cost - np.quantile(cost, 0.1))
+
+
+def useless(unit, rng):
+    return rng.standard_cauchy(len(unit))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("feature", [useless, misleading])
+def test_features_that_are_worth_nothing_leave_the_parameters_to_learn_from(feature):
+    """Half the regret of rows at random, of which 24 of 400 are expected to hold the best 4 %.
+
+    At the worst 12 trials are left to a process of four parameters on a bowl of 15
+    coefficients.
+    """
+    ours, at_random = [], []
+    names = [f"p{i}" for i in range(DIMENSION)]
+
+    def bowl_of(trial):
+        point = [trial.suggest_float(name, 0, 1) for name in names]
+        return float(round_bowl(np.array([point]))[0])
+
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        unit = rng.uniform(size=(400, DIMENSION))
+        cost = round_bowl(unit)
+        table = FeatureTable.from_arrays(
+            dict(zip(names, unit.T, strict=True)), feature(unit, rng)
+        )
+        ours.append(study_of(table, bowl_of, TRIALS, seed=seed).best_value - cost.min())
+        drawn = [rng.choice(cost, TRIALS, replace=False).min() for _ in range(200)]
+        at_random.append(np.mean(drawn) - cost.min())
+    assert np.mean(ours) <= 0.5 * np.mean(at_random)
 
 
 # Threads.

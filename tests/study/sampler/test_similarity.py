@@ -8,9 +8,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from optuna.distributions import CategoricalDistribution
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.similarity import factor_of_gram, factor_of_graph
+from study.sampler.gp import SIMILARITY
+from study.sampler.similarity import Alike, factor_of_gram, factor_of_graph
+from study.sampler.transforms import Points, log_excess
 from tests.study.conftest import refused
-from tests.study.sampler.studies import told
+from tests.study.sampler.studies import model_after, told
 
 PLACES = np.random.default_rng(3).random((300, 2))
 APART = ((PLACES[:, None] - PLACES[None]) ** 2).sum(axis=2)
@@ -53,6 +55,19 @@ def test_no_node_of_a_graph_stands_out_before_a_trial():
     factor = factor_of_graph(path, 10.0)
     assert_allclose((factor**2).sum(axis=1), 1.0)
     assert (factor @ factor.T)[20, 21] > 0.9 and abs((factor @ factor.T)[7, 8]) < 1e-9
+
+
+def test_the_posterior_is_that_of_the_gram_matrix():
+    alike = Alike(factor_of_gram(GRAM))
+    points = Points(alike.columns, np.empty((300, 0)))
+    model = model_after(points.take(np.arange(9)), COST[:9], SIMILARITY, alike)
+    size, noise = np.exp(model.posterior.theta)
+    y = log_excess(COST[:9], COST[:9])
+    gain = size * GRAM[:, :9] @ np.linalg.inv(size * GRAM[:9, :9] + noise * np.eye(9))
+    mean, variance = model.posterior.predict(points)
+    assert_allclose(mean, y.mean() + gain @ (y - y.mean()), atol=1e-3)
+    left = size * np.diag(GRAM - gain @ GRAM[:9]) + noise
+    assert_allclose(variance, y.var() * left, atol=1e-3)
 
 
 def test_likeness_finds_the_best_rows_sooner_than_chance():

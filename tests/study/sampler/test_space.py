@@ -43,7 +43,6 @@ def inside(points):
 def test_points_anywhere_are_values_of_their_distributions():
     points = anywhere(SPACE, 500, np.random.default_rng(0))
     assert inside(points)
-    assert inside(SPACE.from_unit(np.random.default_rng(1).random((99, 10))))
     assert_allclose(np.median(points[:, 1]), 1e-2, rtol=0.5)  # evenly over decades
     assert set(points[:, 3]) == set(range(3, 10))
     assert_allclose(np.bincount(points[:, 6].astype(int)) / 500, 1 / 3, atol=0.07)
@@ -68,8 +67,6 @@ def test_rows_and_values_of_pythons_own_types_are_each_others_inverse():
     points = anywhere(SPACE, 50, np.random.default_rng(1))
     assert_allclose([SPACE.row(SPACE.values(point)) for point in points], points)
     assert_allclose(SPACE.from_fractions(SPACE.fractions(points)), points, rtol=1e-9)
-    other, turned = Space.of(dict(reversed(DISTRIBUTIONS.items()))), points[:, ::-1]
-    assert_allclose(other.from_unit(other.unit(turned)), turned, rtol=1e-9)
     expected = [float, float, float, int, int, int, str, float]
     assert [type(value) for value in SPACE.values(points[0]).values()] == expected
 
@@ -140,10 +137,7 @@ def test_pinned_values_are_those_of_all_new_points():
     rng = np.random.default_rng(0)
     pinned = SPACE.pinned({"plain": 7.0, "choice": "y", "int": "no number", "other": 1})
     points = anywhere(pinned, 50, rng)
-    free = [False, True, True, False, True, True] + [False] * 4
-    assert pinned.pinned({"plain": 7.0, "int": 4}).movable.tolist() == free
-    anew = pinned.from_unit(rng.random((50, 10)))
-    for new in (points, anew, nearby(pinned, points[:3], 50, rng)):
+    for new in (points, nearby(pinned, points[:3], 50, rng)):
         assert (new[:, 0] == 7.0).all()
         assert (new[:, 6] == 1.0).all()
         assert len(set(new[:, 3])) > 3
