@@ -58,6 +58,25 @@ def test_the_ranking_goes_down_the_scores_then_rows(comparisons: Comparisons) ->
         )
 
 
+def test_the_hill_climber_steps_from_the_best_of_three_rows(
+    comparisons: Comparisons,
+) -> None:
+    comparisons.run("out", arms=("hill-ranking", "ranking"), runs=2, trials=9)
+    frame = comparisons.table("out").to_pandas()
+    unit = (frame[list(GAIN_NAMES)] - lower_bounds()) / (
+        upper_bounds() - lower_bounds()
+    )
+    for run in range(2):
+        climber, ranked = (
+            frame[(frame.arm == arm) & (frame.run == run)]
+            for arm in ("hill-ranking", "ranking")
+        )
+        assert climber.row[:3].tolist() == ranked.row[:3].tolist()
+        assert (climber.row[3:] == -1).all()
+        step = unit.loc[climber.index[3]] - unit.loc[climber.cost[:3].idxmin()]
+        assert 0.0 < step.abs().max() < 5 * samplers.HILL_SIGMA
+
+
 def test_the_start_of_warm_cmaes(
     comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
 ) -> None:
