@@ -187,6 +187,7 @@ def _start(
 ) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
     """The function that advances packs, the walkers at the start, and the engine's metadata."""
     if settings.engine == OWN_ENGINE:
+        backend.start(settings)
         return launcher(batch, settings), start_packs(batch, settings), backend.metadata
     require_mujoco()
     from taichi_nmm.mujoco_engine import engine
