@@ -122,7 +122,7 @@ def _silent(now_s: float, up: int) -> None:
 
 def _takes_queue(settings: Settings) -> bool:
     """Whether walkers queue on a GPU, which is started then."""
-    if settings.engine != OWN_ENGINE or settings.arch == "cpu":
+    if settings.engine != OWN_ENGINE:
         return False
     backend.start(settings)
     return backend.is_gpu()
@@ -187,7 +187,6 @@ def _start(
 ) -> tuple[Launch, Packs, Callable[[], dict[str, Any]]]:
     """The function that advances packs, the walkers at the start, and the engine's metadata."""
     if settings.engine == OWN_ENGINE:
-        backend.start(settings)
         return launcher(batch, settings), start_packs(batch, settings), backend.metadata
     require_mujoco()
     from taichi_nmm.mujoco_engine import engine

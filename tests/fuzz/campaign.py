@@ -164,7 +164,7 @@ def doors() -> Iterator[None]:
 
     with ExitStack() as stack:
         for owner, name, instead in (
-            (taichi_nmm.simulator, "_start", reached),
+            (taichi_nmm.simulator, "_takes_queue", reached),
             (pool, "Processes", reached),
             (loopback.Server, "serve_forever", reached),
             (processes, "Processes", mock.MagicMock()),
