@@ -4,6 +4,7 @@ An arm is added here and nowhere else: studies, comparisons and reports take it 
 this list.
 """
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
@@ -22,6 +23,7 @@ from study.experiment.samplers import FIRST_ROWS, Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from study.sampler.table import FeatureTable
+from study.sampler.worlds import Worlds
 from taichi_nmm.conditions import TRIAL_S
 
 PAPER_ARM = "dog"  # the paper's
@@ -126,17 +128,15 @@ def _hill(task: Task) -> BaseSampler:
 
 def _residual(task: Task) -> BaseSampler:
     """Our sampler over the mean alone, as one world: which world is like the robot is not asked."""
-    known = task.table.rows
-    score = known.features[known.numbers, 0]
-    table = FeatureTable.from_arrays(
-        {
-            name: known.parameters[known.numbers, column]
-            for column, name in enumerate(known.names)
-        },
-        outcomes=-score,
-        better="lower",
-        space=known.space.as_dict(),
-    )
+    rows = task.table.rows
+    worlds = Worlds.of(-rows.features[:, 0], better="lower")
+    nothing = rows.features[:, :0]
+    with warnings.catch_warnings():
+        # The task's own table has told of rows that are left out.
+        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
+        table = FeatureTable(
+            replace(rows, feature_names=(), features=nothing, worlds=worlds)
+        )
     return FeatureKernelSampler(table, seed=task.seed)
 
 

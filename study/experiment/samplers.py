@@ -29,14 +29,16 @@ from study.sampler.draws import (
 )
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.policy import set_attributes
-from study.sampler.space import Space
+from study.sampler.space import Space, reflected
 from study.sampler.table import FeatureTable
 
 Floats = NDArray[np.float64]
 
 SIGMA_COLD = 0.2  # of each range
 SIGMA_WARM = 0.1
-HILL_SIGMA, LEAST_HILL_SIGMA, MOST_HILL_SIGMA = 0.1, 0.005, 0.5
+HILL_SIGMA = 0.1  # of each range, before the climber has tried anything
+LEAST_HILL_SIGMA = 0.005
+MOST_HILL_SIGMA = 0.5
 HILL_GROWTH = 1.5  # after a better trial; four others undo it
 FIRST_ROWS = 3  # of the ranking, with which a peer begins
 START_ROWS = 100  # best rows by score, of which a warm start takes one
@@ -76,7 +78,6 @@ class RowSampler(ReproducibleRandomSampler):
 
     def __init__(self, task: Task) -> None:
         super().__init__(seed=task.seed)
-        self._task_seed = task.seed
         self._table = task.table
 
     def infer_relative_search_space(
@@ -172,14 +173,16 @@ class HillSampler(RowSampler):
             is_better = costs[number] < min(costs[:number])
             size *= HILL_GROWTH if is_better else HILL_GROWTH**-0.25
             size = min(max(size, LEAST_HILL_SIGMA), MOST_HILL_SIGMA)
-        space = self._table.rows.space
-        best = space.row(finished[int(np.argmin(costs))].params)
-        assert best is not None  # the study suggests no other parameters
-        rng = generator(self._task_seed, Purpose.HILL, turn(study, trial))
-        centre = space.fractions(best[None])
-        target = np.abs(centre + size * rng.standard_normal(centre.shape))
-        target = np.clip(np.where(target > 1.0, 2.0 - target, target), 0.0, 1.0)
-        return space.values(space.from_fractions(target)[0])
+        rows = self._table.rows
+        centre = rows.parameters[score_order(self._table)[0]]
+        if finished:  # not so where workers share a study, or where all failed
+            best = rows.space.row(finished[int(np.argmin(costs))].params)
+            assert best is not None  # the study suggests no other parameters
+            centre = best
+        rng = generator(self._seed, Purpose.HILL, turn(study, trial))
+        start = rows.space.fractions(centre[None])
+        target = reflected(start + size * rng.standard_normal(start.shape))
+        return rows.space.values(rows.space.from_fractions(target)[0])
 
 
 class ColdCmaEsSampler(CmaEsSampler):

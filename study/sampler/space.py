@@ -157,12 +157,17 @@ def nearby(
     moved = rng.random(start.shape) < rng.random((count, 1))
     moved[np.arange(count), rng.integers(len(space), size=count)] = True
     steps = size * rng.standard_normal(start.shape)
-    target = np.abs(start + steps)
-    target = np.clip(np.where(target > 1.0, 2.0 - target, target), 0.0, 1.0)
+    target = reflected(start + steps)
     chosen = rng.random(start.shape)
     free = [isinstance(each, CategoricalDistribution) for each in space.distributions]
     target = np.where(free, chosen, target)
     return space.from_fractions(np.where(moved, target, start))
+
+
+def reflected(fractions: Floats) -> Floats:
+    """Numbers that may lie beyond 0 or 1, reflected there; at the edge if still beyond."""
+    inside = np.abs(fractions)
+    return np.clip(np.where(inside > 1.0, 2.0 - inside, inside), 0.0, 1.0)
 
 
 def not_among(points: Floats, taken: Floats) -> Mask:

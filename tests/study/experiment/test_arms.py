@@ -1,13 +1,16 @@
 """Every arm proposes within the bounds, always the same, and goes on after a restart."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
+import optuna
 import pytest
 
 from study import FeatureTable
 from study.experiment import samplers
 from study.experiment.arms import ARMS, NOTHING, find_arm, saw
+from study.experiment.one_study import new_sampler
 from study.experiment.samplers import Task, score_order
 from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
@@ -58,23 +61,32 @@ def test_the_ranking_goes_down_the_scores_then_rows(comparisons: Comparisons) ->
         )
 
 
-def test_the_hill_climber_steps_from_the_best_of_three_rows(
+def test_the_hill_climber_steps_from_the_best_trial_and_first_from_the_best_row(
     comparisons: Comparisons,
 ) -> None:
-    comparisons.run("out", arms=("hill-ranking", "ranking"), runs=2, trials=9)
-    frame = comparisons.table("out").to_pandas()
-    unit = (frame[list(GAIN_NAMES)] - lower_bounds()) / (
-        upper_bounds() - lower_bounds()
-    )
-    for run in range(2):
-        climber, ranked = (
-            frame[(frame.arm == arm) & (frame.run == run)]
-            for arm in ("hill-ranking", "ranking")
-        )
-        assert climber.row[:3].tolist() == ranked.row[:3].tolist()
-        assert (climber.row[3:] == -1).all()
-        step = unit.loc[climber.index[3]] - unit.loc[climber.cost[:3].idxmin()]
-        assert 0.0 < step.abs().max() < 5 * samplers.HILL_SIGMA
+    """As long as no trial is finished: where workers share a study, or trials fail."""
+    experiment = comparisons.experiment
+    sampler = new_sampler(experiment, find_arm("hill-ranking"), 0)
+    study = optuna.create_study(sampler=sampler)
+    asked = [study.ask(experiment.space) for _ in range(4)]
+    for trial, cost in zip(asked, (3.0, 1.0, 2.0), strict=False):
+        study.tell(trial, cost)
+    later = study.ask(experiment.space)
+    for trial, centre in ((asked[3], asked[0]), (later, asked[1])):
+        ends = [list(each.params.values()) for each in (trial, centre)]
+        step = np.subtract(*ends) / (upper_bounds() - lower_bounds())
+        assert 0.0 < np.std(step) < 2.0 * samplers.HILL_SIGMA
+
+
+def test_rows_of_the_residual_process_are_those_of_its_store() -> None:
+    """Also where no world ran some rows, and where parameters are choices."""
+    columns = {"x": range(9), "grip": [*"ababababa"]}
+    with pytest.warns(UserWarning, match="7 rows .* are not proposed"):
+        table = FeatureTable.from_arrays(columns, [np.nan] * 7 + [1.0, 2.0])
+    task = SimpleNamespace(table=table, seed=1)
+    study = optuna.create_study(sampler=find_arm("residual").new_sampler(task))
+    trial = study.ask(table.rows.space.as_dict())
+    assert trial.params == table.rows.as_parameters(trial.user_attrs["row"])
 
 
 def test_the_start_of_warm_cmaes(

@@ -59,9 +59,14 @@ def of_all(outcomes):
     return Ensemble(worlds, worlds.of_rows(rows, np.ones(1), None))
 
 
-def robot(trial, place=ROBOT):
+def place_of(trial):
+    """In the unit cube."""
     x, y = trial.suggest_float("x", 0, 1), trial.suggest_float("y", 1, 100, log=True)
-    return float(cost([x, np.log(y) / np.log(100.0)], np.array(place))[0])
+    return np.array([x, np.log(y) / np.log(100.0)])
+
+
+def robot(trial, place=ROBOT):
+    return float(cost(place_of(trial), np.array(place))[0])
 
 
 def turned(trial):
@@ -421,11 +426,7 @@ def test_no_day_is_spent_on_a_spot_that_was_tried():
     space = known.rows.space
 
     def machine(trial):
-        x, y = (
-            trial.suggest_float("x", 0, 1),
-            trial.suggest_float("y", 1, 100, log=True),
-        )
-        away = np.abs(np.array([x, np.log(y) / np.log(100.0)]) - [0.42, 0.57])
+        away = np.abs(place_of(trial) - [0.42, 0.57])
         return float((0.2 + away @ slopes) * np.exp(NOISE * rng.standard_normal()))
 
     study = study_of(known, success=0.5)
