@@ -1,7 +1,9 @@
 """How a batch is integrated: precision, step, contact law, machine."""
 
 import os
+from ctypes.util import find_library
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any
 
 from storage.inputs import checks
@@ -141,3 +143,9 @@ def settings_of_batch(settings: Settings, walkers: int) -> Settings:
     """The same for so many walkers: where `arch` is "auto", few are no work for a GPU."""
     is_small = settings.arch == "auto" and walkers < LEAST_ON_GPU
     return settings.on_processor() if is_small else settings
+
+
+@cache
+def may_have_gpu() -> bool:
+    """Whether a GPU's driver is installed, which is no proof of a GPU."""
+    return find_library("cuda") is not None

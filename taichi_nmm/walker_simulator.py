@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from ctypes.util import find_library
 from dataclasses import dataclass, replace
 from functools import cache
 from hashlib import sha256
@@ -43,7 +42,7 @@ from taichi_nmm.result import (
     SCORE_FIELDS,
     Result,
 )
-from taichi_nmm.settings import OWN_ENGINE, Settings
+from taichi_nmm.settings import OWN_ENGINE, Settings, may_have_gpu
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
 from taichi_nmm.world import MUSCLE_LIMITS, NOMINAL, WorldRanges, Worlds, read_world
 
@@ -366,7 +365,7 @@ def takes_gpu(settings: Settings) -> bool:
     """
     if settings.arch == "cpu" or settings.engine != OWN_ENGINE:
         return False
-    if settings.arch == "auto" and not find_library("cuda"):
+    if settings.arch == "auto" and not may_have_gpu():
         return False
     return started_arch(settings) != "cpu"
 

@@ -13,9 +13,7 @@ import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from ctypes.util import find_library
 from dataclasses import replace
-from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -25,7 +23,7 @@ from storage.inputs.errors import InputError
 from taichi_nmm.kernel import compiler, program, registers
 from taichi_nmm.kernel.compiler import local_rows, named_rows, ti
 from taichi_nmm.kernel_cache import COMPILER
-from taichi_nmm.settings import Settings
+from taichi_nmm.settings import Settings, may_have_gpu
 
 __all__ = [
     "Array",
@@ -330,15 +328,9 @@ def metadata() -> dict[str, Any]:
 def _engine(settings: Settings) -> tuple[Any, ...]:
     """The settings that Taichi is initialised for."""
     arch = _automatic if settings.arch == "auto" else settings.arch
-    if arch == "auto" and not _has_driver():
+    if arch == "auto" and not may_have_gpu():
         arch = "cpu"  # so that few walkers, and then many, share one program
     return settings.precision, arch, settings.threads, settings.wide_registers
-
-
-@cache
-def _has_driver() -> bool:
-    """Whether a GPU's driver is installed, which is no proof of a GPU."""
-    return any(find_library(name) is not None for name in ("cuda", "nvcuda"))
 
 
 def _computes(arch: str) -> bool:

@@ -36,7 +36,7 @@ def test_a_core_each(
     settings: Settings, processes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where no GPU computes: MuJoCo computes on the processor, even beside a GPU."""
-    monkeypatch.setattr(walker_simulator, "find_library", lambda name: "libcuda.so")
+    monkeypatch.setattr(walker_simulator, "may_have_gpu", lambda: True)
     monkeypatch.setattr(walker_simulator, "started_arch", lambda settings: "cuda")
     uncached = walker_simulator.takes_gpu.__wrapped__
     monkeypatch.setattr(walker_simulator, "takes_gpu", uncached)
