@@ -326,8 +326,12 @@ class Walker:
         return replace(self, settings=replace(self.settings, threads=1))
 
     def require_machine(self) -> None:
-        """As `require_engine`."""
+        """As `require_engine`; a GPU walks a second, for which its kernels are compiled."""
         require_engine(self.settings)
+        if takes_gpu(self.settings):
+            taichi_nmm.simulate(
+                PUBLISHED_GAINS, duration_s=CANARY_S, settings=self._one_machine()
+            )
 
     def processes(self, cores: int) -> int:
         """One a core; one where a GPU computes.

@@ -190,12 +190,12 @@ class Schedule:
         self, batch: Batch, settings: Settings, switches: Sequence[Switch]
     ) -> None:
         """Refuses switches that are not one after another."""
-        # The knots of the line that constants follow.
-        self._ticks = [0]
-        self._rows = [constant_rows(batch, settings)]
         every: tuple[Switch, ...] = checks.each(checks.instance(Switch))(
             "switches", switches
         )
+        # The knots of the line that constants follow; no rows where they stay.
+        self._ticks = [0]
+        self._rows = [constant_rows(batch, settings)] if every else []
         for number, switch in enumerate(every):
             field = f"switches[{number}]"
             before_s = self._ticks[-1] * CONTROL_TICK_S
@@ -245,15 +245,16 @@ class Schedule:
 
 def leg_gains(batch: Batch, real: type[np.floating[Any]]) -> NDArray[Any]:
     """The gains of each walker's legs, [PER_WALKER, n]."""
-    asymmetry = batch.low_level[:, -len(ASYMMETRIES) :]
-    of_legs = np.stack([1.0 + asymmetry, 1.0 - asymmetry], axis=-1)
-    of_legs = np.broadcast_to(of_legs, (len(batch), *of_legs.shape[1:]))
-    found = np.empty((PER_WALKER, len(batch)), dtype=real)
+    asymmetry = np.broadcast_to(
+        batch.low_level[:, -len(ASYMMETRIES) :], batch.gains.shape
+    )
+    found = np.empty((len(ASYMMETRIES), LEGS, len(batch)), dtype=real)
     for first in range(0, len(batch), WALKERS_AT_ONCE):
         some = slice(first, first + WALKERS_AT_ONCE)
-        gains = of_legs[some] * batch.gains[some, :, None]
-        found[:, some] = gains.reshape(-1, PER_WALKER).T
-    return found
+        for leg, sign in enumerate((1.0, -1.0)):
+            factor = 1.0 + sign * asymmetry[some]
+            found[:, leg, some] = (factor * batch.gains[some]).T
+    return found.reshape(PER_WALKER, -1)
 
 
 def kind_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:

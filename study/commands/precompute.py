@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from threading import Thread
 
 from storage.cluster import open_pool
 from storage.inputs.config import read_toml, read_whole
@@ -14,6 +15,7 @@ from storage.pool import Cluster, cores
 from storage.precompute import Summary, precompute
 from storage.specification import read_specification
 from study.cli import ProgressBar
+from taichi_nmm.settings import may_have_gpu
 
 SEARCH_ON_GPU = "note: a search tries few points at a time: --arch cpu is faster"
 
@@ -25,6 +27,9 @@ def main(args: Namespace) -> None:
         lambda table: read_specification(table, args.samples, args.arch),
     )
     simulator = specification.simulator
+    # Points need it, and it takes as long as to load a GPU's kernels.
+    if may_have_gpu():
+        Thread(target=__import__, args=("scipy.stats.qmc",)).start()
     simulator.require_machine()
     out = args.out or Path("out") / args.config.stem
     workers = simulator.processes(cores()) if args.workers is None else args.workers

@@ -43,7 +43,7 @@ __all__ = [
 
 LANES_CPU = 8  # where the registers' width is unknown
 FIRST_START = (
-    "the GPU's kernels compile for up to a minute, unless an earlier process kept them"
+    "the GPU's kernels compile for half a minute, unless an earlier process kept them"
 )
 LOG = logging.getLogger(__name__)
 DEVICE_TYPES = {"float32": "f32", "float64": "f64", "int32": "i32"}

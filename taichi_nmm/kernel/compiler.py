@@ -11,6 +11,7 @@ import io
 import os
 import sys
 import warnings
+from collections import Counter
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -26,6 +27,9 @@ with settled_environment(), contextlib.redirect_stdout(io.StringIO()):
 VERSION = ".".join(str(part) for part in ti.__version__)
 to_numpy_type = ti.lang.util.to_numpy_type
 core, impl, kernel_impl = ti._lib.core, ti.lang.impl, ti.lang.kernel_impl
+
+
+PLACE, VARIABLE = 1, 2  # rank of a value: of numbers in an array, of a variable
 
 
 @ti.data_oriented  # the compiler leaves an object of such a class as it is
@@ -53,7 +57,9 @@ class LocalRows:
         row, lane = index
         builder = impl.get_runtime().compiling_callable.ast_builder()
         place = (self._first + row) * self._lanes + lane + self._offset
-        return impl.subscript(builder, self._column, place)
+        found = impl.subscript(builder, self._column, place)
+        found.rank = PLACE
+        return found
 
 
 @ti.data_oriented
@@ -152,16 +158,22 @@ transformer = ti.lang.ast.ast_transformer_utils
 unrolls = False
 LONGEST_UNROLLED = 200  # turns; the rows of the delay rings stay in memory anyway
 statements = ti.lang.ast.ast_transformer
+Builder = statements.ASTTransformer
+
+
+def _is_unrolled(ctx: Any) -> bool:
+    """Whether a function is one of ours, and is being compiled for a GPU."""
+    return unrolls and ctx.func.func.__module__.startswith("taichi_nmm.")
 
 
 def _build_loop(ctx: Any, node: Any) -> Any:
     """A loop of a kernel, written out where that is wanted."""
-    if not (unrolls and _is_known(ctx, node)):
+    if not (_is_unrolled(ctx) and _is_known(ctx, node)):
         return _build_for(ctx, node)
     with ctx.loop_scope_guard(is_static=True), warnings.catch_warnings():
         # `range` is no function of Taichi.
         warnings.simplefilter("ignore", SyntaxWarning)
-        return statements.ASTTransformer.build_static_for(ctx, node, False)
+        return Builder.build_static_for(ctx, node, False)
 
 
 def _is_known(ctx: Any, node: Any) -> bool:
@@ -177,8 +189,65 @@ def _is_known(ctx: Any, node: Any) -> bool:
     return len(range(*ends)) <= LONGEST_UNROLLED
 
 
-_build_for = statements.ASTTransformer.build_For
-statements.ASTTransformer.build_For = staticmethod(_build_loop)
+_build_for = Builder.build_For
+Builder.build_For = staticmethod(_build_loop)
+
+# While Taichi compiles, it walks through the whole kernel for each variable that it
+# makes, and for each constant that it folds: for the GPU's kernel 27 of 34 s. So our
+# functions make no copy there of what stays as it is. The GPU's code is the same.
+NUMBERS = (int, float)
+_stores: Any = {}  # by function: how often it sets a name
+_most = VARIABLE  # rank of what needs a copy, in the function whose arguments are taken
+
+
+def _build_function(ctx: Any, node: Any) -> Any:
+    """A function. One that sets an argument copies all, one that gets rows may write a place."""
+    global _most
+    stores = _stores[ctx.func.func] = Counter(
+        each.id
+        for each in ast.walk(node)
+        if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
+    )
+    arguments = ctx.func.arguments
+    _most = any(isinstance(each.annotation, ti.template) for each in arguments)
+    if not _is_unrolled(ctx) or any(stores[each.name] for each in arguments):
+        _most = VARIABLE
+    return _build_def(ctx, node)
+
+
+def _build_assignment(ctx: Any, node: Any) -> Any:
+    """A value goes where it belongs at once, and a number that stays becomes no variable."""
+    target = node.targets[0]
+    is_new = all(
+        isinstance(each, ast.Name) and not ctx.is_var_declared(each.id)
+        for each in getattr(target, "elts", [])
+    )
+    if not (is_new and _is_unrolled(ctx)):
+        return _build_assign(ctx, node)
+    value = statements.build_stmt(ctx, node.value)
+    stays = getattr(getattr(node.value, "func", None), "ptr", None) is impl.static
+    if isinstance(value, NUMBERS):
+        stays |= _stores[ctx.func.func][getattr(target, "id", "")] == 1
+    return Builder.build_assign_unpack(ctx, target, value, stays)
+
+
+def _variable(value: Any) -> Any:
+    """A new variable of a kernel."""
+    found = _init(value)
+    if hasattr(found, "ptr"):
+        found.rank = VARIABLE
+    return found
+
+
+def _argument(value: Any) -> Any:
+    """What a function gets for a value."""
+    rank = VARIABLE if isinstance(value, NUMBERS) else getattr(value, "rank", 0)
+    return value if rank > _most else _init_argument(value)
+
+
+_build_def = Builder.build_FunctionDef
+_build_assign = Builder.build_Assign
+_init, _init_argument = impl.expr_init, impl.expr_init_func
 
 # Here the two differ. A function is inlined at each of its calls, and a compiler would
 # look for its source each time. Both cut a parallel loop into blocks of at least 512
@@ -191,6 +260,9 @@ if COMPILER == "taichi":
     transformer.ASTTransformerContext.get_pos_info = _short_position
     kernel_impl.getsourcefile = cache(kernel_impl.getsourcefile)
     kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
+    Builder.build_FunctionDef = staticmethod(_build_function)
+    Builder.build_Assign = staticmethod(_build_assignment)
+    impl.expr_init, impl.expr_init_func = _variable, _argument
 else:
     KNOWS_WIDTH = True  # LLVM 22
     WHOLE_LOOPS = {"cpu_work_scheduling": core.CPUWorkScheduling.FIXED_SIZE}

@@ -42,11 +42,16 @@ def seats_per_block() -> int:
 
 
 @ti.func
-def take_rows(source: Rows, column, blocks: Static):
-    """All rows of a walker, as `WalkerRows` has them, from a column of an array [row, column]."""
+def take_rows(begins, seats: Rows, seat, starts: Rows, start, blocks: Static):
+    """All rows of a walker, as `WalkerRows` has them: of its start, or of its seat.
+
+    Both are columns of arrays [row, column]. Two functions would compile longer.
+    """
     for rows, first in ti.static(zip(blocks, FIRSTS, strict=True)):
         for row in range(rows.count):
-            rows[row, 0] = source[first + row, column]
+            rows[row, 0] = ti.select(
+                begins, starts[first + row, start], seats[first + row, seat]
+            )
 
 
 @ti.func
@@ -154,11 +159,9 @@ def walk(
         if first_tick > 0:
             own = taken[0, seat]
             began = taken[1, seat]
-            take_rows(seats, seat, blocks)
-            if own >= 0:
-                take_constants(own, gains, kinds, indices, muscles, const, table)
-                terrain[0] = indices[2, own]
         for clock in range(first_tick, first_tick + ticks):
+            goes_on = (clock == first_tick) & (own >= 0)
+            begins = False
             if (own == FREE) & (ti.raw_mod(clock, LONGEST_RING) == 0):
                 own = seat  # all seats at first; the counter begins behind them
                 if clock > 0:
@@ -167,11 +170,13 @@ def walk(
                     own = CLOSED
                 else:
                     began = clock
-                    take_constants(own, gains, kinds, indices, muscles, const, table)
-                    terrain[0] = indices[2, own]
-                    take_rows(starts, indices[1, own], blocks)
+                    begins = True
                     for row in range(Sums.count):
                         totals[own, row] = 0.0
+            if begins | goes_on:
+                take_constants(own, gains, kinds, indices, muscles, const, table)
+                terrain[0] = indices[2, own]
+                take_rows(begins, seats, seat, starts, indices[1, own], blocks)
             if is_over(own):
                 break
             if own >= 0:
