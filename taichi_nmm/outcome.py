@@ -1,6 +1,6 @@
 """From the kernel's rows to result rows and recorded trajectories."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -31,6 +31,8 @@ from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
 from taichi_nmm.walkers import Batch
 
 Array = NDArray[np.float64]
+Part = tuple[NDArray[Any], Array]
+"""`layout.Ends`, [k, Ends.count], and summed rows, [k, Sums.count], of k walkers."""
 
 # Of a thread's turn. The nearer caches hold half as many, but the interpreter is one.
 ROWS_AT_ONCE, THREADS = 8192, 8
@@ -38,27 +40,32 @@ TICKS_PER_SECOND = round(1.0 / CONTROL_TICK_S)
 
 
 def result_rows(
-    final: NDArray[Any], sums: Array, bodies: Bodies, duration_s: float
+    parts: Iterable[Part], count: int, bodies: Bodies, duration_s: float
 ) -> NDArray[np.void]:
     """Result rows of n walkers.
 
     A quotient over nothing (no step, no distance) is zero.
 
     Args:
-        final: `layout.Ends`, [n, Ends.count].
-        sums: summed rows, [n, Sums.count]; NaN of a walker that diverged counts as 0.
+        parts: of all walkers, one after the other; NaN in the sums of a walker that
+            diverged counts as 0.
+        count: n.
         bodies: n of them, or one of all.
         duration_s: that was asked for.
     """
-    rows = np.zeros(len(final), dtype=RESULT_DTYPE)
-    mass = np.broadcast_to(bodies.mass_kg.sum(axis=1), len(final))
-
-    def fill(first: int) -> None:
-        some = slice(first, first + ROWS_AT_ONCE)
-        _fill(rows[some], final[some], sums[some], mass[some], duration_s)
-
+    rows = np.empty(count, dtype=RESULT_DTYPE)
+    mass = np.broadcast_to(bodies.mass_kg.sum(axis=1), count)
+    first, filled = 0, []
     with ThreadPoolExecutor(THREADS) as pool:
-        list(pool.map(fill, range(0, len(final), ROWS_AT_ONCE)))
+        for final, sums in parts:
+            for start in range(0, len(final), ROWS_AT_ONCE):
+                some = slice(start, start + ROWS_AT_ONCE)
+                place = slice(first, first + len(final[some]))
+                given = rows[place], final[some], sums[some], mass[place], duration_s
+                filled.append(pool.submit(_fill, *given))
+                first = place.stop
+    for each in filled:
+        each.result()
     return rows
 
 

@@ -5,6 +5,8 @@ walker does depends neither on the others nor on where launches end.
 """
 
 import math
+import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,14 +15,16 @@ from numpy.typing import NDArray
 from taichi_nmm.kernel import backend
 from taichi_nmm.kernel.layout import PER_WALKER, Ends, Sums, WalkerRows
 from taichi_nmm.kernel.muscle_table import muscle_table
-from taichi_nmm.kernel.queue import pick, put, seats_per_block, walk
+from taichi_nmm.kernel.queue import pick, put, seats_per_block, turn, walk
 from taichi_nmm.settings import Settings
 from taichi_nmm.walkers import Batch, blends, kind_rows, leg_gains, start_rows
 
 # Four warps on each of 132 multiprocessors: what they keep then stays in the nearest
 # cache (docs/speed.md). A smaller GPU takes them in turns.
 SEATS = 16_896
-LAUNCH_TICKS = 5000  # a sixth of a second on such a GPU
+LAUNCH_TICKS = 5000  # of a first launch: a sixth of a second on such a GPU
+LAUNCH_S = 0.5  # a shorter launch is followed by one of twice as many ticks
+ROWS_A_PART = 65_536  # of results, which the host makes while it gets the next
 
 
 class Queue:
@@ -43,6 +47,7 @@ class Queue:
                 a tick, and walkers be looked at.
         """
         self.tick = 0
+        self._launch_ticks = LAUNCH_TICKS
         self._count, self._ticks, self._settings = len(batch), ticks, settings
         real = backend.real_dtype()
         block = seats_per_block()
@@ -73,7 +78,8 @@ class Queue:
 
         Returns how many walkers have not ended.
         """
-        ticks = ticks or LAUNCH_TICKS
+        own, ticks = not ticks, ticks or self._launch_ticks
+        began_s = time.perf_counter()
         backend.launch(
             walk,
             self._seats,
@@ -91,7 +97,10 @@ class Queue:
             *self._numbers,
         )
         self.tick += ticks
-        return self._count - int(backend.on_host(self._counters, put)[0, 1])
+        ended = int(backend.on_host(self._counters, put)[0, 1])
+        if own and time.perf_counter() - began_s < LAUNCH_S:
+            self._launch_ticks *= 2
+        return self._count - ended
 
     def set_constants(self, rows: NDArray[np.float64]) -> None:
         """Give all walkers other constants, [n, Const.count]."""
@@ -108,10 +117,14 @@ class Queue:
         backend.launch(pick, self._seats, walker, found)
         return found[:, 0]
 
-    def collect(self) -> tuple[NDArray[Any], NDArray[np.float64]]:
-        """Final rows [n, Ends.count] and summed rows [n, Sums.count] of every walker."""
+    def collect(self) -> Iterator[tuple[NDArray[Any], NDArray[np.float64]]]:
+        """Final rows [k, Ends.count] and summed rows [k, Sums.count] of all walkers, in parts."""
         ends = backend.on_host(self._ends, put).T
-        return ends, backend.on_host(self._totals, put)
+        for first in range(0, self._count, ROWS_A_PART):
+            part = ends[first : first + ROWS_A_PART]
+            sums = np.empty((Sums.count, len(part)))
+            backend.launch(turn, self._totals, first, sums)
+            yield part, sums.T
 
     @staticmethod
     def _put(array: NDArray[Any]) -> Any:

@@ -6,7 +6,7 @@ be interrupted; no result depends on the other walkers of the batch, on its orde
 the chunks or on the number of threads.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from taichi_nmm.kernel.layout import COORDINATES, LEGS
 from taichi_nmm.kernel.muscle_table import muscle_table
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.observation import LARGEST_ANGLE_RAD, require_within
-from taichi_nmm.outcome import Recorder, result_rows
+from taichi_nmm.outcome import Part, Recorder, result_rows
 from taichi_nmm.packs import Packs
 from taichi_nmm.parameters import PUBLISHED_GAINS
 from taichi_nmm.queue import LAUNCH_TICKS, SEATS, Queue
@@ -49,8 +49,8 @@ LONGEST_WALK_S = 10_000.0  # ticks stay whole numbers in float32
 Progress = Callable[[float, int], None]
 Launch = Callable[[Packs, int, int], None]
 """Advances packs from a first control tick by so many."""
-Walked = tuple[NDArray[Any], NDArray[np.float64], dict[str, Any]]
-"""`layout.Ends` and sums of all walkers, and the engine's metadata."""
+Walked = tuple[Iterable[Part], dict[str, Any]]
+"""What is left of all walkers, and the engine's metadata."""
 
 
 @checks.checked(
@@ -109,10 +109,10 @@ def simulate(
     recorder = Recorder(record, record_rate_hz, batch, settings)
     schedule = Schedule(batch, settings, switches)
     walks = _walks_queued if _takes_queue(settings) else _walks_packed
-    final, sums, metadata = walks(
+    parts, metadata = walks(
         batch, settings, ticks, schedule, recorder, progress or _silent
     )
-    rows = result_rows(final, sums, batch.bodies, duration_s)
+    rows = result_rows(parts, len(batch), batch.bodies, duration_s)
     return Result(rows, recorder.trajectories(), metadata)
 
 
@@ -156,7 +156,7 @@ def _walks_queued(
         if count <= SEATS:  # all began together
             walked_s = min(queue.tick * CONTROL_TICK_S, duration_s)
         progress(walked_s, up)
-    return *queue.collect(), backend.metadata()
+    return queue.collect(), backend.metadata()
 
 
 def _walks_packed(
@@ -179,7 +179,7 @@ def _walks_packed(
         packs.drain()
         progress(tick * CONTROL_TICK_S, int(np.count_nonzero(packs.up())))
         packs.compact()
-    return *packs.collect(), engine()
+    return [packs.collect()], engine()
 
 
 def _start(

@@ -163,7 +163,12 @@ Builder = statements.ASTTransformer
 
 def _is_unrolled(ctx: Any) -> bool:
     """Whether a function is one of ours, and is being compiled for a GPU."""
-    return unrolls and ctx.func.func.__module__.startswith("taichi_nmm.")
+    return unrolls and _is_house(ctx.func)
+
+
+def _is_house(function: Any) -> bool:
+    """Whether a function or a kernel is one of ours."""
+    return bool(function.func.__module__.startswith("taichi_nmm."))
 
 
 def _build_loop(ctx: Any, node: Any) -> Any:
@@ -203,11 +208,13 @@ _most = VARIABLE  # rank of what needs a copy, in the function whose arguments a
 def _build_function(ctx: Any, node: Any) -> Any:
     """A function. One that sets an argument copies all, one that gets rows may write a place."""
     global _most
-    stores = _stores[ctx.func.func] = Counter(
-        each.id
-        for each in ast.walk(node)
-        if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
-    )
+    if ctx.func.func not in _stores:
+        _stores[ctx.func.func] = Counter(
+            each.id
+            for each in ast.walk(node)
+            if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
+        )
+    stores = _stores[ctx.func.func]
     arguments = ctx.func.arguments
     _most = any(isinstance(each.annotation, ti.template) for each in arguments)
     if not _is_unrolled(ctx) or any(stores[each.name] for each in arguments):
@@ -249,6 +256,30 @@ _build_def = Builder.build_FunctionDef
 _build_assign = Builder.build_Assign
 _init, _init_argument = impl.expr_init, impl.expr_init_func
 
+_trees: Any = {}  # of our functions, read once: their context is new at each call
+
+
+def _tree_and_context(function: Any, **words: Any) -> Any:
+    """The syntax tree of a function of ours, and where it is compiled; kernels change theirs."""
+    if words.get("is_kernel", True) or not _is_house(function):
+        return _read_function(function, **words)
+    if function.func not in _trees:
+        tree, context = _read_function(function, **words)
+        place = {"src": context.src, "file": context.file}
+        place["start_lineno"] = context.lineno_offset + 1
+        _trees[function.func] = tree, place
+    tree, place = _trees[function.func]
+    context = transformer.ASTTransformerContext(
+        is_kernel=False,
+        func=function,
+        global_vars=kernel_impl._get_global_vars(function.func),
+        argument_data=words["args"],
+        ast_builder=words["ast_builder"],
+        **place,
+    )
+    return tree, context
+
+
 # Here the two differ. A function is inlined at each of its calls, and a compiler would
 # look for its source each time. Both cut a parallel loop into blocks of at least 512
 # turns, and a turn of the kernels is a pack: 4,096 walkers and fewer would run on one
@@ -260,6 +291,8 @@ if COMPILER == "taichi":
     transformer.ASTTransformerContext.get_pos_info = _short_position
     kernel_impl.getsourcefile = cache(kernel_impl.getsourcefile)
     kernel_impl.getsourcelines = cache(kernel_impl.getsourcelines)
+    _read_function = kernel_impl._get_tree_and_ctx
+    kernel_impl._get_tree_and_ctx = _tree_and_context
     Builder.build_FunctionDef = staticmethod(_build_function)
     Builder.build_Assign = staticmethod(_build_assignment)
     impl.expr_init, impl.expr_init_func = _variable, _argument

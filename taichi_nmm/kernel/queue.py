@@ -207,6 +207,13 @@ def put(source: Array, target: Array):
 
 
 @ti.kernel
+def turn(source: Array, first: int, target: Array):
+    """Copy rows of an array [row, column], from `first` on, to those of `target`, [column, row]."""
+    for column, row in ti.ndrange(target.shape[0], target.shape[1]):
+        target[column, row] = source[first + row, column]
+
+
+@ti.kernel
 def pick(source: Array, column: int, target: Array):
     """Copy a column of an array [row, column] to `target`, [row, 1]."""
     for row in range(target.shape[0]):

@@ -27,6 +27,7 @@ def compute(values: Array, found: Array):
     x = values[0]
     changes -= x
     half = halved(x)
+    half = 2.0 * halved(half)
     rows[1, 0] = x
     lifted = lift(rows, rows[0, 0])
     x, half = half, x
@@ -41,3 +42,28 @@ def test_a_kernel_computes_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None
     found = np.zeros(1)
     compute(np.ones(1), found)
     assert found[0] == -89.5
+
+
+@pytest.mark.skipif(
+    compiler.COMPILER != "taichi", reason="reads a function once anyway"
+)
+def test_a_function_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    @ti.kernel
+    def twice(values: Array):
+        values[0] = halved(values[0]) + halved(values[0])
+
+    read = []
+
+    def note(function, **words):
+        read.append(function.func.__name__)
+        return taichis_own(function, **words)
+
+    backend.start(Settings(arch="cpu"))
+    monkeypatch.setattr(halved.func.func, "__module__", "taichi_nmm.kernel")
+    taichis_own = compiler._read_function
+    monkeypatch.setattr(compiler, "_read_function", note)
+    monkeypatch.setattr(compiler, "_trees", {})
+    values = np.full(1, 3.0)
+    twice(values)
+    assert values[0] == 3.0
+    assert read == ["twice", "halved"]
