@@ -5,7 +5,6 @@ walker does depends neither on the others nor on where launches end.
 """
 
 import math
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -22,8 +21,7 @@ from taichi_nmm.walkers import Batch, blends, kind_rows, leg_gains, start_rows
 # Four warps on each of 132 multiprocessors: what they keep then stays in the nearest
 # cache (docs/speed.md). A smaller GPU takes them in turns.
 SEATS = 16_896
-LAUNCH_TICKS = 5000  # of a first launch: a sixth of a second on such a GPU
-LAUNCH_S = 0.5  # a shorter launch is followed by one of twice as many ticks
+LAUNCH_TICKS = 5000  # a sixth of a second on such a GPU; longer ones gain nothing
 ROWS_A_PART = 65_536  # of results, which the host makes while it gets the next
 
 
@@ -47,7 +45,6 @@ class Queue:
                 a tick, and walkers be looked at.
         """
         self.tick = 0
-        self._launch_ticks = LAUNCH_TICKS
         self._count, self._ticks, self._settings = len(batch), ticks, settings
         real = backend.real_dtype()
         block = seats_per_block()
@@ -78,8 +75,7 @@ class Queue:
 
         Returns how many walkers have not ended.
         """
-        own, ticks = not ticks, ticks or self._launch_ticks
-        began_s = time.perf_counter()
+        ticks = ticks or LAUNCH_TICKS
         backend.launch(
             walk,
             self._seats,
@@ -97,10 +93,7 @@ class Queue:
             *self._numbers,
         )
         self.tick += ticks
-        ended = int(backend.on_host(self._counters, put)[0, 1])
-        if own and time.perf_counter() - began_s < LAUNCH_S:
-            self._launch_ticks *= 2
-        return self._count - ended
+        return self._count - int(backend.on_host(self._counters, put)[0, 1])
 
     def set_constants(self, rows: NDArray[np.float64]) -> None:
         """Give all walkers other constants, [n, Const.count]."""

@@ -20,7 +20,6 @@ def queue_on_processor(monkeypatch: pytest.MonkeyPatch, launch_ticks: int) -> No
     """Let walkers queue for a few seats, a seat a turn of the processor's loop."""
     monkeypatch.setattr(backend, "is_gpu", lambda: True)
     monkeypatch.setattr(queue, "LAUNCH_TICKS", launch_ticks)
-    monkeypatch.setattr(queue, "LAUNCH_S", 0.0)  # no launch grows
     monkeypatch.setattr(queue, "ROWS_A_PART", 64)
     for module in (queue, simulator):
         monkeypatch.setattr(module, "SEATS", SEATS)
@@ -97,19 +96,6 @@ def test_progress_grows_and_a_walk_stops_at_an_interrupt(
 
     with pytest.raises(KeyboardInterrupt):
         simulate(gains(5), duration_s=1.0, settings=CPU, progress=interrupt)
-
-
-def test_launches_grow_until_they_take_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
-    queue_on_processor(monkeypatch, 100)
-    monkeypatch.setattr(queue, "LAUNCH_S", np.inf)
-    told: list[float] = []
-    simulate(
-        PUBLISHED_GAINS,
-        duration_s=1.0,
-        settings=CPU,
-        progress=lambda now_s, up: told.append(now_s),
-    )
-    assert told == [0.1, 0.3, pytest.approx(0.7), 1.0]
 
 
 def test_few_walkers_are_no_work_for_a_gpu() -> None:
