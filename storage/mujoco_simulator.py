@@ -68,6 +68,7 @@ OF_FILES = (  # what MuJoCo makes of the files that a model names: fields of the
     "skin_face",
     "tex_data",
 )
+LONGEST_RUN_S = 10_000.0  # of one run alone, as of a walk (`taichi_nmm.simulate`)
 LARGEST_BATCH = 1024  # robots: beyond, the caches of a processor are too small
 
 
@@ -115,7 +116,7 @@ def a_model(field: str, value: Any) -> Any:
 of_one_run = checks.checked(
     point=checks.by_name(checks.anything),
     world=checks.by_name(checks.number()),
-    seconds=checks.number(),
+    seconds=checks.number(0.0, LONGEST_RUN_S),
 )
 
 
@@ -316,7 +317,7 @@ class MujocoSimulator(FunctionSimulator):
             point: the parameters by name.
             world: numbers of `WORLDS`, and `seed` for what the run draws; others are
                 those of the base setting.
-            seconds: how long it runs, if it does not fall.
+            seconds: how long it runs, if it does not fall; at most 10,000.
 
         Returns:
             Columns by name; NaN in a run whose controller gave no number.
@@ -340,7 +341,7 @@ class MujocoSimulator(FunctionSimulator):
             point: parameters by name.
             world: numbers by name; those of `WORLDS` that it has not are those of the
                 base setting.
-            seconds: how long the run lasts at most.
+            seconds: how long the run lasts at most; no more than 10,000.
 
         Raises:
             InputError: a parameter or a number of the world that is missing or unknown.

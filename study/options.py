@@ -115,6 +115,8 @@ class Options(argparse.ArgumentParser):
             if isinstance(default, str):
                 default = self._get_value(action, default)
             setattr(found, name, given.get(name, default))
+            if name in given and action.type is config_path:
+                _check_config(name, given[name])
             if name in given and not action.required:
                 found.given[name] = given[name]
         return found
@@ -272,6 +274,14 @@ def config_path(name: str | Path) -> Path:
         if word.startswith(f"{shipped.stem}-") and word in _described(shipped):
             return shipped.with_stem(word)
     return Path(name)
+
+
+def _check_config(field: str, path: Path) -> None:
+    """Refuse a word that is no name of a shipped configuration, where no file has it either."""
+    if path.suffix or len(path.parts) > 1 or path.exists():
+        return
+    names = listed([*shipped_configs(True), *shipped_configs(False)], path)
+    raise InputError(field, str(path), f"one of {names}; or a TOML file")
 
 
 def _number(word: str) -> float:

@@ -108,6 +108,7 @@ PUBLISHED_GAINS: NDArray[np.float64] = np.array(
 """T's published rough-ground optimum, [16]."""
 
 NAMED_GAINS_DIRECTORY = Path(__file__).parent / "gains"
+RENAMED = {"K_T": "published, its name since version 0.3"}
 
 
 def lower_bounds() -> NDArray[np.float64]:
@@ -268,6 +269,8 @@ def _gains_by_name(source: str) -> dict[str, Any]:
     """The values of a source by name, unchecked."""
     if source == "published":
         return dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
+    if source in RENAMED and not Path(source).exists():
+        raise InputError("gains", source, RENAMED[source])
     shipped = {file.stem: file for file in sorted(NAMED_GAINS_DIRECTORY.glob("*.json"))}
     names = listed(["published", *shipped], source)
     allowed = f"one of {names}; or a JSON file: a readable JSON object of the {len(GAINS)} gains"

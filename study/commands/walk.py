@@ -183,6 +183,8 @@ def write_model(path: Path, experiment: WalkerExperiment, run: int) -> None:
     terrain, settings = experiment.terrain(run), experiment.conditions.settings
     body, world = experiment.body(run), experiment.world(run)
     text = mjcf_text(body, world, terrain, settings, start_state(terrain))
+    with writable(path, "mjcf"):
+        path.parent.mkdir(parents=True, exist_ok=True)
     commit_text(path, text, "mjcf")
 
 

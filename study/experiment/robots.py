@@ -192,7 +192,7 @@ def read_robots(
             until_walker=table.boolean("until_walker", False),
             runs=table.integer("runs", 50, 1, MOST_RUNS),
             trials=table.integer("trials", 30, 1, MOST_TRIALS),
-            arms=table.texts("arms") or _able_arms(),
+            arms=table.texts("arms") or able_arms(),
         )
         for each in (simulation, costs, table):
             each.done()
@@ -211,11 +211,8 @@ def read_robots(
     return replace(experiment, simulator=simulator.lasting(experiment.duration_s))
 
 
-def _able_arms() -> tuple[str, ...]:
-    """Those of `ARMS` that can run here."""
-    for name in ARMS:
-        if lacking := lacks(name):
-            print(f"{name} is left out: {lacking}", file=sys.stderr)
+def able_arms() -> tuple[str, ...]:
+    """Those of `ARMS` that can run here, which are compared where a file names none."""
     return tuple(name for name in ARMS if not lacks(name))
 
 

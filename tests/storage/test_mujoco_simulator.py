@@ -262,6 +262,7 @@ POINT = {"kp": 1.0, "beats": 1}
     [
         (POINT, {}, 0.0, r"^seconds: 0\.0 .* 0\.01 s, one control step, or more"),
         (POINT, {}, np.nan, "^seconds: nan .* a finite number"),
+        (POINT, {}, 1e300, r"^seconds: 1e\+300 .* a finite number from 0.0 to 10000.0"),
         ({"kp": 1.0}, {}, 1.0, r"^point: \['kp'\] .* the parameters kp, beats"),
         (POINT, {"wind": 1.0}, 1.0, r"^world\.wind: 1\.0 .* of mass"),
         (POINT, {"mass": "heavy"}, 1.0, r"^world\.mass: 'heavy' .* a finite number"),

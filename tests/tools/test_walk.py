@@ -241,7 +241,7 @@ def test_the_world_of_the_walk_is_in_the_files_of_other_programs(tmp_path, tool)
     config.write_text(FLAT.read_text() + WORLD)
     folder = tmp_path / "opensim"
     states = tmp_path / "walk.sto"
-    model = tmp_path / "walker.xml"
+    model = tmp_path / "new" / "walker.xml"
     words = (
         f"walk --config {config} --duration 1 --movie-seconds 0 --out {tmp_path}/out"
     )

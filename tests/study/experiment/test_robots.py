@@ -278,6 +278,13 @@ def test_arms_that_need_pytorch_are_left_out_where_it_is_missing(
     every = config.with_name("every.toml")
     every.write_text(re.sub("arms = .*", "", config.read_text()))
     assert {*ARMS} - {*read_robots(every).arms} == {"gp-ranking"}
-    assert capsys.readouterr().err.startswith("gp-ranking is left out: it needs torch")
+    none = config.with_name("none")
+    with refused("^arm: 'nobody'"):
+        run_command(every, none, "--arms", "nobody")
+    assert "left out" not in capsys.readouterr().err
+    with refused("^trials: "):
+        run_command(every, none, "--trials", 1000)
+    said = capsys.readouterr().err.splitlines()
+    assert "gp-ranking is left out: it needs torch (pip install torch)" in said
     with refused(r"^arm: 'gp-ranking' .* another: it needs torch \(pip install torch"):
-        run_command(config, config.with_name("none"), "--arms", "gp-ranking")
+        run_command(config, none, "--arms", "gp-ranking")
