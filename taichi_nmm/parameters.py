@@ -217,12 +217,12 @@ def check_gains(
     for name in values:
         if name not in names:
             raise InputError(field, name, f"only the names {listed(names, name)}")
-    known = (
+    within = (
         (p.name, checks.number(p.low, p.high, f"{p.low:g} to {p.high:g}"))
         for p in group
     )
     return np.array(
-        [check(f"{field}.{name}", values.get(name)) for name, check in known], float
+        [check(f"{field}.{name}", values.get(name)) for name, check in within], float
     )
 
 

@@ -94,13 +94,13 @@ Direction: TypeAlias = Literal["up", "down"]
 
 def _checked(make: Callable[P, "Terrain"]) -> Callable[P, "Terrain"]:
     """Check the arguments of a kind of terrain, by the annotations of its options."""
-    known: dict[str, checks.Check] = {"seed": checks.seed, "path": checks.path}
+    of_option: dict[str, checks.Check] = {"seed": checks.seed, "path": checks.path}
     for name, hint in get_type_hints(make, include_extras=True).items():
         if get_origin(hint) is Annotated:
-            known[name] = get_args(hint)[1].check
+            of_option[name] = get_args(hint)[1].check
         elif get_origin(hint) is Literal:
-            known[name] = checks.word(*get_args(hint))
-    return checks.checked("terrain.", **known)(make)
+            of_option[name] = checks.word(*get_args(hint))
+    return checks.checked("terrain.", **of_option)(make)
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,13 +397,13 @@ def _drawn(
     seed: int | np.random.SeedSequence, option: str, low: float, high: float
 ) -> float:
     """An option of this seed's ground; another option that is drawn would not change it."""
-    known = (
+    sequence = (
         seed
         if isinstance(seed, np.random.SeedSequence)
         else np.random.SeedSequence(seed)
     )
-    key = (*known.spawn_key, crc32(option.encode()))
-    rng = np.random.default_rng(np.random.SeedSequence(known.entropy, spawn_key=key))
+    key = (*sequence.spawn_key, crc32(option.encode()))
+    rng = np.random.default_rng(np.random.SeedSequence(sequence.entropy, spawn_key=key))
     return float(rng.uniform(low, high))
 
 

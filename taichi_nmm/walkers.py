@@ -212,7 +212,7 @@ class Schedule:
             gains = np.broadcast_to(gains, batch.gains.shape)
             later = replace(batch, gains=gains, low_level=low_level)
             self._ticks += [
-                round(time / CONTROL_TICK_S) for time in (at_s, at_s + over_s)
+                round(knot_s / CONTROL_TICK_S) for knot_s in (at_s, at_s + over_s)
             ]
             self._rows += [self._rows[-1], constant_rows(later, settings)]
 
@@ -326,13 +326,13 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
 def _fill_muscles(const: Any, worlds: Worlds, step_s: float) -> None:
     """Constants of each walker's muscles, in `const`, named rows [row, n]."""
     fibre, slack = worlds.optimal_length.T, worlds.slack_length.T
-    time = worlds.activation_time.T
+    slowness = worlds.activation_time.T
     nominal = np.tile(muscle_table(step_s)[:, T_STRAIN], LEGS)[:, None]
     const.strength[:] = worlds.strength.T
-    const.activation_blend[:] = 1.0 - np.exp(-step_s / (ACTIVATION_TIME_S * time))
+    const.activation_blend[:] = 1.0 - np.exp(-step_s / (ACTIVATION_TIME_S * slowness))
     const.stretch[:] = nominal * fibre / slack
     const.tightness[:] = 1.0 / slack
-    own = (fibre != 1.0) | (slack != 1.0) | (time != 1.0)
+    own = (fibre != 1.0) | (slack != 1.0) | (slowness != 1.0)
     const.own_muscles[:] = own.any(axis=0)
 
 

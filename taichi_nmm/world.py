@@ -419,13 +419,13 @@ def _read_exoskeleton(table: Table) -> Exoskeleton:
 
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
     """A stream for each of a world's numbers, so that a new number changes no other's."""
-    known = (
+    sequence = (
         seed
         if isinstance(seed, np.random.SeedSequence)
         else np.random.SeedSequence(seed)
     )
     # One of the same numbers that has spawned no child yet.
-    unused = np.random.SeedSequence(known.entropy, spawn_key=known.spawn_key)
+    unused = np.random.SeedSequence(sequence.entropy, spawn_key=sequence.spawn_key)
     streams = map(np.random.default_rng, unused.spawn(len(STREAMS)))
     return dict(zip(STREAMS, streams, strict=True))
 

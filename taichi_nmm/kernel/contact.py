@@ -73,16 +73,16 @@ def ground_heights(lane, work: Rows):
 
 
 @ti.func
-def gaps(lane, state: Rows, work: Rows):
-    """Depth of each point along the ground's normal; a fresh touch-down sets the anchor."""
+def depths(lane, state: Rows, work: Rows):
+    """How deep each point is, along the ground's normal; a fresh touch-down sets the anchor."""
     for c in ti.static(range(CONTACTS)):
         height, slope = work.ground[c, lane], work.slope[c, lane]
         cosine = 1.0 / square_root(1.0 + slope * slope)
-        gap = (height - work.point_z[c, lane]) * cosine
-        work.gap[c, lane] = gap
+        depth = (height - work.point_z[c, lane]) * cosine
+        work.depth[c, lane] = depth
         work.normal_x[c, lane] = 0.0 - slope * cosine
         work.normal_z[c, lane] = cosine
-        touching = ti.select(gap > 0.0, 1.0, 0.0)
+        touching = ti.select(depth > 0.0, 1.0, 0.0)
         fresh = touching > state.touching[c, lane]
         latch(state.anchor_x[c], lane, fresh, work.point_x[c, lane])
         latch(state.anchor_z[c], lane, fresh, work.point_z[c, lane])
@@ -104,9 +104,9 @@ def spring_forces(lane, step_s, state: Rows, const: Rows, work: Rows):
         slid = (work.point_x[c, lane] - state.anchor_x[c, lane]) * tangent_x + (
             work.point_z[c, lane] - state.anchor_z[c, lane]
         ) * tangent_z
-        work.normal_force_0[c, lane] = stiffness * work.gap[c, lane]
+        work.normal_force_0[c, lane] = stiffness * work.depth[c, lane]
         work.normal_damping[c, lane] = stiffness * (
-            work.gap[c, lane] / relaxation_speed_mps + step_s
+            work.depth[c, lane] / relaxation_speed_mps + step_s
         )
         work.friction_0[c, lane] = 0.0 - stiffness * slid
         work.normal_on[c, lane] = state.touching[c, lane]

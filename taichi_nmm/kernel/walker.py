@@ -65,7 +65,7 @@ def step(
         locate(rough, lanes, terrain, heights, state, work)
         for lane in range(lanes):
             contact.ground_heights(lane, work)
-            contact.gaps(lane, state, work)
+            contact.depths(lane, state, work)
         if substep == 0:
             control(tick, lanes, state, fibres, delay, events, sums, const, work)
         if own:
@@ -131,7 +131,7 @@ def control(
     work: Rows,
 ):
     """Once a tick: note events of the gait, and give the muscles their orders."""
-    time = ti.cast(tick, float)
+    real_tick = ti.cast(tick, float)
     for lane in range(lanes):
         kinematics.centre_of_mass(lane, state, const, work)
         for leg in ti.static(range(LEGS)):
@@ -139,10 +139,10 @@ def control(
     if highest(work.event, lanes) > 0.0:  # at most ticks, nobody's foot comes or goes
         for lane in range(lanes):
             for leg in ti.static(range(LEGS)):
-                gait.note_events(lane, leg, time, state, events, sums, work)
+                gait.note_events(lane, leg, real_tick, state, events, sums, work)
     for lane in range(lanes):
         for leg in ti.static(range(LEGS)):
-            gait.follow_leg(lane, leg, time, state, const, events, work)
+            gait.follow_leg(lane, leg, real_tick, state, const, events, work)
         gait.add_up_posture(lane, state, fibres, sums, work)
         gait.add_up_motors(lane, state, sums, work)
     command(tick, lanes, state, fibres, delay, const, work)
@@ -153,7 +153,7 @@ def command(
     tick, lanes: Static, state: Rows, fibres: Rows, delay: Rows, const: Rows, work: Rows
 ):
     """Delayed senses, reflexes, swing-leg placement: stimulations and ideal torques of a tick."""
-    time = ti.cast(tick, float)
+    real_tick = ti.cast(tick, float)
     for lane in range(lanes):
         nerves.sense(lane, state, fibres, work)
     # A ring length a loop, and a remainder that LLVM knows the range of: else it cannot
@@ -169,7 +169,7 @@ def command(
     for lane in range(lanes):
         reflexes.stance_weights(lane, state, work)
         reflexes.stimulate(lane, state, const, fibres, work)
-        swing.leg_rates(lane, time, state, const, work)
+        swing.leg_rates(lane, real_tick, state, const, work)
         swing.place_legs(lane, state, const, work)
     if highest(const.exo_torque, lanes) > 0.0:  # `assist` gives the others no torque
         for lane in range(lanes):
