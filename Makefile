@@ -49,13 +49,13 @@ compare: $(STORES)
 results: $(addprefix compare-,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort)
 	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
 
-test: .venv/test-installed
+test: .venv/test-compiled
 	$(BIN)/python -m pytest $(PARALLEL) --durations=25
 
-test-fast: .venv/test-installed
+test-fast: .venv/test-compiled
 	$(BIN)/python -m pytest $(PARALLEL) -m "not slow and not campaign"
 
-test-campaign: .venv/test-installed
+test-campaign: .venv/test-compiled
 	$(BIN)/python -m pytest $(PARALLEL) -m campaign
 
 CASES ?= 2000
@@ -99,6 +99,14 @@ hooks: .venv/lint-installed
 .venv/test-installed: .venv/installed
 	@echo "Installing what the tests need ..."
 	$(INSTALL) -e '.[test]'
+	@touch $@
+
+# Tests start hundreds of processes. Each of them compiles all that it imports where PYTHONDONTWRITEBYTECODE is set, as in many
+# containers: half of its time. So this is done once.
+COMPILED := bokeh.server.server, cma, distributed, gymnasium, matplotlib.pyplot, mujoco, optuna_dashboard, pandas, pyarrow.parquet, \
+	ribs.emitters, scipy.stats, sklearn.gaussian_process, storage.search, study.experiment.robots, taichi_nmm.simulator
+.venv/test-compiled: .venv/test-installed
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -c 'import $(COMPILED)'
 	@touch $@
 
 .venv/docs-installed: .venv/installed
