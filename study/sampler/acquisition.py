@@ -8,14 +8,8 @@ import numpy as np
 import scipy
 
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.gp import (
-    Covariance,
-    Kernel,
-    Posterior,
-    condition,
-    learn,
-    new_covariance,
-)
+from study.sampler.covariance import Covariance, Kernel, new_covariance
+from study.sampler.gp import Posterior, condition, learn
 from study.sampler.similarity import Relation
 from study.sampler.transforms import (
     Columns,
@@ -256,7 +250,7 @@ class Model:
             return np.arange(len(points))
         count = len(self.costs) + len(self.running)
         most = max(int(WORK / count**2), LEAST_CANDIDATES)
-        if self.kernel.by_order:
+        if self.kernel.by_order and not self.kernel.rough:
             candidates = MOST_CANDIDATES if self.ensemble is None else MOST_IN_WORLDS
             most = min(most, candidates)
         free = np.flatnonzero(offered)

@@ -10,7 +10,8 @@ from optuna.trial import FrozenTrial
 
 from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats
-from study.sampler.gp import JITTER, Posterior, seen_by
+from study.sampler.covariance import seen_by
+from study.sampler.gp import JITTER, Posterior
 from study.sampler.transforms import Points
 
 LEAST_TRIALS = 5

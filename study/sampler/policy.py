@@ -26,9 +26,9 @@ from threadpoolctl import ThreadpoolController
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
 from study.sampler.arrays import Floats, Mask
+from study.sampler.covariance import ADDITIVE, NEARNESS, Kernel
 from study.sampler.draws import Purpose, generator
 from study.sampler.goals import Goals
-from study.sampler.gp import ADDITIVE, NEARNESS, Kernel
 from study.sampler.history import History, read_limits
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, is_doubtful

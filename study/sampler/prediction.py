@@ -257,9 +257,8 @@ def _over_noise(model: Model) -> tuple[Floats, Floats]:
     found, misfits = list[tuple[Floats, Floats]](), list[float]()
     for noise in NOISES:
         posterior = replace(own, theta=np.append(own.theta[:-1], np.log(noise)))
-        z = (posterior.theta[-1] - own.covariance.modes[-1]) / own.covariance.spreads[
-            -1
-        ]
+        prior = own.covariance.noise
+        z = (posterior.theta[-1] - prior.mode) / prior.sd
         misfits.append(
             misfit(own.covariance, own.x, own.y, posterior.theta)[0] - 0.5 * z**2
         )

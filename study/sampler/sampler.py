@@ -15,9 +15,9 @@ from optuna.trial import FrozenTrial, TrialState
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Mask
+from study.sampler.covariance import KERNELS, SIMILARITY, WITH_WORLDS
 from study.sampler.diagnostics import Likeness, Worth, likeness_of, worth_of
 from study.sampler.draws import ReproducibleRandomSampler
-from study.sampler.gp import KERNELS, SIMILARITY, WITH_WORLDS
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.prediction import Best, Prediction, best_of
 from study.sampler.space_policy import SpacePolicy

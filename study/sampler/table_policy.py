@@ -19,9 +19,9 @@ from optuna.trial import FrozenTrial, TrialState
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
+from study.sampler.covariance import WITH_WORLDS
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
-from study.sampler.gp import WITH_WORLDS
 from study.sampler.history import (
     NOTES,
     OFF_TABLE,

@@ -4,9 +4,10 @@ import numpy as np
 from scipy.optimize import minimize
 from sklearn.gaussian_process import GaussianProcessRegressor, kernels
 
+from study.sampler import covariance as kinds
 from study.sampler import gp
 
-FORMS = gp.KERNELS | {"nearness": gp.NEARNESS}  # all that there are, by name
+FORMS = kinds.KERNELS | {"nearness": kinds.NEARNESS}  # all that there are, by name
 
 
 class Columns(kernels.Kernel):
@@ -60,7 +61,11 @@ def of_covariance(covariance, theta):
         columns = slice(term.columns.start, term.columns.stop)
         if len(scales):
             limits = term.scales[0].bounds
-            inner = kernels.RBF(scales[0] if len(scales) == 1 else scales, limits)
+            lengths = scales[0] if len(scales) == 1 else scales
+            if term.rough:
+                inner = kernels.Matern(lengths, limits, nu=2.5)
+            else:
+                inner = kernels.RBF(lengths, limits)
         else:
             inner = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
         factor = kernels.ConstantKernel(variance, term.variance.bounds)
@@ -79,8 +84,9 @@ def misfit(covariance, x, y, theta):
     """`gp.misfit`, by scikit-learn."""
     regressor = conditioned(covariance, theta, x, y)
     likelihood, gradient = regressor.log_marginal_likelihood(theta, eval_gradient=True)
-    z = (theta - covariance.modes) / covariance.spreads
-    return float(-likelihood + 0.5 * z @ z), -gradient + z / covariance.spreads
+    away = theta - covariance.modes
+    slope = np.linalg.solve(covariance.prior, away)
+    return float(-likelihood + 0.5 * away @ slope), -gradient + slope
 
 
 def learned(covariance, x, y):

@@ -10,7 +10,7 @@ from scipy.stats import norm
 from study import FeatureTable
 from study.sampler import acquisition
 from study.sampler.acquisition import argmax_random_tie, log_expected_improvement
-from study.sampler.gp import KERNELS, WITH_WORLDS
+from study.sampler.covariance import KERNELS, WITH_WORLDS
 from study.sampler.history import read_limits
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from study.sampler import covariance as kinds
 from study.sampler import gp
 from study.sampler.acquisition import along_feature
 from study.sampler.transforms import Points, new_columns
@@ -18,7 +19,7 @@ X = np.random.default_rng(0).standard_normal((12, 7))
 def covariance_of(form, layout=LAYOUT):
     features, coordinates, parameters = layout
     columns = new_columns(features, coordinates)
-    return gp.new_covariance(reference.FORMS[form], columns, parameters)
+    return kinds.new_covariance(reference.FORMS[form], columns, parameters)
 
 
 def some_points(count, seed):
@@ -91,10 +92,44 @@ def test_length_scales_are_shared_or_one_a_feature_and_scaled_by_the_dimension()
     assert {form: len(covariance_of(form).start) for form in counts} == counts
     for d in (1, 16, 100):
         mu, sigma = np.sqrt(2) + np.log(d) / 2, np.sqrt(3)  # Hvarfner et al. 2024
-        for form, place in (("euclidean", 1), ("nearness", 1), ("additive", 4)):
+        for form, place in (("nearness", 1), ("additive", 4)):
             prior = covariance_of(form, (1, d, d)).constants[place]
             assert_allclose(prior.mode, mu - sigma**2)
             assert_allclose(prior.sd, sigma)
+
+
+def test_without_features_length_scales_are_around_half_of_a_range():
+    for d in (1, 16):
+        scales = covariance_of("euclidean", (0, d, d)).constants[1:-1]
+        assert len(scales) == d
+        assert {(scale.mode, scale.sd) for scale in scales} == {(np.log(0.5), 1.0)}
+
+
+def with_worlds(worlds, coordinates):
+    """The covariance beside worlds, and its columns."""
+    columns = new_columns(worlds + 2, coordinates, worlds)
+    return kinds.new_covariance(kinds.WITH_WORLDS, columns, coordinates), columns
+
+
+def test_beside_worlds_length_scales_share_the_most_of_their_prior():
+    covariance, _ = with_worlds(5, 3)
+    draws = np.random.default_rng(0).multivariate_normal(
+        covariance.modes, covariance.prior, size=200_000
+    )
+    scales = draws[:, -4:-1]
+    own, shared = 0.35, 0.7
+    assert_allclose(scales.mean(axis=0), np.log(0.8), atol=0.01)
+    assert_allclose(scales.std(axis=0), np.hypot(own, shared), rtol=0.01)
+    assert_allclose(np.corrcoef(scales.T)[0, 1], 0.8, atol=0.01)
+    assert_allclose(np.corrcoef(draws.T)[0, -4], 0.0, atol=0.01)
+
+
+def test_a_ranking_by_few_worlds_is_less_sure():
+    """The slope of the mean over w worlds is expected to be 1 / w away from theirs."""
+    for worlds, expected in ((1, 1.0), (4, 0.25), (32, 1 / 32), (128, 0.03)):
+        covariance, columns = with_worlds(worlds, 2)
+        (slope,) = (t.variance for t in covariance.terms if t.columns == columns.mean)
+        assert_allclose(np.exp(slope.mode), expected)
 
 
 # Likelihood and constants.
@@ -104,8 +139,8 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form):
     for seed, count in enumerate((1, 2, 9, 40, 120)):
         x, y = trials(count, seed)
         for draw in range(3):  # constants within their bounds, as the priors have them
-            theta = np.random.default_rng(draw).normal(
-                covariance.modes, covariance.spreads
+            theta = np.random.default_rng(draw).multivariate_normal(
+                covariance.modes, covariance.prior
             )
             theta = np.clip(theta, *covariance.bounds.T)
             expected, slopes = reference.misfit(covariance, x, y, theta)
@@ -127,7 +162,9 @@ def test_the_constants_are_those_that_scikit_learn_finds(form, count):
 
 
 def test_without_a_cholesky_factor_the_misfit_is_infinite():
-    covariance = gp.Covariance((gp.Term(range(1), gp.SLOPE),), gp.FEATURE_NOISE)
+    covariance = kinds.Covariance(
+        (kinds.Term(range(1), kinds.SLOPE),), kinds.FEATURE_NOISE
+    )
     x = np.array([[1.0], [1.0], [3.0]]) * 1e12
     theta = np.array([0.0, np.log(1e-4)])
     found, gradient = gp.misfit(covariance, x, np.ones(3), theta)

@@ -11,7 +11,7 @@ from study.experiment.arms import find_arm
 from study.experiment.one_study import OneStudy
 from study.sampler import acquisition
 from study.sampler.acquisition import Model
-from study.sampler.gp import ADDITIVE, NEARNESS
+from study.sampler.covariance import ADDITIVE, NEARNESS
 from study.sampler.transforms import PATIENCE, is_doubtful
 from tests.study.sampler.studies import bowl, rows_of, run_code, study_of, summed
 

@@ -18,7 +18,7 @@ from optuna.trial import TrialState
 
 import study
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
-from study.sampler.gp import KERNELS
+from study.sampler.covariance import KERNELS
 from study.sampler.worlds import Worlds
 from tests.study.sampler.studies import (
     bowl,

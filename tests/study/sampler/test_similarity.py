@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from optuna.distributions import CategoricalDistribution
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.gp import SIMILARITY
+from study.sampler.covariance import SIMILARITY
 from study.sampler.similarity import Alike, factor_of_gram, factor_of_graph
 from study.sampler.transforms import Points, log_excess
 from tests.study.conftest import refused

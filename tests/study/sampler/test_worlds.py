@@ -16,7 +16,7 @@ from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import table_policy
-from study.sampler.gp import WITH_WORLDS
+from study.sampler.covariance import WITH_WORLDS
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
 from tests.study.conftest import refused

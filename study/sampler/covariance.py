@@ -1,0 +1,437 @@
+"""The kernels of the sampler: their terms, and what is expected of their constants.
+
+| symbol | shape | meaning |
+|---|---|---|
+| phi | [n, k] | features, in standard units |
+| u | [n, e] | parameters as coordinates in the unit cube; d parameters have e >= d coordinates |
+| X = (phi, u) | [n, p] | trials, a row each |
+| theta | [t] | logarithms of the constants of a kernel, the noise variance last |
+| K | [n, n] | covariance of the trials |
+| W | [n, n] | derivative of a number by each entry of K |
+
+A kernel is a sum of terms, each a variance times a shape:
+
+| term | formula | kernels |
+|---|---|---|
+| slopes | v phi . phi' | additive, worlds |
+| likeness | s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2) | these; rbf: l shared |
+| nearness | t^2 exp(-sum_j (u_j - u'_j)^2 / 2 L_j^2) | additive: L shared; worlds: L_j each |
+| roughness | t^2 (1 + q + q^2 / 3) exp(-q), q^2 = 5 sum_j (u_j - u'_j)^2 / L_j^2 | euclidean |
+| worlds | a^2 d . d', d being what each world adds to the mean over the worlds | worlds |
+| mean | v m m', m being the mean over the worlds | worlds |
+| shift | c^2 for all rows, where outcomes are in the unit of the costs | worlds |
+| similarity | s^2 K, of a pool (`study.sampler.similarity`) | similarity |
+
+With slopes w ~ N(0, v I), the first term is the covariance of w . phi (Rasmussen,
+Williams 2006, section 2.7). Roughness is Matern's covariance of order 5/2 (equation
+4.17 there): costs that bend more sharply than a squared exponential lets expect.
+
+The priors are normal in the logarithm of each constant. Where parameters are all that is
+known (euclidean), their length scales are expected around half of a range. In additive
+kernels they follow Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization
+performs great in high dimensions"): log-normal with mu = sqrt 2 + (log d) / 2, sigma =
+sqrt 3, so that the assumed complexity does not grow with d. A log-normal density of L
+is, as a function of log L and up to a factor, a normal density around mu - sigma^2.
+
+Beside worlds, what no world explains (nearness) has a length scale for each parameter,
+and the trials are few. So these scales share most of their prior:
+
+    log L_j = mode + common + own_j,   common ~ N(0, 0.7^2),   own_j ~ N(0, 0.35^2),
+
+that is, they are learned as one scale, from which single parameters depart where trials
+ask for it.
+
+Parameter sets with equal features differ in cost, and no repetition would show it. Over
+features, noise is that spread, so it is expected to be large.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import exp, log, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.sampler.arrays import Floats
+from study.sampler.transforms import Columns
+
+AnyFloats = NDArray[Any]
+Pull = Callable[[Floats], Floats]  # W [n, n] -> sum_ij W_ij dK_ij/dtheta, [t]
+Towards = Callable[[Floats], AnyFloats]  # candidates [m, p] -> k [n, m]
+
+# Bounds of the constants; they keep 32-bit arithmetic right.
+SIGNAL_BOUNDS = (1e-2, 1e2)
+SLOPE_BOUNDS = (1e-4, 1e2)
+FEATURE_SCALE_BOUNDS = (5e-2, 5e1)
+PARAMETER_SCALE_BOUNDS = (5e-2, 1e2)
+NOISE_BOUNDS = (1e-4, 1e1)
+ROUGH_NOISE_BOUNDS = (1e-6, 1e1)
+
+NEGLIGIBLE = -80.0  # exp of it is 1e-35
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """The meaning of a kernel's name.
+
+    Attributes:
+        slopes: whether the cost has a part that is linear in the features.
+        feature_scales: length scales of the features: "each", "shared", or None: no
+            likeness.
+        parameter_scales: the same for the parameters; None: they do not count.
+        by_order: whether features count by their order, and costs by their logarithm;
+            else both count as they are.
+        rough: whether parameters have the covariance of Matern 5/2; else they have a
+            squared exponential.
+        related: whether what is known of rows beside features counts: their costs in
+            simulated worlds, or their similarity.
+    """
+
+    slopes: bool
+    feature_scales: str | None
+    parameter_scales: str | None
+    by_order: bool
+    rough: bool = False
+    related: bool = False
+
+    @cached_property
+    def of_features(self) -> bool:
+        """Whether features count."""
+        return self.slopes or self.feature_scales is not None or self.related
+
+    @cached_property
+    def of_parameters(self) -> bool:
+        """Whether coordinates count; if not, candidates of equal features are the same."""
+        return self.parameter_scales is not None
+
+
+ADDITIVE = Kernel(
+    slopes=True, feature_scales="each", parameter_scales="shared", by_order=True
+)
+NEARNESS = replace(ADDITIVE, slopes=False, feature_scales=None)
+WITH_WORLDS = replace(ADDITIVE, parameter_scales="each", related=True)
+SIMILARITY = replace(NEARNESS, parameter_scales=None, related=True)
+RBF = Kernel(
+    slopes=False, feature_scales="shared", parameter_scales=None, by_order=False
+)
+EUCLIDEAN = Kernel(
+    slopes=False,
+    feature_scales=None,
+    parameter_scales="each",
+    by_order=True,
+    rough=True,
+)
+KERNELS = {"additive": ADDITIVE, "rbf": RBF, "euclidean": EUCLIDEAN}
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A positive constant to be learned: bounds, and a normal prior of its logarithm.
+
+    Attributes:
+        mode: of the prior, on the scale of the logarithm.
+        sd: of the prior, on the same scale.
+        bounds: the least and the greatest value, positive, not logarithms.
+    """
+
+    mode: float
+    sd: float
+    bounds: tuple[float, float]
+
+
+SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)  # s^2, t^2: cost^2
+SLOPE = Constant(log(0.3), 1.5, SLOPE_BOUNDS)  # v: (cost / feature)^2
+FEATURE_NOISE = Constant(log(0.1), 1.5, NOISE_BOUNDS)  # cost^2
+# Of euclidean: t^2 is SIGNAL, L in ranges of the parameters, noise in cost^2.
+ROUGH_SCALE = Constant(log(0.5), 1.0, PARAMETER_SCALE_BOUNDS)
+ROUGH_NOISE = Constant(-7.0, 2.0, ROUGH_NOISE_BOUNDS)
+# Of costs in units of a table, of whose costs in all worlds the standard deviation is
+# one.
+WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)  # a^2
+SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)  # c^2
+BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2
+# L_j, in ranges of the parameters: what is a parameter's own, and what all share.
+BEYOND_SCALE = Constant(log(0.8), 0.35, PARAMETER_SCALE_BOUNDS)
+BEYOND_SHARED_SD = 0.7
+# v of the mean over w worlds is expected to be 1 / w, and no less than this. It is what a
+# robot's ranking may differ from theirs: few worlds tell little of it, and of many one
+# or two falls shall not turn it round.
+LEAST_RANKING = 0.03
+RANKING_SD = 0.5
+WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
+
+
+@dataclass(frozen=True)
+class Term:
+    """A variance times a shape over some columns.
+
+    Attributes:
+        columns: those of X that count, next to each other.
+        variance: v, s^2, t^2, a^2 or c^2 of the module's table.
+        scales: length scales, one a column or one for all; () where the term is linear.
+        shared_sd: standard deviation of a factor that the logarithms of all its length
+            scales share; 0: they are independent.
+        rough: whether its shape is that of Matern 5/2; else it is a squared
+            exponential.
+    """
+
+    columns: range
+    variance: Constant
+    scales: tuple[Constant, ...] = ()
+    shared_sd: float = 0.0
+    rough: bool = False
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """A kernel for rows of some layout: the sum of its terms, and independent noise.
+
+    Attributes:
+        terms: one or more.
+        noise: variance of the noise.
+        standardised: whether costs have a mean of 0 and a variance of 1; if not, they
+            are in units of a table.
+    """
+
+    terms: tuple[Term, ...]
+    noise: Constant
+    standardised: bool = True
+
+    @cached_property
+    def constants(self) -> tuple[Constant, ...]:
+        """The constants as theta has them, t: variance and scales of each term, then the noise."""
+        found: list[Constant] = []
+        for term in self.terms:
+            found += [term.variance, *term.scales]
+        return (*found, self.noise)
+
+    @cached_property
+    def start(self) -> Floats:
+        """Theta before any trial, [t]: the likeliest values within the bounds."""
+        likeliest = [exp(constant.mode) for constant in self.constants]
+        low, high = zip(*(constant.bounds for constant in self.constants), strict=True)
+        return np.asarray(np.log(np.clip(likeliest, low, high)))
+
+    @cached_property
+    def bounds(self) -> Floats:
+        """Least and greatest theta, [t, 2]."""
+        return np.log([constant.bounds for constant in self.constants])
+
+    @cached_property
+    def modes(self) -> Floats:
+        """Where the priors are largest, [t]."""
+        return np.array([constant.mode for constant in self.constants])
+
+    @cached_property
+    def prior(self) -> Floats:
+        """Covariance of theta before any trial, [t, t]."""
+        prior = np.diag([constant.sd**2 for constant in self.constants])
+        place = 0
+        for term in self.terms:
+            scales = slice(place + 1, place + 1 + len(term.scales))
+            prior[scales, scales] += term.shared_sd**2
+            place = scales.stop
+        return prior
+
+    @cached_property
+    def prior_precision(self) -> Floats:
+        """The inverse of `prior`, [t, t]."""
+        return np.linalg.inv(self.prior)
+
+    def valued(self, theta: Floats) -> Iterator[tuple[Term, float, Floats]]:
+        """Each term with the values of its variance and of its length scales."""
+        place = 0
+        for term in self.terms:
+            values = np.exp(theta[place : place + 1 + len(term.scales)])
+            yield term, float(values[0]), values[1:]
+            place += len(values)
+
+    def gram(self, theta: Floats, x: Floats) -> tuple[Floats, Pull]:
+        """K without noise of rows [n, p], and the derivative of a number by theta, from its W.
+
+        No derivative of K is formed: sum_ij W_ij dK_ij/dtheta is taken term by term
+        (reverse accumulation; Griewank, Walther 2008, chapter 3). W may be of any form,
+        as triangular.
+        """
+        k: Any = 0.0
+        parts: list[tuple[float, Floats, Pull]] = []
+        for term, variance, scales in self.valued(theta):
+            shape, pull = shape_of(seen_by(term, x), scales, rough=term.rough)
+            parts.append((variance, shape, pull))
+            k = k + variance * shape
+
+        def pull_all(weights: Floats) -> Floats:
+            slopes: list[Floats] = []
+            for variance, shape, pull in parts:
+                slopes.append(np.array([variance * (weights * shape).sum()]))
+                slopes.append(pull(weights * variance))
+            return np.concatenate(slopes)
+
+        return k, pull_all
+
+    def towards(
+        self, theta: Floats, a: Floats, precision: type[np.floating[Any]]
+    ) -> Towards:
+        """The covariance, without noise, of rows a [n, p] and others; in 32 or 64 bits.
+
+        Distances are taken in 64 bits always; what is of size [n, m] after that may be
+        in 32.
+        """
+        weights = np.zeros(a.shape[1])  # of linear terms, which are one product
+        curved = []
+        for term, variance, scales in self.valued(theta):
+            if len(scales):
+                left = _left(_scaled(seen_by(term, a), scales)).T
+                curved.append((term, variance, scales, left))
+            else:
+                weights[term.columns.start : term.columns.stop] += variance
+        used = np.flatnonzero(weights)
+        straight = slice(used[0], used[-1] + 1) if len(used) else slice(0)
+        slopes = a[:, straight] * weights[straight]
+
+        def cross(x: Floats) -> AnyFloats:
+            total = (slopes @ x[:, straight].T).astype(precision, copy=False)
+            for term, variance, scales, left in curved:
+                half = left @ _right(_scaled(seen_by(term, x), scales))
+                k = half.astype(precision, copy=False)
+                k = fall(k, rough=term.rough)
+                k *= variance
+                total += k
+            return total
+
+        return cross
+
+    def variance(self, theta: Floats, x: Floats) -> Any:
+        """k(x, x) of rows [m, p], [m], or a number where it is the same for all."""
+        total: Any = 0.0
+        for term, variance, scales in self.valued(theta):
+            seen = seen_by(term, x)
+            shape = 1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen)
+            total = total + variance * shape
+        return total
+
+
+def new_covariance(
+    kernel: Kernel, columns: Columns, parameters: int, *, standardised: bool = True
+) -> Covariance:
+    """The covariance of rows with these columns.
+
+    Args:
+        kernel: which terms there are.
+        columns: of the rows.
+        parameters: d, their number; its prior length scales grow with it.
+        standardised: see `Covariance`.
+    """
+    if kernel.related and not kernel.of_parameters:
+        return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
+    terms = []
+    if kernel.related:
+        ranking = max(1.0 / len(columns.worlds), LEAST_RANKING)
+        slope = Constant(log(ranking), RANKING_SD, SLOPE_BOUNDS)
+        terms = [Term(columns.worlds, WORLD), Term(columns.mean, slope)]
+        if not standardised:
+            terms.append(Term(columns.one, SHIFT))
+    own = columns.features
+    if kernel.slopes and own:
+        terms.append(Term(own, SLOPE))
+    if kernel.feature_scales is not None and own:
+        scale = Constant(log(sqrt(len(own))), 1.0, FEATURE_SCALE_BOUNDS)
+        count = len(own) if kernel.feature_scales == "each" else 1
+        terms.append(Term(own, SIGNAL, (scale,) * count))
+    nearby, d = columns.coordinates, parameters
+    if kernel.related:
+        scales = (BEYOND_SCALE,) * len(nearby)
+        terms.append(Term(nearby, BEYOND, scales, shared_sd=BEYOND_SHARED_SD))
+        return Covariance(tuple(terms), WORLD_NOISE, standardised)
+    if kernel.rough:
+        scales = (ROUGH_SCALE,) * len(nearby)
+        return Covariance((Term(nearby, SIGNAL, scales, rough=True),), ROUGH_NOISE)
+    if kernel.of_parameters:
+        mode = sqrt(2.0) + log(d) / 2.0 - 3.0
+        scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
+        terms.append(Term(nearby, SIGNAL, (scale,)))
+    return Covariance(tuple(terms), FEATURE_NOISE)
+
+
+def seen_by(term: Term, x: Floats) -> Floats:
+    """The columns of rows [n, p] that a term looks at, a view of them."""
+    return x[:, term.columns.start : term.columns.stop]
+
+
+def shape_of(x: Floats, scales: Floats, *, rough: bool) -> tuple[Floats, Pull]:
+    """The shape of a term for all pairs of rows [n, q], and its pull by the log length scales.
+
+    Without scales x . x'; else a function of r, the distance in length scales, whose
+    derivative by log l_j is its steepness times (x_j - x'_j)^2 / l_j^2.
+    """
+    if not len(scales):
+        return x @ x.T, lambda weights: np.empty(0)
+    scaled = _scaled(x, scales)
+    half = _left(scaled).T @ _right(scaled)
+    steep = _matern_steepness(half) if rough else None
+    value = np.asarray(fall(half, rough=rough), dtype=np.float64)
+
+    def pull(weights: Floats) -> Floats:
+        # sum_ij w_ij (s_i - s_j)^2 = sum_i s_i^2 (row + column) - 2 sum_ij s_i w_ij s_j
+        weights = weights * (value if steep is None else steep)
+        ends = weights.sum(axis=0) + weights.sum(axis=1)
+        each = scaled**2 @ ends - 2.0 * np.einsum("kn,kn->k", scaled @ weights, scaled)
+        return each if len(scales) == len(each) else np.array([each.sum()])
+
+    return value, pull
+
+
+def fall(half: AnyFloats, *, rough: bool) -> AnyFloats:
+    """The shape by -r^2 / 2, r being the distance in length scales; in place."""
+    if not rough:
+        # Never so small that products of it are denormal numbers, which are slow.
+        np.maximum(half, NEGLIGIBLE, out=half)
+        return np.asarray(np.exp(half, out=half))
+    q = _matern_distance(half)
+    np.exp(-q, out=half)
+    half *= 1.0 + q * (1.0 + q / 3.0)
+    return half
+
+
+def _matern_steepness(half: Floats) -> Floats:
+    """-2 times the derivative of Matern's shape by r^2, by -r^2 / 2.
+
+    A squared exponential is its own.
+    """
+    q = _matern_distance(half)
+    return np.asarray(5.0 / 3.0 * (1.0 + q) * np.exp(-q))
+
+
+def _matern_distance(half: AnyFloats) -> AnyFloats:
+    """q = sqrt 5 r, by -r^2 / 2, which rounding may leave above 0."""
+    q = half * -10.0
+    np.clip(q, 0.0, NEGLIGIBLE**2, out=q)
+    return np.asarray(np.sqrt(q, out=q))
+
+
+def _scaled(x: Floats, scales: Floats) -> Floats:
+    """Rows [n, q] in length scales, as columns: [q, n]."""
+    return np.asarray(x.T / scales[:, None])
+
+
+def _left(scaled: Floats) -> Floats:
+    """a, -|a|^2/2 and -1/2 on top of each other, [q + 2, n].
+
+    `_left`^T `_right` is -r^2/2 = a . b - |a|^2/2 - |b|^2/2, by one product of
+    matrices; it is wrong by 1e-16 of |a|^2 + |b|^2.
+    """
+    extended = _right(scaled)
+    extended[-2:] = -0.5 * extended[:-3:-1]
+    return extended
+
+
+def _right(scaled: Floats) -> Floats:
+    """b, 1 and |b|^2 on top of each other, [q + 2, m]."""
+    count, m = scaled.shape
+    extended = np.empty((count + 2, m))
+    extended[:count] = scaled
+    extended[count] = 1.0
+    np.einsum("km,km->m", scaled, scaled, out=extended[-1])
+    return extended
