@@ -238,7 +238,7 @@ class Covariance:
     @cached_property
     def prior_precision(self) -> Floats:
         """The inverse of `prior`, [t, t]."""
-        return np.linalg.inv(self.prior)
+        return np.asarray(np.linalg.inv(self.prior), dtype=np.float64)
 
     def valued(self, theta: Floats) -> Iterator[tuple[Term, float, Floats]]:
         """Each term with the values of its variance and of its length scales."""
