@@ -31,7 +31,8 @@ known (euclidean), their length scales are expected around half of a range. In a
 kernels they follow Hvarfner, Hellsten, Nardi 2024 ("Vanilla Bayesian optimization
 performs great in high dimensions"): log-normal with mu = sqrt 2 + (log d) / 2, sigma =
 sqrt 3, so that the assumed complexity does not grow with d. A log-normal density of L
-is, as a function of log L and up to a factor, a normal density around mu - sigma^2.
+is, as a function of log L and up to a factor, a normal density around mu - sigma^2; so is
+BoTorch's log-normal(-4, 1) of the noise around -5.
 
 Beside worlds, what no world explains (nearness) has a length scale for each parameter,
 and the trials are few. So these scales share most of their prior:
@@ -144,6 +145,7 @@ class Constant:
 SIGNAL = Constant(0.0, 1.5, SIGNAL_BOUNDS)  # s^2, t^2: cost^2
 SLOPE = Constant(log(0.3), 1.5, SLOPE_BOUNDS)  # v: (cost / feature)^2
 FEATURE_NOISE = Constant(log(0.1), 1.5, NOISE_BOUNDS)  # cost^2
+PARAMETER_NOISE = Constant(-5.0, 1.0, NOISE_BOUNDS)  # log-normal(-4, 1)
 # Of euclidean: t^2 is SIGNAL, L in ranges of the parameters, noise in cost^2.
 ROUGH_SCALE = Constant(log(0.5), 1.0, PARAMETER_SCALE_BOUNDS)
 ROUGH_NOISE = Constant(-7.0, 2.0, ROUGH_NOISE_BOUNDS)
@@ -352,7 +354,8 @@ def new_covariance(
         mode = sqrt(2.0) + log(d) / 2.0 - 3.0
         scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
         terms.append(Term(nearby, SIGNAL, (scale,)))
-    return Covariance(tuple(terms), FEATURE_NOISE)
+    noise = FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
+    return Covariance(tuple(terms), noise)
 
 
 def seen_by(term: Term, x: Floats) -> Floats:

@@ -109,11 +109,13 @@ def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features):
     posterior = model.posterior
     assert posterior.cost_sd == 1.0 and posterior.cost_mean == 0.0
     *constants, noise = np.exp(posterior.theta)
-    worlds, mean_slope, shift, *own, nearness, length = constants
+    knobs = ROWS.shape[1]
+    constants, lengths = constants[:-knobs], constants[-knobs:]
+    worlds, mean_slope, shift, *own, nearness = constants
     m, d = ensemble.mean, ensemble.parts
-    apart = ((ROWS[:, None] - ROWS[None]) ** 2).sum(axis=2)
+    apart = (((ROWS[:, None] - ROWS[None]) / lengths) ** 2).sum(axis=2)
     k = worlds * d @ d.T + mean_slope * np.outer(m, m) + shift
-    k += nearness * np.exp(-0.5 * apart / length**2)
+    k += nearness * np.exp(-0.5 * apart)
     if features:
         slope, size, *scales = own
         far = (((phi[:, None] - phi[None]) / scales) ** 2).sum(axis=2)
