@@ -64,7 +64,8 @@ class FeatureKernelSampler(BaseSampler):
     (`study.sampler.worlds`). On a pool of which a similarity is known, that alone is
     the model (`study.sampler.similarity`).
 
-    v, s, t, the length scales and the noise are learned (`study.sampler.gp`). Once no
+    v, s, t, the length scales and the noise are learned (`study.sampler.covariance`,
+    `study.sampler.gp`). Once no
     trial has been better than all before for some time, every other one is left to g
     alone (`study.sampler.transforms`). Trials running elsewhere are conditioned on as
     if they had shown what is expected of them. Constraints are those that the objective
@@ -88,8 +89,8 @@ class FeatureKernelSampler(BaseSampler):
         kernel: None: the model above with features, "euclidean" without. "additive":
             the model above; a kernel that is named leaves outcomes out. "rbf": f alone,
             of features as they are (standardised), one length scale for all and the
-            cost as it is, the paper's. "euclidean": over the parameters alone, a length
-            scale each, as Hvarfner, Hellsten, Nardi 2024. All but the first start with
+            cost as it is, the paper's. "euclidean": over the parameters alone, Matern's
+            covariance of order 5/2, a length scale each. All but the first start with
             three random trials.
         feature_function: for a table, features of points off it, in the table's order
             and units.
