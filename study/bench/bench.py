@@ -475,7 +475,8 @@ class Bench:
             return {}
         known = rows.worlds.costs @ rows.worlds.weights
         places = places_of(rows, told)
-        values = rows.mixed(known[rows.numbers][:, None], places, places)[:, 0].tolist()
+        costs = known[rows.numbers][:, None]
+        values = rows.between().at(costs, places, places)[:, 0].tolist()
         return dict(zip([trial.number for trial in told], values, strict=True))
 
     def _result(

@@ -306,7 +306,7 @@ class Plan:
 
             def features(points: Floats) -> Floats:
                 places = rows.space.unit(points)
-                return rows.mixed(rows.features[rows.numbers], places, places)
+                return rows.between().at(rows.features[rows.numbers], places, places)
 
             options = {"feature_function": features}
         return FeatureKernelSampler(

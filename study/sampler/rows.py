@@ -7,11 +7,11 @@ from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from study.sampler.arrays import Floats, Mask, Whole
+from study.sampler.between import Between, Guess, chosen_guess, nearest_mean
 from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation
 from study.sampler.space import Number, Space, first_not_taken, standing_for
@@ -19,10 +19,7 @@ from study.sampler.transforms import NormalScores, Points, Scale, Standard
 from study.sampler.worlds import Ensemble, Worlds
 
 T = TypeVar("T")
-NEAR_ROWS = 8  # whose mean a point off the table has
-NEAR_POWER = 4  # of the distance, by which their weights fall
 BLOCK = 2**13  # rows at a time, to stay in the cache
-NEAR_POOL = 128  # rows near each centre, among which these are looked for
 # 2^64 / golden ratio: Knuth's multiplicative hashing.
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
@@ -89,11 +86,6 @@ class Rows:
         return np.vstack(blocks)
 
     @cached_property
-    def _lengths(self) -> Floats:
-        """|u|^2 of `unit`, [m]."""
-        return np.asarray(np.einsum("me,me->m", self.unit, self.unit))
-
-    @cached_property
     def numbers(self) -> Whole:
         """Numbers of the rows that may be proposed, ascending, [m]."""
         return np.flatnonzero(self.offered)
@@ -129,50 +121,35 @@ class Rows:
         assert worlds is not None
         costs = partial(worlds.of_rows, self.numbers, signs, goals)
         if goals is not None:
-            return Ensemble(worlds, costs())
+            return Ensemble(worlds, costs(), is_drawn=True)
         return _once(self, ("ensemble", *signs), lambda: Ensemble(worlds, costs()))
 
-    def mixed(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
-        """Columns [m, k] of rows that may be proposed, at other points of the unit cube, [n, k].
+    def between(self, ensemble: Relation | None = None) -> Between:
+        """What rows that may be proposed tell of points between them; made once.
 
-        Each point [e] has a mean of its `NEAR_ROWS` nearest rows, weighted by 1 /
-        distance^4 (in many dimensions all but the nearest are about as far). They are
-        looked for among the `NEAR_POOL` rows that are nearest to each of the centres
-        [c, e], which points are near to.
+        Beside worlds by kriging, if they are smooth. An ensemble that was drawn for one
+        trial is not asked: that would take longer than the trial's proposal.
         """
-        pools = [
-            _once(self, ("pool", c.tobytes()), partial(self._pool, c)) for c in centres
-        ]
-        pool = np.unique(np.concatenate(pools))
-        unit = self.unit[pool]
-        # |a|^2 + |b|^2 - 2 a . b, with one product of matrices.
-        squares = (
-            (points**2).sum(axis=1)[:, None]
-            + (unit**2).sum(axis=1)
-            - 2.0 * points @ unit.T
-        )
-        count = min(NEAR_ROWS, len(pool))
-        # Of rows as far as the last one all count. To find how far is a third of
-        # finding which.
-        near = squares <= np.partition(squares, count - 1, axis=1)[:, count - 1 : count]
-        weight = 1.0 / (np.sqrt(np.maximum(squares[near], 0.0)) + 1e-3) ** NEAR_POWER
-        starts = np.append(0, near.sum(axis=1).cumsum())
-        weight /= np.repeat(np.add.reduceat(weight, starts[:-1]), np.diff(starts))
-        places = near.nonzero()[1]
-        matrix = scipy.sparse.csr_array((weight, places, starts), squares.shape)
-        return np.asarray(matrix @ columns[pool])
 
-    def mixed_at(self, points: Points, place: Floats) -> Floats:
-        """The features of rows that may be proposed, as points, mixed at a place [e]: [k]."""
-        made = partial(self.mixed, points.features, place[None], place[None])
-        return np.asarray(_once(points, place.tobytes(), made)[0])
+        def made() -> Between:
+            guess: Guess = nearest_mean
+            if isinstance(ensemble, Ensemble) and not ensemble.is_drawn:
+                guess = chosen_guess(self.unit, ensemble.mean)
+            return Between(self.unit, guess)
 
-    def _pool(self, centre: Floats) -> Whole:
-        """Places of the rows that are nearest to a point of the unit cube [e]."""
-        # Less |centre|^2, which all share.
-        squares = self._lengths - 2.0 * (self.unit @ centre)
-        count = min(NEAR_POOL, len(squares))
-        return np.argpartition(squares, count - 1)[:count]
+        return _once(ensemble or self, "between", made)
+
+    def between_at(
+        self, points: Points, place: Floats, ensemble: Relation | None
+    ) -> Floats:
+        """The features of rows that may be proposed, as points, at a place [e]: [k]; kept."""
+
+        def made() -> Floats:
+            between = self.between(ensemble)
+            found = between.at(points.features, place[None], place[None])
+            return np.asarray(found[0])
+
+        return _once(points, place.tobytes(), made)
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna takes it: native values by name."""

@@ -458,7 +458,8 @@ class TablePolicy(Policy):
             if np.isfinite(utility).any() or elsewhere.any():
                 new = elsewhere
             own = self._points(model.ensemble).features
-            points = Points(rows.mixed(own, unit, space.unit(centres)), unit)
+            between = rows.between(model.ensemble)
+            points = Points(between.at(own, unit, space.unit(centres)), unit)
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
         utility = model.utility(points, new, rng)
         chosen = argmax_random_tie(utility, rng)
@@ -479,7 +480,7 @@ class TablePolicy(Policy):
         )
 
     def _seen(self, placed: Placed, ensemble: Relation | None) -> Points:
-        """Trials as points: with worlds, those off the table have what their nearest rows have."""
+        """Trials as points: with worlds, those off the table have what rows near them tell."""
         if ensemble is None:
             return self._as_points(placed.parameters, self._features(placed))
         rows, points = self.rows, self._points(ensemble)
@@ -488,7 +489,7 @@ class TablePolicy(Policy):
         place = np.minimum(place, len(rows.numbers) - 1)
         features = points.features[place]
         for off in np.flatnonzero(rows.numbers[place] != placed.rows).tolist():
-            features[off] = rows.mixed_at(points, unit[off])
+            features[off] = rows.between_at(points, unit[off], ensemble)
         return Points(features, unit)
 
     def _as_points(self, parameters: Floats, features: Floats) -> Points:

@@ -12,7 +12,8 @@ being those of `Ensemble.standard`, and p_w the weights of the worlds:
 
 with s ~ N(0, v) and b ~ N(0, a^2 I). Where no world is like the robot, the trials make
 1 + s small. The shift is common to all rows: a robot may be worse than all worlds. A
-point off the table has the m and d of its nearest rows, by distance. Outcomes in other
+point off the table has the m and d that rows near it let expect
+(`study.sampler.between`). Outcomes in other
 units than the study's values (shares survived, scores) tell which rows are better, not
 what they cost: there is no shift then.
 """
@@ -185,9 +186,13 @@ def matrix_of(field: str, given: Any, count: str) -> Floats:
 class Ensemble:
     """The worlds' costs of m rows as a Gaussian process takes them."""
 
-    def __init__(self, worlds: Worlds, costs: Floats) -> None:
+    def __init__(
+        self, worlds: Worlds, costs: Floats, *, is_drawn: bool = False
+    ) -> None:
         """Take the costs [m, w] of rows, as `Worlds.of_rows` has them."""
         self.names = worlds.names
+        # Whether its costs are of goals that were drawn for one trial.
+        self.is_drawn = is_drawn
         # How many worlds of one weight tell as much, less one: of one world nothing is
         # known of how far others are from it.
         self.freedom = 1.0 / float((worlds.weights**2).sum()) - 1.0

@@ -135,13 +135,14 @@ def test_the_posterior_is_that_of_the_covariance_in_the_docstring(features):
 def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighbours():
     rows = table().rows
     columns = rows.ensemble(np.ones(1)).columns
-    assert_allclose(rows.mixed(columns, rows.unit, rows.unit[:3]), columns, atol=1e-3)
+    found = rows.between().at(columns, rows.unit, rows.unit[:3])
+    assert_allclose(found, columns, atol=1e-3)
     point = np.array([[0.5, 0.5]])
     distance = np.sqrt(((rows.unit - point) ** 2).sum(axis=1))
     near = np.argsort(distance)[:8]
     weight = 1 / (distance[near] + 1e-3) ** 4
     expected = weight @ columns[near] / weight.sum()
-    assert_allclose(rows.mixed(columns, point, point)[0], expected)
+    assert_allclose(rows.between().at(columns, point, point)[0], expected)
 
 
 def test_the_chance_of_success_is_that_of_the_posterior():
