@@ -100,9 +100,9 @@ class TablePolicy(Policy):
         # Costs in worlds are a model before any trial. What only ranks tells no cost.
         self._in_costs = worlds is not None and worlds.better is None
         if worlds is not None:
-            self.first_trials = (
-                1 if self._in_costs and options.success is None else RANKED
-            )
+            # Of one world nothing tells how far a robot is from it: its ranking goes on.
+            is_model = self._in_costs and len(worlds.names) > 1
+            self.first_trials = 1 if is_model and options.success is None else RANKED
 
     @cached_property
     def own_rows(self) -> Rows:

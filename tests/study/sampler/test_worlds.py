@@ -173,6 +173,13 @@ def test_it_begins_with_the_ranking_learns_the_world_and_leaves_the_table():
     assert min(rows_of(study_of(table(), robot, 15, off_grid=0))) >= 0
 
 
+def test_of_one_world_the_three_best_rows_come_first():
+    """One fall of a robot does not tell that the only world is wrong."""
+    single = COSTS[:, :1]
+    rows = rows_of(study_of(table(single), lambda trial: 1e3 + robot(trial), 4))
+    assert rows[:3] == np.argsort(single[:, 0])[:3].tolist()
+
+
 def test_proposals_depend_on_the_trials_and_the_seed_alone():
     whole = study_of(table(), robot, 8, seed=3)
 
