@@ -2,9 +2,9 @@
 
 The first trials come before there is a model. With worlds they are the best rows by
 their mean, `RANKED` of them; where outcomes are costs of several worlds, until a trial
-succeeds, and one where none can. With features they are the `ENDS` of their first principal component,
-where candidates are extreme by most of them at once, so that one end is good where
-several predict the cost; else `RANDOM` ones.
+succeeds, and one where none can. With features they are the `ENDS` of their first
+principal component, where candidates are extreme by most of them at once, so that one
+end is good where several predict the cost; else `RANDOM` ones.
 """
 
 import warnings
