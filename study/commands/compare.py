@@ -12,10 +12,10 @@ import optuna
 from storage.databases.studies import public_url
 from storage.pool import Cluster, cores
 from study.cli import ProgressBar
-from study.experiment.arms import ARMS, lacks, with_store
+from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment
-from study.experiment.robots import able_arms, read_any
+from study.experiment.robots import able_arms, read_any, unable_arms
 from study.report.markdown import arms_documents, arms_text, dashboard_summary
 from study.report.numbers import numbers
 from study.report.runs import read_facts, read_results
@@ -29,8 +29,8 @@ def main(args: Namespace) -> None:
     read_facts(out)  # refused before the work, since the report at the end reads them
     arms = tuple(args.arms.split(",")) if args.arms is not None else None
     if arms is None and experiment.arms == able_arms():
-        for name in ARMS.keys() - set(experiment.arms):
-            print(f"{name} is left out: {lacks(name)}", file=sys.stderr)
+        for line in unable_arms():
+            print(line, file=sys.stderr)
     if args.store is not None:
         experiment = with_store(experiment, arms or experiment.arms, args.store)
     robot = experiment.robot

@@ -5,7 +5,7 @@ worlds are drawn. A trial is one long run.
 """
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -39,7 +39,17 @@ from study.experiment.walker import read_experiment
 from study.sampler.draws import Purpose, stream
 
 STORE = "worlds"  # by which arms know the one store
-ARMS = ("worlds", "ranking", "gp-ranking", "tpe-ranking", "tpe", "random")
+ARMS = (
+    "worlds",
+    "ranking",
+    "hill-ranking",
+    "residual",
+    "bo-ranking",
+    "gp-ranking",
+    "tpe-ranking",
+    "tpe",
+    "random",
+)
 PACKAGES = ("optuna", "cmaes", "numpy", "scipy")
 
 
@@ -214,6 +224,13 @@ def read_robots(
 def able_arms() -> tuple[str, ...]:
     """Those of `ARMS` that can run here, which are compared where a file names none."""
     return tuple(name for name in ARMS if not lacks(name))
+
+
+def unable_arms() -> Iterator[str]:
+    """The others of `ARMS`, a line each that says why."""
+    for name in ARMS:
+        if lacking := lacks(name):
+            yield f"{name} is left out: {lacking}"
 
 
 TAKEN = (
