@@ -1,6 +1,6 @@
 """How good each candidate is: expected improvement, kept limits, and the model behind both."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -66,6 +66,7 @@ class Model:
         success: cost up to which a trial has succeeded; None: there is no such cost.
         elsewhere: e trials of other studies, whose limits alone count; None: none.
         limits_elsewhere: the constraints of these, [e, c]; None without them.
+        refits: up to how many trials constants are learned anew after how many.
     """
 
     kernel: Kernel
@@ -79,6 +80,7 @@ class Model:
     success: float | None = None
     elsewhere: Points | None = None
     limits_elsewhere: Floats | None = None
+    refits: Sequence[tuple[float, int]] = REFITS
     _in_sight: bool | None = field(default=None, init=False)  # a success; not yet asked
 
     @cached_property
@@ -129,16 +131,17 @@ class Model:
         return np.vstack([self.limits_elsewhere, self.limits])
 
     @cached_property
-    def limit_posteriors(self) -> list[Posterior]:
-        """One posterior a constraint that has been reported."""
-        posteriors, trials = [], self.trials
+    def limit_posteriors(self) -> dict[int, Posterior]:
+        """One posterior a constraint that has been reported, by its column."""
+        posteriors, trials = dict[int, Posterior](), self.trials
         if self.elsewhere is not None:
             trials = self.elsewhere.followed_by(trials)
-        for limit in self.told_limits.T:
+        for column, limit in enumerate(self.told_limits.T):
             known = np.isfinite(limit)
             if known.any():
                 points = trials.take(known)
-                posteriors.append(self._after(points, limit[known].__getitem__))
+                told = limit[known].__getitem__
+                posteriors[column] = self._after(points, told)
         return posteriors
 
     @cached_property
@@ -206,7 +209,7 @@ class Model:
         covariance = new_covariance(
             self.kernel, columns, self.parameters, standardised=standardised
         )
-        every = next(every for most, every in REFITS if len(x) <= most)
+        every = next(every for most, every in self.refits if len(x) <= most)
         first = len(x) - len(x) % every
         theta = self._learned(covariance, x[:first], y(slice(first)))
         # Over features alone, noise is the spread of alike candidates: the next one
@@ -282,7 +285,7 @@ class Model:
         """log expected improvement plus the log of the chance that all limits are kept, [m]."""
         visible = self.visible(points)
         log_chance_kept = np.zeros(len(points))
-        for posterior in self.limit_posteriors:
+        for posterior in self.limit_posteriors.values():
             log_chance_kept += log_chance_below_zero(*posterior.predict(visible))
         feasible = self.feasible
         if not feasible.any():

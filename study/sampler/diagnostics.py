@@ -207,6 +207,7 @@ class Present:
         features: of the n trials, in units of their own, [n, k]; NaN where unknown.
         model: the sampler's, for trials that follow the features.
         is_doubted: whether every other trial is left to the parameters at present.
+        errors: of the last trials, each predicted before it was made, [t, 1 + c].
     """
 
     trials: tuple[FrozenTrial, ...]
@@ -215,6 +216,7 @@ class Present:
     features: Floats
     model: Model
     is_doubted: bool
+    errors: Floats
 
 
 def worth_of(present: Present | None, *, maximised: bool) -> Worth:

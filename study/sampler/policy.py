@@ -26,6 +26,7 @@ from threadpoolctl import ThreadpoolController
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
 from study.sampler.arrays import Floats, Mask
+from study.sampler.calibration import Errors, past_errors
 from study.sampler.covariance import ADDITIVE, NEARNESS, Kernel
 from study.sampler.draws import Purpose, generator
 from study.sampler.goals import Goals
@@ -113,12 +114,13 @@ class Policy:
         # How many trials have to finish before there is a model.
         self.first_trials = ENDS if self.learns_trust else RANDOM
         self.known: Learned = {}  # in this process
+        self._errors: Errors = {}  # likewise
         self._proposals: dict[tuple[int, datetime | None], Proposal] = {}
         self._said: set[str] = set()
 
     def __getstate__(self) -> dict[str, Any]:
         """The state without constants, which another process computes again, and own trials."""
-        return self.__dict__ | {"known": {}, "_proposals": {}}
+        return self.__dict__ | {"known": {}, "_errors": {}, "_proposals": {}}
 
     def remember(self, trial: FrozenTrial, proposal: Proposal) -> None:
         """Keep what was proposed for a trial, and forget the oldest if they are many."""
@@ -201,6 +203,10 @@ class Policy:
     def of_turn(self, model: Model, turn: int) -> Model:
         """The model of one trial: of the parameters alone, where features are doubted."""
         return replace(model, kernel=NEARNESS) if self.doubts(model, turn) else model
+
+    def errors(self, model: Model) -> Floats:
+        """Errors of the last trials, each predicted before it was made, [t, 1 + c]."""
+        return past_errors(model, self.of_turn, self._errors)
 
     def doubts(self, model: Model, turn: int) -> bool:
         """Whether the trial of this turn is left to the parameters."""

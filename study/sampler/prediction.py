@@ -2,24 +2,23 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import isinf, isnan, sqrt
+from math import isnan, sqrt
 from typing import Any
 
 import numpy as np
 import scipy
 
-from study.sampler.acquisition import Model, log_chance_below_zero
+from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats, Whole
-from study.sampler.diagnostics import NORMAL_95, Present, trials_text
+from study.sampler.calibration import Calibration, noise_of, reading_of, tells_scale
+from study.sampler.diagnostics import Present, trials_text
 from study.sampler.gp import misfit
 from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
-from study.sampler.worlds import Ensemble
 
 SHOWN_CANDIDATES = 10
 LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
-# The spread of worlds, in standard deviations of the table: below, they agree by chance.
-LEAST_SPREAD = 1e-6
+SURE = 1.0  # standard deviations by which the model contradicts the best reading
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 
 
@@ -63,7 +62,11 @@ class Best:
 
 
 def best_of(present: Present, *, maximised: bool) -> Best:
-    """The trial of the least expected cost, of those that kept their limits if any did.
+    """The trial of the best reading, of those that kept their limits if any did.
+
+    The readings of the same parameters count as their mean. Another trial takes its
+    place where the model is sure that it is better: in made-up campaigns the model's
+    mean alone chose worse trials than the readings.
 
     Where the model has no parameters, noise is what parameters do, and is part of the
     interval.
@@ -71,18 +74,13 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     model, trials = present.model, present.trials
     mean, variance = _over_noise(model)
     mean += model.expected(model.trials, model.cost())
-    kept = ~(read_limits(trials) > 0).any(axis=1)
-    told = np.array([trial.values[0] for trial in trials])
-    # To the model infinity is a number beyond the others, which noise may bring near to
-    # them.
-    told = np.where(np.isfinite(told), 0.0, -told if maximised else told)
-    order = np.lexsort((mean, told, ~kept))
-    best = int(order[0])
+    best = _chosen(present, mean, variance, maximised=maximised)
     trial = trials[best]
     value = trial.values[0]
     low = high = np.nan
     if np.isfinite(value):
-        away = NORMAL_95 * sqrt(float(variance[best]))
+        calibration = Calibration.of(present.errors[:, 0])
+        away = calibration.reach * sqrt(float(variance[best]))
         ends = model.in_units(mean[best] + away * np.array([0.0, -1.0, 1.0]))
         value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
     if not model.knows_scale:
@@ -98,6 +96,34 @@ def best_of(present: Present, *, maximised: bool) -> Best:
         trials=sum(other.params == trial.params for other in trials),
         untold=tuple(sorted(limits - trial.constraints.keys())),
     )
+
+
+def _chosen(
+    present: Present, mean: Floats, variance: Floats, *, maximised: bool
+) -> int:
+    """The place of the best trial, by the model's mean and variance of each, [n]."""
+    trials, cost = present.trials, present.model.cost()
+    kept = ~(read_limits(trials) > 0).any(axis=1)
+    told = np.array([trial.values[0] for trial in trials])
+    # To the model infinity is a number beyond the others, which noise may bring near to
+    # them.
+    told = np.where(np.isfinite(told), 0.0, -told if maximised else told)
+    first = np.lexsort((told, ~kept))[0]
+    may_be = np.flatnonzero((kept == kept[first]) & (told == told[first]))
+    reading = [
+        np.mean(
+            [
+                c
+                for c, other in zip(cost, trials, strict=True)
+                if other.params == trial.params
+            ]
+        )
+        for trial in trials
+    ]
+    read = int(may_be[np.argmin(np.array(reading)[may_be])])
+    other = int(may_be[np.argmin(mean[may_be])])
+    sure = SURE * sqrt(float(variance[read] + variance[other]))
+    return other if mean[read] - mean[other] > sure else read
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,12 +186,19 @@ def _share_text(share: float) -> str:
 
 
 def prediction_of(
-    model: Model, points: Points, rows: Whole, history: History
+    model: Model, points: Points, rows: Whole, history: History, errors: Floats
 ) -> Prediction:
     """The prediction at points, after the trials of a history.
 
     Before any trial only worlds in the study's units tell something: their mean and
     spread.
+
+    Args:
+        model: after the trials.
+        points: m of them.
+        rows: of the table, [m]; -1 off it.
+        history: of the study.
+        errors: of past trials, each predicted before it was made, [t, 1 + c].
     """
     unknown = np.full(len(points), np.nan)
     nothing = Prediction(
@@ -174,38 +207,29 @@ def prediction_of(
         low=unknown,
         high=unknown,
         success=unknown,
-        kept=_chance_kept(model, points),
+        kept=_chance_kept(model, points, errors[:, 1:]),
     )
-    freedom = np.inf
-    if len(model.costs):
-        finite = np.isfinite([trial.values[0] for trial in history.done.trials])
-        if not finite.any() and not model.in_table_units:
-            return nothing
-        mean, variance = model.posterior.predict(model.visible(points))
-        mean += model.expected(points, model.cost())
-        is_known = np.full(len(points), model.knows_scale)
-    elif isinstance(model.ensemble, Ensemble) and model.ensemble.in_costs:
-        mean = model.world_mean(points)
-        parts = model.columns.worlds
-        variance = (points.features[:, parts.start : parts.stop] ** 2).sum(axis=1)
-        is_known = np.sqrt(variance) > LEAST_SPREAD
-        freedom = model.ensemble.freedom
-        if freedom > 0.0:  # of a further world, by those that were drawn
-            variance = variance * (freedom + 2.0) / freedom
-    else:
+    costs = model.costs
+    if (
+        not model.in_table_units
+        and not np.isfinite([trial.values[0] for trial in history.done.trials]).any()
+    ):
         return nothing
-    errors = NORMAL_95
-    if not isinf(freedom):
-        errors = float(scipy.special.stdtrit(freedom, 0.975))
-    away = errors * np.sqrt(variance)
+    mean, variance = reading_of(model, points)
+    found = (
+        Calibration.of(errors[:, 0])
+        if len(costs)
+        else Calibration.before_any_trial(model)
+    )
+    is_known = tells_scale(model, points)
     low, high = (
         np.where(is_known, history.sign * model.in_units(end), np.nan)
-        for end in (mean - away, mean + away)
+        for end in found.ends(mean, variance)
     )
     success = unknown
     if model.success is not None:
-        (goal,) = model.standard(np.array([model.success]), model.costs)
-        chance = _chance_below(goal - mean, variance, freedom)
+        (goal,) = model.standard(np.array([model.success]), costs)
+        chance = found.chance_below(goal, mean, variance)
         success = np.where(is_known, chance, np.nan)
     return replace(
         nothing,
@@ -216,26 +240,18 @@ def prediction_of(
     )
 
 
-def _chance_below(away: Floats, variance: Floats, freedom: float) -> Floats:
-    """P(y <= mean + away), [m]; by Student's t where the variance is that of few samples."""
-    if isinf(freedom):
-        return np.exp(log_chance_below_zero(-away, variance))
-    return np.asarray(
-        scipy.special.stdtr(freedom, away / np.sqrt(np.maximum(variance, 1e-24)))
-    )
-
-
-def _chance_kept(model: Model, points: Points) -> Floats:
+def _chance_kept(model: Model, points: Points, errors: Floats) -> Floats:
     """The chance that all limits are kept, [m]; NaN where too few trials have told of one.
 
     Where all trials gave the same of a limit (a flag), nothing is known of its scale:
-    it is Laplace's rule of succession. Else it is the model's, with Student's t for the
-    few trials that its scale was learned from.
+    it is Laplace's rule of succession. Else it is the model's, as its errors [t, c] have
+    it.
     """
-    limits = [limit[np.isfinite(limit)] for limit in model.told_limits.T]
-    limits = [told for told in limits if len(told)]
-    chance = np.full(len(points), 1.0 if limits else np.nan)
-    for told, posterior in zip(limits, model.limit_posteriors, strict=True):
+    posteriors = model.limit_posteriors
+    chance = np.full(len(points), 1.0 if posteriors else np.nan)
+    for column, posterior in posteriors.items():
+        limit = model.told_limits[:, column]
+        told = limit[np.isfinite(limit)]
         n, is_broken = len(told), bool((told > 0.0).any())
         if n < LEAST_TOLD and not is_broken:
             chance[:] = np.nan
@@ -243,7 +259,8 @@ def _chance_kept(model: Model, points: Points) -> Floats:
             chance *= (1.0 if is_broken else n + 1.0) / (n + 2.0)
         else:
             mean, variance = posterior.predict(model.visible(points))
-            chance *= _chance_below(-mean, variance, n - 1.0)
+            found = Calibration.of(errors[:, column], bias=0.0)
+            chance *= found.chance_below(0.0, mean, variance + noise_of(posterior))
     return chance
 
 

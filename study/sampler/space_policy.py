@@ -124,6 +124,7 @@ class SpacePolicy(Policy):
             features=shown,
             model=model,
             is_doubted=self.doubts(model, ODD_TURN),
+            errors=self.errors(model),
         )
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:

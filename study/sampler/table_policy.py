@@ -533,6 +533,7 @@ class TablePolicy(Policy):
             features=self._features(done),
             model=model,
             is_doubted=self.doubts(model, ODD_TURN),
+            errors=self.errors(model),
         )
 
     def predict(
@@ -547,7 +548,7 @@ class TablePolicy(Policy):
         else:
             asked = self._places(params)
             points, numbers = self._seen(asked, model.ensemble), asked.rows
-        return prediction_of(model, points, numbers, history)
+        return prediction_of(model, points, numbers, history, self.errors(model))
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.

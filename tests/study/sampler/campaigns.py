@@ -112,7 +112,8 @@ class Truth:
     Attributes:
         physics: of the problem.
         numbers: of the machine.
-        misfit: amplitudes and directions and phases of smooth waves that no world has.
+        misfit: amplitudes, directions and phases of smooth waves that no world has, of
+            the logarithm of the cost.
         slopes: of the limits, [2, d]; `levels` are where they break, [2].
         levels: see slopes.
     """
@@ -126,7 +127,7 @@ class Truth:
     def costs(self, u: np.ndarray) -> np.ndarray:
         amplitudes, directions, phases = self.misfit
         waves = np.cos(u @ directions.T + phases) @ amplitudes
-        return self.physics.cost(u, self.numbers) + waves
+        return self.physics.cost(u, self.numbers) * np.exp(waves)
 
     def limits(self, u: np.ndarray) -> np.ndarray:
         """Above 0 where broken, [n, 2]."""
@@ -150,7 +151,7 @@ def machine_of(kind: str, *, is_like: bool, seed: int) -> Machine:
     size = 0.0
     if not is_like:
         numbers[:d] += rng.choice([-1, 1], d) * rng.uniform(0.1, 0.35, d)
-        size = rng.choice([0.3, 0.6, 1.0]) * np.quantile(known, 0.5)
+        size = rng.choice([0.15, 0.3, 0.6])
     truth = Truth(
         physics=physics,
         numbers=numbers,
