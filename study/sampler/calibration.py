@@ -14,7 +14,7 @@ worse (Smith, Winkler 2006, "The optimizer's curse"). nu stays small, since cost
 cliffs, and errors heavy tails. Before any trial the worlds alone tell; how unlike all
 of them a machine may be, no world can tell. That is a guess, `MISFIT`.
 
-The numbers below are round ones near the best of 320 made-up campaigns
+`COST` and `MISFIT` are round numbers near the best of 320 made-up campaigns
 (`tests/study/sampler/campaigns.py`, seed 5); other seeds are reported.
 """
 
@@ -36,17 +36,39 @@ from study.sampler.worlds import Ensemble
 MOST_ERRORS = 32  # of the last trials
 # Constants of a past trial are learned anew after so many: their errors hardly change.
 REFITS = ((8, 1), (32, 4), (128, 8), (np.inf, 32))
-LARGEST_ERROR = 4.0  # what is larger counts as this: one cliff does not tell of others
-SCALE, SCALE_TRIALS = 1.5, 3.0  # s_0, and of how many trials it is worth: N_s
-BIAS, BIAS_TRIALS = 0.25, 16.0  # b_0, and N_b
-MOST_FREEDOM = 5.0  # nu_most
+LARGEST_ERROR = 3.0  # what is larger counts as this: one cliff does not tell of others
 FIRST_FREEDOM = 4.0  # of the first trial, from worlds alone, at most
 # The spread of worlds, in standard deviations of the table: below, they agree by chance.
 LEAST_SPREAD = 1e-6
-MISFIT = 0.5  # of a machine from all worlds, in standard deviations of the table
+MISFIT = 0.4  # of a machine from all worlds, in standard deviations of the table
 
 Errors = dict[bytes, Floats]
 """Errors that were computed so far: of the cost and of each limit, by what they follow from."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is expected of errors before there is one.
+
+    Attributes:
+        bias: b_0.
+        bias_trials: of how many trials it is worth, N_b.
+        scale: s_0.
+        scale_trials: of how many trials it is worth, N_s.
+        freedom: nu_most.
+    """
+
+    bias: float
+    bias_trials: float
+    scale: float
+    scale_trials: float
+    freedom: float
+
+
+COST = Expected(bias=0.3, bias_trials=16.0, scale=1.3, scale_trials=3.0, freedom=4.0)
+# Limits are smoother than costs, and proposals are not chosen by how far below they are.
+LIMIT = Expected(bias=0.0, bias_trials=16.0, scale=1.2, scale_trials=4.0, freedom=30.0)
+LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
 
 
 @dataclass(frozen=True)
@@ -64,25 +86,26 @@ class Calibration:
     freedom: float
 
     @classmethod
-    def of(cls, errors: Floats, *, bias: float = BIAS) -> "Calibration":
+    def of(cls, errors: Floats, expected: Expected = COST) -> "Calibration":
         """What past errors [n] tell; NaN is of a trial of which nothing was predicted.
 
         Args:
             errors: in standard deviations of the model.
-            bias: that is expected of proposals.
+            expected: of errors before there was one.
         """
         z = np.clip(errors[~np.isnan(errors)], -LARGEST_ERROR, LARGEST_ERROR)
-        n = len(z)
-        middle = (BIAS_TRIALS * bias + float(z.sum())) / (BIAS_TRIALS + n)
-        squares = SCALE_TRIALS * SCALE**2 + float(((z - middle) ** 2).sum())
-        freedom = min(SCALE_TRIALS + n, MOST_FREEDOM)
-        return cls(middle, sqrt(squares / (SCALE_TRIALS + n)), freedom)
+        n, worth = len(z), expected.scale_trials
+        bias = expected.bias * expected.bias_trials + float(z.sum())
+        bias /= expected.bias_trials + n
+        squares = worth * expected.scale**2 + float(((z - bias) ** 2).sum())
+        freedom = min(worth + n, expected.freedom)
+        return cls(bias, sqrt(squares / (worth + n)), freedom)
 
     @classmethod
     def before_any_trial(cls, model: Model) -> "Calibration":
         """What the worlds alone tell; few of them leave little freedom."""
         known = model.ensemble.freedom if isinstance(model.ensemble, Ensemble) else 1.0
-        return cls(BIAS, 1.0, min(max(known, 1.0), FIRST_FREEDOM))
+        return cls(COST.bias, 1.0, min(max(known, 1.0), FIRST_FREEDOM))
 
     @cached_property
     def reach(self) -> float:
@@ -112,12 +135,26 @@ def reading_of(model: Model, points: Points) -> tuple[Floats, Floats]:
     if len(model.costs):
         mean, variance = model.posterior.predict(model.visible(points))
         mean += model.expected(points, model.cost())
-        return mean, variance + noise_of(model.posterior)
+        # Beyond all that was simulated or read, a line through few trials is as
+        # doubtful as it is long.
+        known = np.clip(mean, *ends_of(model))
+        return known, variance + noise_of(model.posterior) + (mean - known) ** 2
     variance = spread_of(model, points) ** 2
     freedom = model.ensemble.freedom if isinstance(model.ensemble, Ensemble) else 0.0
     if freedom > 0.0:  # of a further world, by those that were drawn
         variance *= (freedom + 2.0) / freedom
     return model.world_mean(points), variance + MISFIT**2
+
+
+def ends_of(model: Model) -> tuple[float, float]:
+    """The least and the largest cost that was simulated or read, where worlds have costs.
+
+    Elsewhere nothing is known of what costs may be, and both are infinite.
+    """
+    if not isinstance(model.ensemble, Ensemble) or not model.in_table_units:
+        return -np.inf, np.inf
+    every = [*model.ensemble.ends, *model.cost().tolist()]
+    return min(every), max(every)
 
 
 def spread_of(model: Model, points: Points) -> Floats:
@@ -196,7 +233,9 @@ def _errors_of(
     for column, posterior in before.limit_posteriors.items():
         limit = model.limits[number, column]
         told = before.told_limits[:, column]
-        if np.nanmin(told) < np.nanmax(told) and not np.isnan(limit):
+        told = told[~np.isnan(told)]
+        is_known = len(told) >= LEAST_TOLD and told.min() < told.max()
+        if is_known and not np.isnan(limit):
             mean, variance = posterior.predict(before.visible(point))
             found[1 + column] = _error(limit, mean, variance + noise_of(posterior))
     return found

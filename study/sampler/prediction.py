@@ -10,15 +10,28 @@ import scipy
 
 from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats, Whole
-from study.sampler.calibration import Calibration, noise_of, reading_of, tells_scale
+from study.sampler.calibration import (
+    LEAST_TOLD,
+    LIMIT,
+    Calibration,
+    ends_of,
+    noise_of,
+    reading_of,
+    tells_scale,
+)
 from study.sampler.diagnostics import Present, trials_text
 from study.sampler.gp import misfit
 from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
 
 SHOWN_CANDIDATES = 10
-LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
-SURE = 1.0  # standard deviations by which the model contradicts the best reading
+# The share of the rule of succession in what n trials tell of a limit is RULE / n^2: of
+# the first ones the model was far too sure.
+RULE = 6.0
+# How far an interval reaches beyond all that was simulated or read, in standard deviations
+# of the table: costs have a logarithm, and few trials an interval to 1e9.
+REACH = 1.5
+SURE = 2.0  # standard deviations by which the model contradicts the best reading
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 
 
@@ -222,9 +235,10 @@ def prediction_of(
         else Calibration.before_any_trial(model)
     )
     is_known = tells_scale(model, points)
+    least, most = ends_of(model)
     low, high = (
         np.where(is_known, history.sign * model.in_units(end), np.nan)
-        for end in found.ends(mean, variance)
+        for end in np.clip(found.ends(mean, variance), least - REACH, most + REACH)
     )
     success = unknown
     if model.success is not None:
@@ -243,24 +257,28 @@ def prediction_of(
 def _chance_kept(model: Model, points: Points, errors: Floats) -> Floats:
     """The chance that all limits are kept, [m]; NaN where too few trials have told of one.
 
-    Where all trials gave the same of a limit (a flag), nothing is known of its scale:
-    it is Laplace's rule of succession. Else it is the model's, as its errors [t, c] have
-    it.
+    Of each limit it is Laplace's rule of succession, and with more and more trials the
+    model, as its errors [t, c] have it. Where all trials gave the same (a flag), nothing
+    is known of a scale, and the rule alone counts.
     """
     posteriors = model.limit_posteriors
     chance = np.full(len(points), 1.0 if posteriors else np.nan)
     for column, posterior in posteriors.items():
         limit = model.told_limits[:, column]
         told = limit[np.isfinite(limit)]
-        n, is_broken = len(told), bool((told > 0.0).any())
-        if n < LEAST_TOLD and not is_broken:
+        n, kept = len(told), int((told <= 0.0).sum())
+        if n < LEAST_TOLD and kept == n:
             chance[:] = np.nan
-        elif (told == told[0]).all():
-            chance *= (1.0 if is_broken else n + 1.0) / (n + 2.0)
-        else:
-            mean, variance = posterior.predict(model.visible(points))
-            found = Calibration.of(errors[:, column], bias=0.0)
-            chance *= found.chance_below(0.0, mean, variance + noise_of(posterior))
+            continue
+        by_rule = (kept + 1.0) / (n + 2.0)
+        trusted = max(1.0 - RULE / n**2, 0.0)
+        if not trusted or (told == told[0]).all():
+            chance *= by_rule
+            continue
+        mean, variance = posterior.predict(model.visible(points))
+        found = Calibration.of(errors[:, column], LIMIT)
+        by_model = found.chance_below(0.0, mean, variance + noise_of(posterior))
+        chance *= trusted * by_model + (1.0 - trusted) * by_rule
     return chance
 
 

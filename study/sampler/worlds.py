@@ -207,6 +207,8 @@ class Ensemble:
         self.varies = spread > 1e-12 * float(np.abs(own).max())
         self._middle, self._unit = float(own.mean()), spread if self.varies else 1.0
         own = self.standard(costs)
+        # The least and the largest cost of all rows in all worlds.
+        self.ends = float(own.min()), float(own.max())
         self.mean = own @ worlds.weights  # m, [m]
         self.parts = (own - self.mean[:, None]) * np.sqrt(worlds.weights)  # d, [m, w]
         # As `transforms.Columns` has them.

@@ -8,6 +8,7 @@ from optuna.distributions import FloatDistribution
 from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler.calibration import COST, MISFIT
 from tests.study.sampler.studies import told
 
 LINE = np.linspace(0.0, 1.0, 40)
@@ -59,14 +60,16 @@ def test_where_worlds_agree_on_a_row_alone_its_interval_is_unknown():
     assert (found.low < found.high).sum() == 39
 
 
-def test_before_a_trial_the_interval_is_that_of_one_more_world():
+def test_before_a_trial_the_interval_is_that_of_a_machine_unlike_one_more_world():
     """Student's t, of three worlds in units of the model: in one, without a logarithm."""
     outcomes = COSTS - 0.2
     found = predicted(outcomes, [])
-    sd = outcomes.std(axis=1, ddof=1) * np.sqrt(1.0 + 1.0 / 3.0)
+    unit = MISFIT * outcomes.std()
+    sd = np.hypot(outcomes.std(axis=1, ddof=1) * np.sqrt(1.0 + 1.0 / 3.0), unit)
     away = student.ppf(0.975, 2) * sd
     assert_allclose(found.high - found.low, 2.0 * away)
-    assert_allclose(found.success, student.cdf((0.5 - outcomes.mean(axis=1)) / sd, 2))
+    z = (0.5 - outcomes.mean(axis=1)) / sd - COST.bias
+    assert_allclose(found.success, student.cdf(z, 2))
 
 
 @pytest.mark.parametrize(
