@@ -10,7 +10,8 @@ Columns that nobody asks for may hold anything.
 """
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
@@ -239,11 +240,17 @@ class ForeignTable:
         wrong = [
             row for row in odd if words[row] is not None and words[row] not in GAPS
         ]
-        row = (wrong or [0])[0]
+        either = [
+            row
+            for row, word in enumerate(words)
+            if re.fullmatch(typed.EITHER_BY_POINT, (word or "").strip())
+        ]
+        row = (wrong or either or [0])[0]
         word = str(words[row])
         field = f"{self.field}.{name}[{row}]"
         if not wrong:
-            raise InputError(field, word, NOT_WORDS)
+            mend = f"{typed.mend(word)}; " if either else ""
+            raise InputError(field, word, mend + NOT_WORDS)
         if wrong == [0] and len(words) > len(odd) and not typed.is_meant(word):
             units = "this looks like a row of units below the names: take it out"
             raise InputError(field, word, f"{NUMBERS}; {units}")
@@ -351,14 +358,38 @@ def _of_text(content: bytes, words: Collection[str]) -> pa.Table:
     found = _parsed(source, mark, ".", words)
     if mark != "," and _has_decimal_commas(found, words):
         found = _parsed(source, mark, ",", words)
-    long = [name for name in found.column_names if _may_be_long(found, name)]
-    if long:
-        as_words = _parsed(source, mark, ".", [*words, *long])
-        for name in long:
-            if _has_long(as_words[name]):
-                found = found.set_column(
-                    found.column_names.index(name), name, as_words[name]
-                )
+    names = [name for name in found.column_names if _may_be_long(found, name)]
+    if names:
+        as_words = _parsed(source, mark, ".", [*words, *names])
+        found = _with(found, as_words, filter(partial(_has_long, as_words), names))
+    elif mark == ";":
+        names = [name for name in found.column_names if _is_float(found, name)]
+        as_words = _parsed(source, mark, ".", [*words, *names])
+        found = _with(found, as_words, _with_unclear_points(as_words, names))
+    return found
+
+
+def _with(table: pa.Table, other: pa.Table, names: Iterable[str]) -> pa.Table:
+    """The table with some columns of another one."""
+    for name in names:
+        table = table.set_column(table.column_names.index(name), name, other[name])
+    return table
+
+
+def _with_unclear_points(words: pa.Table, names: Sequence[str]) -> list[str]:
+    """Columns whose points may be marks between thousands, as those of a whole file may.
+
+    Who parts columns by semicolons often writes 1.234 for 1234.
+    """
+    found = list[str]()
+    for name in names:
+        cells = pc.utf8_trim_whitespace(words[name])
+        with_point = pc.match_substring(cells, ".")
+        may_be_either = pc.match_substring_regex(cells, f"^{typed.EITHER_BY_POINT}$")
+        if pc.any(pc.and_not(with_point, may_be_either)).as_py():
+            return []
+        if pc.any(may_be_either).as_py():
+            found.append(name)
     return found
 
 
@@ -394,21 +425,22 @@ def _has_decimal_commas(table: pa.Table, words: Collection[str]) -> bool:
     return False
 
 
+def _is_float(table: pa.Table, name: str) -> bool:
+    is_one = table.column_names.count(name) == 1
+    return is_one and bool(pa.types.is_floating(table[name].type))
+
+
 def _may_be_long(table: pa.Table, name: str) -> bool:
     """Whether a column of floats may have been whole numbers of more digits than Arrow reads."""
-    if table.column_names.count(name) != 1 or not pa.types.is_floating(
-        table[name].type
-    ):
+    if not _is_float(table, name):
         return False
-    return bool(
-        pc.any(pc.greater_equal(pc.abs(table[name]), float(LARGEST_EXACT))).as_py()
-    )
+    most = pc.max(pc.abs(table[name])).as_py()  # a scalar of Arrow would load pandas
+    return most is not None and most >= LARGEST_EXACT
 
 
-def _has_long(words: pa.ChunkedArray) -> bool:
-    return bool(
-        pc.any(pc.match_substring_regex(words, r"^\s*[+-]?[0-9]{16,}\s*$")).as_py()
-    )
+def _has_long(words: pa.Table, name: str) -> bool:
+    is_long = pc.match_substring_regex(words[name], r"^\s*[+-]?[0-9]{16,}\s*$")
+    return bool(pc.any(is_long).as_py())
 
 
 def _of_folder(

@@ -17,6 +17,7 @@ EXPONENT = r"([eE][+-]?[0-9]{1,4})?"
 WITH_POINT = re.compile(rf"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+){EXPONENT}")
 WITH_COMMA = rf"[+-]?[0-9]*,[0-9]+{EXPONENT}"
 EITHER = r"[+-]?[1-9][0-9]{0,2}(,[0-9]{3})+"  # 1,234: a decimal comma, or a mark of thousands
+EITHER_BY_POINT = EITHER.replace("(,", r"(\.")
 MARKS = "., '\N{RIGHT SINGLE QUOTATION MARK}\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}"
 # in any way of writing
 MEANT = re.compile(rf"[+-]?[.,]?[0-9][0-9{MARKS}]*([eE][+-]?[0-9]+)?")
@@ -66,8 +67,10 @@ def mend(word: str) -> str:
     text = word.strip()
     marks = re.findall(r"[.,]", text)
     plain = re.sub(r"[^0-9eE+-]", "", text)
-    if re.fullmatch(EITHER, text) and len(marks) == 1:
-        meant = f"{plain} or {text.replace(',', '.')}"
+    if len(marks) == 1 and re.fullmatch(f"{EITHER}|{EITHER_BY_POINT}", text):
+        # in a file, 1.234 may be two numbers, too
+        clear = f"{text}0" if marks == ["."] else text.replace(",", ".")
+        meant = f"{plain} or {clear}, whichever is meant"
     elif not marks or (len(marks) > 1 and len(set(marks)) == 1):
         meant = plain
     else:

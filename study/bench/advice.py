@@ -229,7 +229,7 @@ class Advice:
         if np.isfinite(value):
             interval = "interval unknown"
             if np.isfinite([low, high]).all():
-                interval = f"{low:.4g} to {high:.4g}, the mean without noise"
+                interval = f"{low:.4g} to {high:.4g} with 95 %"
             parts.append(f"{value:.4g} ({interval})")
             if self.simulated is not None:
                 least, most = self.simulated
@@ -241,7 +241,8 @@ class Advice:
             parts.append(f"success {100 * found.success[place]:.0f} %")
         if self.plan.limited:
             parts.append(self._expected_limits(float(found.kept[place])))
-        return f"{EXPECTED}{', '.join(parts)}." if parts else ""
+        sentence = f"{EXPECTED}{', '.join(parts)}." if parts else ""
+        return f"{sentence} {self._unknown_limits(self.told)}".strip()
 
     def _expected_limits(self, kept: float) -> str:
         """The chance that limits are kept, where trials tell of them; what is unknown, by name."""
@@ -264,16 +265,17 @@ class Advice:
             elif self.candidates.rows.worlds is not None:
                 known = "the best simulated, or "
             return f"The first one: {known}one of several to begin with."
+        # A sheet may be read again after other trials have succeeded.
         kept = self._within_limits(self.told)
         if not kept:
-            why = "No trial has kept all limits yet: the one that most likely does."
-        elif self.plan.goal.success is not None and not self._successful(kept):
-            why = "No trial has succeeded yet: the one that most likely does, or improves most."
-        else:
-            choose = max if self.plan.goal.maximise else min
-            best = choose(trial.result for trial in kept)
-            why = f"The largest improvement to be expected on {best:.4g}."
-        return f"{why} {self._unknown_limits(self.told)}".strip()
+            return "Likeliest to keep all limits; no trial had when it was chosen."
+        if self.plan.goal.success is not None and not self._successful(kept):
+            why = "Likeliest to succeed, or else to improve most"
+            return f"{why}; no trial had succeeded when it was chosen."
+        choose = max if self.plan.goal.maximise else min
+        best = choose(trial.result for trial in kept)
+        why = "The largest improvement to be expected on"
+        return f"{why} {best:.4g}, the best when it was chosen."
 
     @property
     def _broken_elsewhere(self) -> list[Trial]:

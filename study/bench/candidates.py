@@ -185,6 +185,11 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
             raise InputError("candidates.outcomes", pattern, allowed)
         taken.update(named)
         outcomes[pattern] = _columns(found, named)
+        is_empty = np.isnan(outcomes[pattern])
+        if is_empty.any() and begun is None:
+            row, column = np.argwhere(is_empty)[0].tolist()
+            allowed = "what the trial costs in this world; or no such row"
+            raise InputError(f"candidates.{named[column]}[{row}]", "nothing", allowed)
     return FeatureTable.from_arrays(
         {name: found.values(name) for name in names},
         _columns(found, features) if features else None,

@@ -176,6 +176,8 @@ class State:
         pending = listed(waiting, number) or "none"
         if self.count == 0:
             allowed = "none: ask for the next one"
+        elif number < self.count and found is None:
+            allowed = f"a trial whose entry stands; pending: {pending}"
         elif found is None:
             allowed = f"0 to {self.count - 1}; pending: {pending}"
         elif finished:

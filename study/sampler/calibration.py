@@ -67,7 +67,7 @@ class Expected:
 
 COST = Expected(bias=0.3, bias_trials=16.0, scale=1.3, scale_trials=3.0, freedom=4.0)
 # Limits are smoother than costs, and proposals are not chosen by how far below they are.
-LIMIT = Expected(bias=0.0, bias_trials=16.0, scale=1.2, scale_trials=4.0, freedom=30.0)
+LIMIT = Expected(bias=0.0, bias_trials=16.0, scale=1.0, scale_trials=4.0, freedom=30.0)
 LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
 
 

@@ -27,7 +27,7 @@ from study.sampler.transforms import Points
 SHOWN_CANDIDATES = 10
 # The share of the rule of succession in what n trials tell of a limit is RULE / n^2: of
 # the first ones the model was far too sure.
-RULE = 6.0
+RULE = 4.0
 # How far an interval reaches beyond all that was simulated or read, in standard deviations
 # of the table: costs have a logarithm, and few trials an interval to 1e9.
 REACH = 1.5

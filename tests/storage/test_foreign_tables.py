@@ -141,6 +141,14 @@ def test_another_decimal_mark_than_the_rest_of_the_file_is_refused(
         table.numbers("y")
 
 
+@pytest.mark.parametrize("other", ["0.5", "1.25", "1.2340", "1.234e2"])
+def test_points_are_decimal_where_one_of_the_file_can_be_nothing_else(
+    tmp_path: Path, other: str
+) -> None:
+    table = of_text(tmp_path, f"x;y\n1.234;2\n5.678;{other}\n")
+    assert table.numbers("x").tolist() == [1.234, 5.678]
+
+
 def test_gaps_and_infinity(tmp_path: Path) -> None:
     table = of_text(tmp_path, "x,y,z\n1,inf,\nNA,-Inf,\n3,nan,\n")
     assert np.array_equal(table.numbers("x"), [1.0, np.nan, 3.0], equal_nan=True)

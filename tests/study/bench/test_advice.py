@@ -135,6 +135,35 @@ def test_an_expectation_beyond_all_worlds_is_said_to_be_so(bench):
     assert f"beyond all that was simulated, {least:.4g} to {most:.4g}" in trial.why
 
 
+def test_a_sheet_says_why_it_was_chosen_then_and_what_is_expected_now(path):
+    mine, yours = Bench.new(path, "me"), Bench(path, "you")
+    tell(mine, 3.0)
+    (waiting,) = yours.next()
+    assert "no trial had succeeded when it was chosen" in waiting.why
+    assert waiting.why.endswith("torque of trial 0.")
+    tell(mine, 0.3, torque=60.0)
+    mine.correct(0, columns={"torque": 60.0})
+    (now,) = yours.next()
+    assert "No trial has" not in now.why and "torque of trial" not in now.why
+    assert now.params == waiting.params and now.why != waiting.why
+
+
+def test_one_failure_beside_a_good_trial_leaves_the_expectation_where_the_worlds_are(
+    bench,
+):
+    (trial,) = bench.next()
+    bench.record(trial.number, failed_s=2.0)
+    tell(bench, 0.4)
+    (trial,) = bench.next()
+    found = re.search(
+        r"Expected: (\S+) \((\S+) to (\S+) with .* success (\d+) %", trial.why
+    )
+    value, low, high, success = map(float, found.groups())
+    least, _ = bench.entries[0].data["range"]
+    assert value >= 0.999 * least and low < 0.4 < high < 60.0
+    assert success < 90.0
+
+
 def test_a_repeat_is_asked_for_once(bench):
     robot.run(bench, 2)
     (again,) = bench.next(repeat=0)

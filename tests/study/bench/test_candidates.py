@@ -216,3 +216,14 @@ def test_a_column_that_looks_like_a_pattern_is_itself(tmp_path):
     (tmp_path / "doses.csv").write_text("dose,kn,k[n]\n1,2,3\n2,4,6\n")
     rows = read_plan(path).read_candidates().rows
     assert rows.worlds is not None and rows.worlds.costs.ravel().tolist() == [3.0, 6.0]
+
+
+def test_an_empty_cell_of_a_world_is_refused_by_its_row(tmp_path):
+    """A row without its cost in each world would never be proposed, without a word."""
+    path = plan(tmp_path, []).path
+    change(path, 'features = ["known"]', 'outcomes = ["known", "other"]')
+    (tmp_path / "doses.csv").write_text("dose,known,other\n1,2,3\n2,4,\n3,5,1\n")
+    with refused(r"^candidates.other\[1\]: 'nothing' .* or no such row"):
+        read_plan(path).read_candidates()
+    begun = {"dose": IntDistribution(1, 3)}  # by an earlier version
+    assert len(read_plan(path).read_candidates(begun)) == 3

@@ -188,7 +188,7 @@ def test_words_of_a_sheet(folder, bench):
     bench("record 0 --value 1")
     assert "Expected: 1 (interval unknown)" in bench("next")  # of one value
     bench("record 1 --value 2")
-    assert "the mean without noise)" in bench("next")
+    assert " with 95 %)" in bench("next")
 
 
 def test_who_has_no_entry_among_the_users_is_a_number(bench, monkeypatch):

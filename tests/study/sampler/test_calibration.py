@@ -1,0 +1,152 @@
+"""Intervals and chances rest on how far off earlier predictions were."""
+
+import numpy as np
+import optuna
+import pytest
+from numpy.testing import assert_allclose
+from optuna.distributions import FloatDistribution
+from scipy.stats import t as student
+
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler.calibration import COST, LARGEST_ERROR, Calibration, reading_of
+from tests.study.sampler import campaigns
+from tests.study.sampler.studies import told
+
+LINE = np.linspace(0.0, 1.0, 40)
+SPACE = {"x": FloatDistribution(0.0, 1.0)}
+COSTS = np.column_stack([0.3 + (LINE - place) ** 2 for place in (0.3, 0.4, 0.5, 0.6)])
+NOTHING = np.array([np.nan])
+
+
+def study_on(outcomes=COSTS, values=(), limits=(), features=None, **options):
+    """A study over the line, after trials of every fourth row."""
+    table = FeatureTable.from_arrays({"x": LINE}, features, outcomes=outcomes)
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1, **options))
+    for place, value in enumerate(values):
+        known = {"limit": limits[place]} if place < len(limits) else {}
+        told(study, SPACE, {"x": LINE[4 * place]}, value, **known)
+    return study
+
+
+def errors_of(study):
+    return study.sampler._policy.present(study).errors
+
+
+# Student's t of the errors.
+def test_without_an_error_only_what_is_expected_counts():
+    found = Calibration.of(NOTHING)
+    expected = (COST.bias, COST.scale, COST.scale_trials)
+    assert (found.bias, found.scale, found.freedom) == pytest.approx(expected)
+    low, high = found.ends(np.zeros(1), np.array([4.0]))
+    reach = 2.0 * found.scale * student.ppf(0.975, found.freedom)
+    assert_allclose([high - low, high + low], [[2.0 * reach], [4.0 * found.bias]])
+
+
+def test_many_errors_tell_bias_and_scale():
+    rng = np.random.default_rng(1)
+    for bias, scale in ((0.0, 0.5), (0.5, 1.0), (-0.5, 0.8)):
+        found = Calibration.of(bias + scale * rng.normal(size=4000))
+        assert found.bias == pytest.approx(bias, abs=0.05)
+        assert found.scale == pytest.approx(scale, rel=0.05)
+        chance = found.chance_below(1.0, np.zeros(1), np.ones(1))
+        wanted = student.cdf((1.0 - found.bias) / found.scale, found.freedom)
+        assert_allclose(chance, wanted)
+
+
+def test_one_error_widens_and_none_is_endless():
+    plain, wider, widest = (
+        Calibration.of(np.array([error])).reach for error in (0.3, 2.0, LARGEST_ERROR)
+    )
+    assert plain < wider < widest
+    assert Calibration.of(np.array([1e300])).reach == widest
+    assert Calibration.of(np.array([np.nan, 2.0])).reach == wider
+
+
+# Errors of past trials.
+@pytest.mark.parametrize("features", [None, np.column_stack([LINE, LINE**2])])
+def test_each_trial_is_predicted_by_those_before_it(features):
+    outcomes = COSTS if features is None else None
+    values = [0.35, 0.6, 0.31, 0.5, 0.9, 0.4]
+    limits = [-1.0, -0.5, -2.0, 0.3, 0.1, -0.7]
+    found = errors_of(study_on(outcomes, values, limits, features))
+    assert found.shape == (6, 2)
+    for number in range(6):
+        before = study_on(outcomes, values[:number], limits[:number], features)
+        policy = before.sampler._policy
+        history = policy._history(before, optuna.trial.create_trial(value=0.0))
+        model = policy._model(history, number)
+        point = policy._seen(policy._places([{"x": LINE[4 * number]}]), model.ensemble)
+        is_told = number > 1 or features is None
+        assert np.isnan(found[number, 0]) != is_told
+        if is_told:
+            mean, variance = reading_of(model, point)
+            y = model.standard(np.array(values[number : number + 1]), model.costs)
+            assert_allclose(found[number, 0], (y - mean) / np.sqrt(variance))
+    assert np.isnan(found[:3, 1]).all() and np.isfinite(found[3:, 1]).all()
+
+
+def test_errors_are_computed_once_and_the_same_by_another_process():
+    study = study_on(values=[0.35, 0.6, 0.31, 0.5])
+    first, known = errors_of(study), study.sampler._policy._errors
+    kept = {key: id(value) for key, value in known.items()}
+    study.sampler.predict(study)
+    assert {key: id(value) for key, value in known.items()} == kept
+    other = FeatureKernelSampler(study.sampler._policy._table, seed=9)
+    study.sampler = other
+    assert_allclose(errors_of(study), first)
+
+
+def test_a_machine_unlike_all_worlds_is_predicted_with_more_doubt():
+    def width(factor):
+        found = study_on(values=factor * COSTS[::4, 1][:6]).sampler
+        study = study_on(values=factor * COSTS[::4, 1][:6])
+        predicted = found.predict(study)
+        return np.median(np.log(predicted.high / predicted.low))
+
+    noisy = np.where(np.arange(6) % 2, 3.0, 1.0)
+    assert width(noisy) > 3.0 * width(np.ones(6))
+
+
+# What is said.
+def test_no_cost_is_expected_below_all_that_was_simulated_or_read():
+    """Two trials beside each other, one of which failed: a line through them runs away."""
+    study = study_on(success=0.4)
+    told(study, SPACE, {"x": LINE[18]}, 6.0)
+    told(study, SPACE, {"x": LINE[16]}, 0.5)
+    found = study.sampler.predict(study)
+    assert found.value.min() >= COSTS.min() * (1.0 - 1e-9)
+    assert found.value.max() <= 6.0 * (1.0 + 1e-9)
+    assert found.success.max() < 0.9 and found.high.max() < 60.0
+
+
+@pytest.mark.parametrize("broken", range(4))
+def test_after_one_broken_limit_of_four_nothing_is_impossible_or_certain(broken):
+    limits = np.where(np.arange(4) == broken, 1.0, -1.0)
+    found = study_on(values=[0.4, 0.5, 0.6, 0.45], limits=limits).sampler
+    study = study_on(values=[0.4, 0.5, 0.6, 0.45], limits=limits)
+    kept = found.predict(study).kept
+    assert kept.min() > 0.1 and kept.max() < 0.95
+
+
+def test_the_best_reading_is_recommended_and_repeats_count_as_their_mean():
+    study = study_on(values=[0.42, 0.36, 0.33, 0.31, 0.32])
+    assert study.sampler.best(study).number == 3
+    for value in (0.5, 0.52):  # the best reading was luck
+        told(study, SPACE, {"x": LINE[12]}, value)
+    assert study.sampler.best(study).number == 4
+
+
+# The harness.
+@pytest.mark.slow
+def test_the_harness_counts_what_was_said_and_what_happened():
+    said = [
+        each
+        for kind in campaigns.KINDS
+        for each in campaigns.campaign(kind, is_like=False, seed=3)
+    ]
+    assert len(said) == len(campaigns.KINDS) * campaigns.TRIALS
+    known = [each for each in said if np.isfinite(each.low)]
+    held = np.mean([each.low <= each.value <= each.high for each in known])
+    assert len(known) > 100 and held > 0.8
+    lines = "\n".join(campaigns.tables(said))
+    assert "unlike" in lines and "recommend after 25, knobs" in lines
