@@ -160,7 +160,8 @@ def ends_of(model: Model) -> tuple[float, float]:
 def spread_of(model: Model, points: Points) -> Floats:
     """The standard deviation of the worlds at m points, [m]."""
     parts = model.columns.worlds
-    return np.sqrt((points.features[:, parts.start : parts.stop] ** 2).sum(axis=1))
+    squares = points.features[:, parts.start : parts.stop] ** 2
+    return np.asarray(np.sqrt(squares.sum(axis=1)))
 
 
 def tells_scale(model: Model, points: Points) -> Mask:

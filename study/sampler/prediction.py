@@ -116,7 +116,7 @@ def _chosen(
 ) -> int:
     """The place of the best trial, by the model's mean and variance of each, [n]."""
     trials, cost = present.trials, present.model.cost()
-    kept = ~(read_limits(trials) > 0).any(axis=1)
+    kept = np.asarray(~(read_limits(trials) > 0).any(axis=1))
     told = np.array([trial.values[0] for trial in trials])
     # To the model infinity is a number beyond the others, which noise may bring near to
     # them.

@@ -90,8 +90,7 @@ class Machine:
     Attributes:
         table: of the candidates.
         space: of the parameters.
-        truth: cost of a point [d] without noise.
-        limits: of a point [d], above 0 where they are broken.
+        truth: what it does.
         success: the cost from which on a trial has succeeded.
         noise: standard deviation of a reading.
         is_like: whether it was drawn as the worlds were.
@@ -204,7 +203,6 @@ class Said:
         has_kept: whether all limits were kept.
         recommended: what the recommended trial truly costs less what the one of the
             best reading does; NaN where nobody asked.
-        warned: whether the sampler says by now that the machine is like no world.
     """
 
     kind: str
@@ -218,7 +216,6 @@ class Said:
     succeeded: bool
     has_kept: bool
     recommended: float
-    warned: bool
 
 
 def campaign(kind: str, *, is_like: bool, seed: int) -> Iterator[Said]:
@@ -260,7 +257,6 @@ def campaign(kind: str, *, is_like: bool, seed: int) -> Iterator[Said]:
             succeeded=value <= machine.success,
             has_kept=max(limits.values()) <= 0.0,
             recommended=recommended,
-            warned=False,
         )
 
 
