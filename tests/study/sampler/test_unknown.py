@@ -9,6 +9,7 @@ from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.calibration import COST, MISFIT
+from study.sampler.prediction import REACH
 from tests.study.sampler.studies import told
 
 LINE = np.linspace(0.0, 1.0, 40)
@@ -66,8 +67,11 @@ def test_before_a_trial_the_interval_is_that_of_a_machine_unlike_one_more_world(
     found = predicted(outcomes, [])
     unit = MISFIT * outcomes.std()
     sd = np.hypot(outcomes.std(axis=1, ddof=1) * np.sqrt(1.0 + 1.0 / 3.0), unit)
-    away = student.ppf(0.975, 2) * sd
-    assert_allclose(found.high - found.low, 2.0 * away)
+    middle, away = outcomes.mean(axis=1) + COST.bias * sd, student.ppf(0.975, 2) * sd
+    most = np.array([outcomes.min(), outcomes.max()])
+    most += REACH * outcomes.std() * np.array([-1.0, 1.0])
+    assert_allclose(found.low, np.clip(middle - away, *most))
+    assert_allclose(found.high, np.clip(middle + away, *most))
     z = (0.5 - outcomes.mean(axis=1)) / sd - COST.bias
     assert_allclose(found.success, student.cdf(z, 2))
 
