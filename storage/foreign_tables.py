@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from storage.inputs import typed
 from storage.inputs.errors import InputError, listed
 from storage.inputs.reading import PACKED_BY, is_folder, reading
-from storage.tables import read_any
+from storage.tables import plain, read_any
 
 Floats = NDArray[np.float64]
 
@@ -116,11 +116,11 @@ class ForeignTable:
             return np.full(len(column), np.nan)
         if pa.types.is_integer(kind) and column.null_count:
             self._require_exact(name, column)
-            return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
+            return plain(column.cast(pa.float64(), safe=False))
         if pa.types.is_floating(kind):
-            return np.asarray(column.cast(pa.float64()).to_numpy())
+            return plain(column.cast(pa.float64()))
         if pa.types.is_integer(kind) or pa.types.is_boolean(kind) or _is_text(kind):
-            return np.asarray(column.to_numpy())
+            return plain(column)
         if pa.types.is_temporal(kind):
             raise InputError(
                 f"{self.field}.{name}", _first(column), f"{VALUES}; {DATES}"

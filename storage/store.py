@@ -27,6 +27,7 @@ from storage.tables import (
     FORMAT,
     document_hash,
     file_hash,
+    plain,
     read_about,
     read_columns,
     write_table,
@@ -275,11 +276,11 @@ class Store:
         for name, kind in zip(table.column_names, table.schema.types, strict=True):
             column = table[name].combine_chunks()
             if pa.types.is_fixed_size_list(kind):
-                arrays[name] = _plain(column.flatten()).reshape(
+                arrays[name] = plain(column.flatten()).reshape(
                     len(table), kind.list_size
                 )
             else:
-                values = _plain(column)
+                values = plain(column)
                 arrays[name] = (
                     values.astype(np.str_) if values.dtype == object else values
                 )
@@ -387,9 +388,7 @@ class Store:
     def points(self) -> NDArray[np.float64]:
         """The points, [n, p], in the order of `parameter_names`."""
         table = self.table(self.parameter_names)
-        columns = [
-            _plain(table[name].combine_chunks()) for name in self.parameter_names
-        ]
+        columns = [plain(table[name].combine_chunks()) for name in self.parameter_names]
         return np.column_stack(columns)
 
     def __getattr__(self, name: str) -> Any:
@@ -422,19 +421,6 @@ class Store:
                 raise InputError(
                     f"store.{PARAMETERS_KEY}.{name}", stored.get(name), allowed
                 )
-
-
-def _plain(column: pa.Array) -> NDArray[Any]:
-    """A column as an array, [n].
-
-    By DLPack where that does: `to_numpy` loads pandas, which takes longer than to read
-    a store.
-    """
-    if pa.types.is_boolean(column.type) and not column.null_count:
-        return _plain(column.cast(pa.uint8())).astype(np.bool_)
-    if pa.types.is_primitive(column.type) and not column.null_count:
-        return np.from_dlpack(column)
-    return np.asarray(column.to_numpy(zero_copy_only=False))
 
 
 @checks.checked(path=checks.path, verify=checks.flag, unfinished=checks.flag)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from storage.commit import commit, commit_json
 from storage.inputs.errors import InputError
@@ -258,3 +259,18 @@ def agree(
     if write and (not path.exists() or (growing and whole != known)):
         commit_json(path, whole)
     return whole
+
+
+def plain(column: pa.Array | pa.ChunkedArray) -> NDArray[Any]:
+    """A column as an array, [n].
+
+    By DLPack where that does: `to_numpy` loads pandas, which takes longer than to read
+    a store.
+    """
+    if isinstance(column, pa.ChunkedArray):
+        column = column.combine_chunks()
+    if pa.types.is_boolean(column.type) and not column.null_count:
+        return plain(column.cast(pa.uint8())).astype(np.bool_)
+    if pa.types.is_primitive(column.type) and not column.null_count:
+        return np.from_dlpack(column)
+    return np.asarray(column.to_numpy(zero_copy_only=False))

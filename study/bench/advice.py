@@ -34,6 +34,7 @@ Mask = NDArray[np.bool_]
 
 BEFORE = "as before"  # the world that other contexts tell of
 EXPECTED = "Expected: "
+NOT_ENTERED = "Not entered"
 LIKELY = 0.5  # chance to keep the limits below which they are likelier to be broken
 SHOWN_NUMBERS = 6  # of trials, in a sentence
 
@@ -190,7 +191,7 @@ class Advice:
         if not missing:
             return ""
         parts = [f"{name} of {_trials(numbers)}" for name, numbers in missing.items()]
-        return f"Not entered, so that nobody knows whether it was kept: {'; '.join(parts)}."
+        return f"{NOT_ENTERED}, so that nobody knows whether it was kept: {'; '.join(parts)}."
 
     def _passed_over(self, chosen: Trial, others: Iterable[Trial]) -> list[str]:
         """What is not known of trials that had better values than the chosen one."""

@@ -24,6 +24,7 @@ from storage.inputs.errors import InputError, listed
 from storage.tables import difference
 from study.bench.advice import (
     EXPECTED,
+    NOT_ENTERED,
     Advice,
     Recommended,
     places_of,
@@ -568,7 +569,10 @@ class Bench:
 def _with_expectations(advice: Advice, trials: Sequence[Trial]) -> list[Trial]:
     """Trials with what is expected of them by now."""
     expected = advice.expected([trial.params for trial in trials])
-    reasons = [trial.why.partition(EXPECTED)[0].strip() for trial in trials]
+    reasons = [
+        trial.why.partition(EXPECTED)[0].partition(NOT_ENTERED)[0].strip()
+        for trial in trials
+    ]
     return [
         replace(trial, why=f"{reason} {sentence}".strip())
         for trial, reason, sentence in zip(trials, reasons, expected, strict=True)
