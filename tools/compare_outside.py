@@ -2,19 +2,15 @@
 
     python tools/compare_outside.py                    # the problems for tuning
     python tools/compare_outside.py --problems all     # those that are only reported as well
-    python tools/compare_outside.py --problems measured  # yields of reactions, beside BayBE and Ax
-    python tools/compare_outside.py --problems measured --batch 5  # five reactions at a time
     python tools/compare_outside.py --seeds 3 --arms ours,tpe --problems transport-solver
 
 The cache keeps finished runs: the same command resumes, and a run is repeated only
-where the code or the numbers that made it have changed. GPSampler needs PyTorch, and
-BayBE and Ax themselves, which this project does not install: without them these arms
-are left out.
+where the code or the numbers that made it have changed. GPSampler needs PyTorch, which
+this project does not install: without it this arm is left out.
 """
 
-import sys
 from argparse import Namespace
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from itertools import product
 from typing import NamedTuple
 
@@ -24,19 +20,13 @@ with guarded_imports():
     import numpy as np
     import scipy
 
-    from storage.commit import require_folder
-    from storage.inputs.errors import InputError
-    from study.options import MOST_WORKERS, Options
     from study.report.numbers import wilcoxon
     from tools import outside
-    from tools.outside import ARMS, PROBLEMS, outside_problem
-    from tools.page import ROOT, write_page
+    from tools.outside import ARMS, PROBLEMS, OutsideRun, outside_problem
+    from tools.page import write_page
+    from tools.runs import Floats, RunOptions, chosen, execute, runnable
 
-PAGES = {
-    False: ("sampler-outside", "Samplers on problems from outside"),
-    True: ("sampler-measured", "Samplers on measured reactions"),
-}
-MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
+TITLE = "Samplers on problems from outside"
 CHECKPOINTS = (5, 10, 20, 30, 40)  # trials
 OUR_ARMS = [name for name, arm in ARMS.items() if arm.ours]
 OTHERS = [name for name, arm in ARMS.items() if not arm.ours]
@@ -47,84 +37,41 @@ BEHIND_P, AHEAD_P = 0.05, 0.01
 def main() -> None:
     options = parse()
     keys = list(product(options.problems, options.arms))
-    batches = outside.Batches(options.trials, options.batch)
     runs = [
-        outside.Run(*key, seed, batches)
+        OutsideRun(*key, seed, options.batches)
         for key in keys
         for seed in range(options.seeds)
     ]
-    costs = np.array(outside.execute(runs, options.cache, options.processes))
-    costs = costs.reshape(len(keys), options.seeds, options.trials)
-    seconds = np.array([run.seconds(options.cache) for run in runs]).reshape(
-        costs.shape[:2]
-    )
+    costs, seconds = execute(runs, options.cache, options.processes)
+    shape = (len(keys), options.seeds, options.trials)
+    medians = np.median(seconds.reshape(shape[:2]), axis=1)
     found = (
         dict(zip(keys, values, strict=True))
-        for values in (costs, np.median(seconds, axis=1))
+        for values in (costs.reshape(shape), medians)
     )
-    compared = Comparison(*found)
-    name, title = PAGES[options.problems[0] in outside.MEASURED]
+    name, title = "sampler-outside", TITLE
     if options.batch > 1:
         name, title = (
             f"{name}-by-{options.batch}",
             f"{title}, {options.batch} at a time",
         )
     options.out.mkdir(parents=True, exist_ok=True)
-    write_page(options.out / f"{name}.md", title, compared.figures())
+    write_page(options.out / f"{name}.md", title, Comparison(*found).figures())
 
 
 def parse() -> Namespace:
     """The options, with lists of problems and of arms that this machine can run."""
-    parser = Options(__file__)
-    parser.whole("--seeds", 1, MOST_SEEDS, default=30, help="of each arm; %(default)s")
-    parser.whole("--trials", 2, MOST_TRIALS, default=40, help="of a run; %(default)s")
-    parser.whole(
-        "--batch", 1, MOST_TRIALS, default=1, help="trials at a time; %(default)s"
-    )
-    parser.add_argument("--arms", help="all that know what the problems have")
+    parser = RunOptions(__file__, seeds=30, trials=40, cache="outside")
+    parser.add_argument("--arms", help="all")
     known = f"{', '.join(outside.GROUPS)}, or some of {','.join(PROBLEMS)}; %(default)s"
     parser.add_argument("--problems", default="tuning", help=known)
-    parser.whole(
-        "--processes", 1, MOST_WORKERS, default=2, help="runs at a time; %(default)s"
-    )
-    parser.path(
-        "--out", "of the page; out/benchmarks", default=ROOT / "out" / "benchmarks"
-    )
-    parser.path("--cache", "of the runs; out/outside", default=ROOT / "out" / "outside")
     found = parser.parse_args()
-    require_folder(found.out)
-    require_folder(found.cache, "cache")
     found.problems = outside.GROUPS.get(found.problems) or chosen(
         "problems", found.problems, PROBLEMS
     )
-    among = {problem in outside.MEASURED for problem in found.problems}
-    if len(among) > 1:
-        raise InputError(
-            "problems", ",".join(found.problems), "measured ones alone, or none"
-        )
-    able = [name for name in ARMS if ARMS[name].knows(found.problems[0])]
-    found.arms = runnable(chosen("arms", found.arms or ",".join(able), able))
+    arms = chosen("arms", found.arms or ",".join(ARMS), [*ARMS])
+    found.arms = runnable(arms, ARMS)
     return found
-
-
-def chosen(field: str, listed: str, known: Sequence[str]) -> list[str]:
-    """The comma-separated names, each once, in the order of `known`."""
-    names = set(listed.split(","))
-    for name in sorted(names.difference(known)):
-        raise InputError(field, name, f"some of {','.join(known)}")
-    return [name for name in known if name in names]
-
-
-def runnable(names: list[str]) -> list[str]:
-    """The arms whose package is there; a line says which are left out."""
-    for arm in (ARMS[name] for name in names if not ARMS[name].runs):
-        print(
-            f"{arm.label} is left out: it needs {arm.needs} (pip install {arm.needs})",
-            file=sys.stderr,
-        )
-    if found := [name for name in names if ARMS[name].runs]:
-        return found
-    raise InputError("arms", ",".join(names), "an arm whose package is installed")
 
 
 class Versus(NamedTuple):
@@ -159,7 +106,7 @@ class Comparison:
 
     def __init__(
         self,
-        costs: Mapping[tuple[str, str], outside.Floats],
+        costs: Mapping[tuple[str, str], Floats],
         seconds: Mapping[tuple[str, str], float],
     ) -> None:
         self.seconds = seconds
@@ -281,9 +228,7 @@ class Comparison:
             strict=True,
         ):
             worth = scipy.stats.spearmanr(ranks, problem.cost).statistic
-            if name not in outside.MEASURED or feature != outside.RANKING:
-                end = said.good or "unknown"
-                lines.append(f"| {feature} | {end} | {said.meaning} | {worth:.2f} |")
+            lines.append(f"| {feature} | {said.good} | {said.meaning} | {worth:.2f} |")
         head = " | ".join(f"after {trial}" for trial in at)
         lines += [
             "",

@@ -4,14 +4,13 @@ An arm is added here and nowhere else: studies, comparisons and reports take it 
 this list.
 """
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from optuna.samplers import BaseSampler, GPSampler, NSGAIISampler, TPESampler
+from optuna.samplers import BaseSampler, NSGAIISampler, TPESampler
 
 from storage.inputs.errors import InputError, listed
 from storage.store import open_store
@@ -19,11 +18,10 @@ from study.experiment import samplers
 from study.experiment.experiment import Experiment, candidates, check_store
 from study.experiment.features import IN_WORLDS, RANKING, WORLDS
 from study.experiment.objective import SUCCESS_SPEED_MPS
-from study.experiment.samplers import FIRST_ROWS, Task
+from study.experiment.samplers import Task
 from study.sampler.draws import Purpose, ReproducibleRandomSampler, seed_32bit
 from study.sampler.sampler import PAPER, FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from study.sampler.worlds import Worlds
 from taichi_nmm.conditions import TRIAL_S
 
 PAPER_ARM = "dog"  # the paper's
@@ -122,35 +120,9 @@ def _plain(task: Task) -> BaseSampler:
     return FeatureKernelSampler(None, seed=task.seed, space=task.experiment.space)
 
 
-def _hill(task: Task) -> BaseSampler:
-    return samplers.RankedSampler(task, then=samplers.HillSampler(task))
-
-
-def _residual(task: Task) -> BaseSampler:
-    """Our sampler over the mean alone, as one world: which world is like the robot is not asked."""
-    rows = task.table.rows
-    worlds = Worlds.of(-rows.features[:, 0], better="lower")
-    nothing = rows.features[:, :0]
-    with warnings.catch_warnings():
-        # The task's own table has told of rows that are left out.
-        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
-        table = FeatureTable(
-            replace(rows, feature_names=(), features=nothing, worlds=worlds)
-        )
-    return FeatureKernelSampler(table, seed=task.seed)
-
-
-def _tpe_ranking(task: Task) -> BaseSampler:
-    peer = TPESampler(seed=task.short_seed, n_startup_trials=FIRST_ROWS)
-    return samplers.RankedSampler(task, then=peer)
-
-
-def _gp_ranking(task: Task) -> BaseSampler:
-    import torch
-
-    torch.set_num_threads(1)  # its bits depend on them
-    peer = GPSampler(seed=task.short_seed, n_startup_trials=FIRST_ROWS)
-    return samplers.RankedSampler(task, then=peer)
+def _over(made: Callable[[FeatureTable, int], BaseSampler]) -> NewSampler:
+    """Of a sampler that is made of an arm's candidates and a seed."""
+    return lambda task: made(task.table, task.seed)
 
 
 _ALL = (
@@ -237,7 +209,7 @@ _ALL = (
         label="ranking",
         kind="control",
         summary="the rows of worlds by their mean cost, without a model",
-        new_sampler=samplers.RankedSampler,
+        new_sampler=_over(samplers.RankedSampler),
         store="worlds",
         feature=RANKING,
     ),
@@ -246,7 +218,9 @@ _ALL = (
         label="plain BO after 3",
         kind="peer",
         summary="the ranking's first three rows, then Bayesian optimisation over the gains",
-        new_sampler=lambda task: samplers.RankedSampler(task, then=_plain(task)),
+        new_sampler=lambda task: samplers.RankedSampler(
+            task.table, task.seed, then=_plain(task)
+        ),
         store="worlds",
         feature=RANKING,
     ),
@@ -255,7 +229,7 @@ _ALL = (
         label="hill climber after 3",
         kind="peer",
         summary="the ranking's first three rows, then steps from the best trial",
-        new_sampler=_hill,
+        new_sampler=_over(samplers.hill_ranking),
         store="worlds",
         feature=RANKING,
         options={"sigma": samplers.HILL_SIGMA},
@@ -265,7 +239,7 @@ _ALL = (
         label="residual BO",
         kind="peer",
         summary="Bayesian optimisation of what the mean over the worlds leaves",
-        new_sampler=_residual,
+        new_sampler=_over(samplers.residual),
         store="worlds",
         feature=RANKING,
     ),
@@ -274,7 +248,7 @@ _ALL = (
         label="TPE after 3",
         kind="peer",
         summary="the ranking's first three rows, then Optuna's TPESampler",
-        new_sampler=_tpe_ranking,
+        new_sampler=_over(samplers.tpe_ranking),
         store="worlds",
         feature=RANKING,
         replayed=True,
@@ -284,7 +258,7 @@ _ALL = (
         label="GPSampler after 3",
         kind="peer",
         summary="the ranking's first three rows, then Optuna's GPSampler",
-        new_sampler=_gp_ranking,
+        new_sampler=_over(samplers.gp_ranking),
         store="worlds",
         feature=RANKING,
         replayed=True,

@@ -1,12 +1,12 @@
-"""Samplers that do not look at features: rows in the order of a score, or so begun, and CMA-ES.
+"""Samplers that know a score at most: rows in its order, or so begun, and CMA-ES.
 
-After the first rows a hill climber may go on. CMA-ES starts in two ways: from nowhere,
+After the first rows another sampler may go on. CMA-ES starts in two ways: from nowhere,
 and from a good row.
 """
 
 import warnings
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -15,7 +15,7 @@ import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.exceptions import ExperimentalWarning
-from optuna.samplers import BaseSampler, CmaEsSampler
+from optuna.samplers import BaseSampler, CmaEsSampler, GPSampler, TPESampler
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.inputs.errors import InputError
@@ -29,8 +29,10 @@ from study.sampler.draws import (
 )
 from study.sampler.history import ROW_ATTRIBUTE, SCORE_ATTRIBUTE
 from study.sampler.policy import set_attributes
+from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.space import Space, reflected
 from study.sampler.table import FeatureTable
+from study.sampler.worlds import Worlds
 
 Floats = NDArray[np.float64]
 
@@ -63,11 +65,6 @@ class Task:
     feature: str
 
     @property
-    def short_seed(self) -> int:
-        """The seed for libraries that take 32 bits."""
-        return self.seed % 2**32
-
-    @property
     def table(self) -> FeatureTable:
         """The arm's candidates with its feature."""
         return candidates(self.experiment, self.store, self.feature)
@@ -76,9 +73,9 @@ class Task:
 class RowSampler(ReproducibleRandomSampler):
     """Proposes all parameters of a table at once; parameters that are not in it are uniform."""
 
-    def __init__(self, task: Task) -> None:
-        super().__init__(seed=task.seed)
-        self._table = task.table
+    def __init__(self, table: FeatureTable, seed: int) -> None:
+        super().__init__(seed=seed)
+        self._table = table
 
     def infer_relative_search_space(
         self, study: optuna.Study, trial: FrozenTrial
@@ -99,8 +96,10 @@ class RankedSampler(RowSampler):
     With `then`, only the first of them; the other sampler proposes what follows.
     """
 
-    def __init__(self, task: Task, then: BaseSampler | None = None) -> None:
-        super().__init__(task)
+    def __init__(
+        self, table: FeatureTable, seed: int, then: BaseSampler | None = None
+    ) -> None:
+        super().__init__(table, seed)
         self._then = then
 
     def _after(self, study: optuna.Study, trial: FrozenTrial) -> BaseSampler | None:
@@ -185,6 +184,40 @@ class HillSampler(RowSampler):
         return rows.space.values(rows.space.from_fractions(target)[0])
 
 
+def hill_ranking(table: FeatureTable, seed: int) -> BaseSampler:
+    """The ranking's first rows, then the hill climber."""
+    return RankedSampler(table, seed, then=HillSampler(table, seed))
+
+
+def tpe_ranking(table: FeatureTable, seed: int) -> BaseSampler:
+    """The ranking's first rows, then Optuna's TPESampler, which takes seeds of 32 bits."""
+    peer = TPESampler(seed=seed % 2**32, n_startup_trials=FIRST_ROWS)
+    return RankedSampler(table, seed, then=peer)
+
+
+def gp_ranking(table: FeatureTable, seed: int) -> BaseSampler:
+    """The ranking's first rows, then Optuna's GPSampler."""
+    import torch
+
+    torch.set_num_threads(1)  # its bits depend on them
+    peer = GPSampler(seed=seed % 2**32, n_startup_trials=FIRST_ROWS)
+    return RankedSampler(table, seed, then=peer)
+
+
+def residual(table: FeatureTable, seed: int, **options: Any) -> BaseSampler:
+    """Our sampler over the score, as one world: which world is like the robot is not asked."""
+    rows = table.rows
+    worlds = Worlds.of(-rows.features[:, 0], better="lower")
+    nothing = rows.features[:, :0]
+    with warnings.catch_warnings():
+        # The given table has told of rows that are left out.
+        warnings.filterwarnings("ignore", ".* are not proposed", UserWarning)
+        table = FeatureTable(
+            replace(rows, feature_names=(), features=nothing, worlds=worlds)
+        )
+    return FeatureKernelSampler(table, seed=seed, **options)
+
+
 class ColdCmaEsSampler(CmaEsSampler):
     """Optuna's CMA-ES from a random mean; its draws depend on the trial's turn, not its number.
 
@@ -230,7 +263,7 @@ class WarmCmaEsSampler(RowSampler):
     """
 
     def __init__(self, task: Task) -> None:
-        super().__init__(task)
+        super().__init__(task.table, task.seed)
         best = score_order(self._table)[:START_ROWS]
         self._row = int(generator(task.seed, Purpose.STARTUP_ROW).choice(best))
         self._draws = generator(task.seed, Purpose.CMAES)
