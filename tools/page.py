@@ -14,7 +14,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes", "torch", "greenlet")
 
 
-def write_page(path: Path, title: str, figures: list[str]) -> None:
+def write_page(
+    path: Path,
+    title: str,
+    figures: list[str],
+    guide: str = "docs/sampler-benchmarks.md",
+) -> None:
     """Write a page, and print its figures.
 
     A page that is there keeps its text above the figures, of which the first line is
@@ -23,7 +28,7 @@ def write_page(path: Path, title: str, figures: list[str]) -> None:
     Raises:
         InputError: the page cannot be written.
     """
-    how = "`docs/sampler-benchmarks.md` says how to read the figures."
+    how = f"`{guide}` says how to read the figures."
     fresh = f"# {title}\n\n{how}\n\nWritten by\n"
     said = path.read_text(encoding="utf-8") if path.exists() else fresh
     above = said.partition(f"\n{figures[0]}\n")[0].rstrip()
