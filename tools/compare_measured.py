@@ -206,7 +206,7 @@ class Comparison:
             proposal_ms = 1000.0 * float(np.median(self.seconds[arm][own])) / trials
             sees = ARMS[arm].sees
             lines.append(
-                f"| {ARMS[arm].label} | {sees} | {cells} | {proposal_ms:.2g} |"
+                f"| {ARMS[arm].label} | {sees} | {cells} | {proposal_ms:.3g} |"
             )
         at = min(SHOWN_AT, trials)
         labels = "".join(f" {ARMS[arm].label} |" for arm in self.arms)

@@ -184,9 +184,9 @@ def _reactions(
     words = (*substrates, *components)
     table = ForeignTable.read("data", file, (*words, "yield"), words)
     yields = table.numbers("yield")
-    if not ((yields >= 0.0) & (yields <= FULL_YIELD)).all():
-        wrong = yields[~((yields >= 0.0) & (yields <= FULL_YIELD))][0]
-        raise InputError("data.yield", wrong, f"0 to {FULL_YIELD:g} %")
+    wrong = yields[~((yields >= 0.0) & (yields <= FULL_YIELD))]
+    if len(wrong):
+        raise InputError("data.yield", float(wrong[0]), f"0 to {FULL_YIELD:g} %")
     names = [name.removesuffix("_SMILES").lower() for name in components]
     names = [*names, "halogen"] if split else names
     found: dict[str, dict[Candidate, float]] = {}
@@ -201,7 +201,8 @@ def _reactions(
             chosen = (*chosen, halogen)
         of_machine = found.setdefault(machine, {})
         if chosen in of_machine:
-            raise InputError("data", f"{file}: {machine}", "each reaction once")
+            again = f"{file}: {machine}: {', '.join(chosen)}"
+            raise InputError("data", again, "each reaction once")
         of_machine[chosen] = float(lacks)
     return Measurements.of(names, found, [file])
 
@@ -260,15 +261,15 @@ def families(data: Path) -> list[str]:
     if not is_folder(data):
         raise InputError("data", str(data), "a folder")
     found = [name for name, of in FAMILIES.items() if is_folder(data / of.folder)]
-    for name, of in FAMILIES.items():
-        if name not in found:
-            print(
-                f"{name} is left out: no {of.folder}; get it from {of.source}",
-                file=sys.stderr,
-            )
     if not found:
-        folders = " or ".join(of.folder for of in FAMILIES.values())
-        raise InputError("data", str(data), f"a folder with {folders}")
+        places = [f"{of.folder} ({of.source})" for of in FAMILIES.values()]
+        raise InputError("data", str(data), f"a folder with {' or '.join(places)}")
+    for name in sorted(FAMILIES.keys() - found):
+        of = FAMILIES[name]
+        print(
+            f"{name} is left out: no {of.folder}; get it from {of.source}",
+            file=sys.stderr,
+        )
     return found
 
 

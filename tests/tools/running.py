@@ -20,7 +20,14 @@ from study.cli import main
 from study.options import COMMANDS
 from tests.processes import ROOT, python
 
-PARTS = {"time_walks_worker", "checkout", "outside", "page"}  # of other tools
+PARTS = {
+    "time_walks_worker",
+    "checkout",
+    "measured",
+    "outside",
+    "page",
+    "runs",
+}  # of other tools
 TOOLS = sorted({path.stem for path in (ROOT / "tools").glob("*.py")} - PARTS)
 sys.path.append(str(ROOT / "tools"))  # where a tool that is run finds checkout.py
 INTERRUPTED = "interrupted: finished work is kept; the same command resumes"

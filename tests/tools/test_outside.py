@@ -22,12 +22,12 @@ from tools import outside
 from tools.outside import (
     ARMS,
     PROBLEMS,
-    Batches,
     Feature,
-    Run,
+    OutsideRun,
     outside_problem,
     rows_by_ranking,
 )
+from tools.runs import Arm, Batches, runnable, study_costs
 
 DIGESTS = asset("outside-digests.toml")
 
@@ -36,7 +36,7 @@ DIGESTS = asset("outside-digests.toml")
 def test_a_file_has_the_pool_that_figures_were_made_with(name: str) -> None:
     problem = outside_problem(name)
     assert problem.name == name
-    purposes = ("tuning", "reported", "measured")
+    purposes = ("tuning", "reported")
     (purpose,) = (each for each in purposes if name in outside.GROUPS[each])
     assert problem.purpose == purpose
     assert outside.file_of(name).stat().st_size < 150_000
@@ -110,7 +110,7 @@ def test_the_nearest_row_is_on_each_parameters_scale(
 
 def test_a_trial_costs_as_much_as_the_nearest_row_and_rows_are_ranked() -> None:
     sampler = optuna.samplers.RandomSampler(seed=1)
-    found = outside.study_costs(WHOLE, sampler, Batches(5), first=[WHOLE.settings(3)])
+    found = study_costs(WHOLE, sampler, Batches(5), first=[WHOLE.settings(3)])
     assert found[0] == WHOLE.cost[3] and len(found) == 5
     study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
     free = [study.ask(WHOLE.space).params for _ in range(4)]
@@ -124,7 +124,7 @@ def test_a_trial_costs_as_much_as_the_nearest_row_and_rows_are_ranked() -> None:
 
 def test_a_batch_is_told_after_all_of_it_was_proposed() -> None:
     assert list(Batches(7, 3)) == [3, 3, 1] and list(Batches(4)) == [1] * 4
-    half, seen = outside_problem("suzuki").drawn(1), list[int]()
+    half, seen = outside_problem(PROBLEM).drawn(1), list[int]()
 
     class Watched(optuna.samplers.RandomSampler):
         def before_trial(
@@ -134,24 +134,8 @@ def test_a_batch_is_told_after_all_of_it_was_proposed() -> None:
                 len(study.get_trials(states=(optuna.trial.TrialState.COMPLETE,)))
             )
 
-    assert len(outside.study_costs(half, Watched(seed=1), Batches(7, 3))) == 7
+    assert len(study_costs(half, Watched(seed=1), Batches(7, 3))) == 7
     assert seen == [0, 0, 0, 3, 3, 3, 6]
-
-
-def test_formulas_are_alike_as_far_as_they_have_common_words() -> None:
-    columns = {
-        "one": np.array(["CCO", "CCO", "CCN"]),
-        "two": np.array(["Br", "Cl", "Br"]),
-    }
-    # ^CCO, CCO$ against ^CCN, CCN$: none of four; ^Br$ is one word, as is ^Cl$.
-    expected = [[1, 0.5, 0.5], [0.5, 1, 0], [0.5, 0, 1]]
-    np.testing.assert_allclose(outside.formula_similarity(columns), expected)
-    half = outside_problem("amination").drawn(1)
-    similar = outside.formula_similarity(half.columns)
-    assert np.linalg.eigvalsh(similar[:300, :300]).min() > -1e-9
-    near = similar > np.quantile(similar, 0.9)
-    apart = np.abs(half.cost[:, None] - half.cost[None])
-    assert apart[near].mean() < apart[~near].mean()  # formulas tell something of yields
 
 
 def test_a_bad_file_is_one_line(
@@ -167,7 +151,7 @@ def test_a_bad_file_is_one_line(
 PROBLEM = "transport-solver"
 TRIALS, SEEDS = 7, 2
 TOOL = load_tool("compare_outside")
-RUN_ARMS = [arm for arm in ARMS if not ARMS[arm].needs and ARMS[arm].knows(PROBLEM)]
+RUN_ARMS = [arm for arm in ARMS if not ARMS[arm].needs]
 
 
 @pytest.mark.slow
@@ -187,7 +171,7 @@ def test_the_page_keeps_what_people_wrote(
     written = compare()
     assert len(written) == SEEDS * len(RUN_ARMS)
     costs = {
-        (arm, seed): Run(PROBLEM, arm, seed, Batches(TRIALS)).kept(cache) or []
+        (arm, seed): OutsideRun(PROBLEM, arm, seed, Batches(TRIALS)).kept(cache) or []
         for arm, seed in product(RUN_ARMS, range(SEEDS))
     }
     for (_, seed), found in costs.items():
@@ -221,7 +205,7 @@ def test_the_page_keeps_what_people_wrote(
     assert compare() == written
     assert page.read_text() == text.replace("# Samplers on", "# People on")
     # A run of other code, or one whose file is broken, is none.
-    run = Run(PROBLEM, "random", 0, Batches(TRIALS))
+    run = OutsideRun(PROBLEM, "random", 0, Batches(TRIALS))
     known = json.loads(run.file(cache).read_text())
     for content in (json.dumps({**known, "code": "other"}), "{"):
         run.file(cache).write_text(content)
@@ -232,13 +216,13 @@ def test_the_page_keeps_what_people_wrote(
 def test_left_out_arms(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    absent = outside.Arm("A Peer", "nothing", ARMS["random"].costs, needs="absent")
+    absent = Arm("A Peer", ARMS["random"].costs, needs="absent")
     monkeypatch.setitem(ARMS, "gp", absent)
     left_out = "A Peer is left out: it needs absent (pip install absent)\n"
     for arms, said in ((["random", "gp"], left_out), (["random"], "")):
-        assert (TOOL.runnable(arms), capsys.readouterr().err) == (["random"], said)
+        assert (runnable(arms, ARMS), capsys.readouterr().err) == (["random"], said)
     with pytest.raises(InputError, match=r"^arms: 'gp'"):
-        TOOL.runnable(["gp"])
+        runnable(["gp"], ARMS)
 
 
 def test_a_seed_draws_half_of_the_pool_and_breaks_the_rankings_ties() -> None:
@@ -296,22 +280,3 @@ def test_bars_hold_where_ours_leads_and_name_where_it_does_not() -> None:
     made = TOOL.Comparison(found, dict.fromkeys(found, 0.25))
     assert "| ours | features | 2 | 0.25 | 2 |" in made.figures()
     assert "| TPESampler | nothing | 1 | 0.25 | 2 |" in made.figures()
-
-
-def test_nobody_knows_the_good_end_of_a_descriptor(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    which = ("--problems", "suzuki", "--arms")
-    assert run_tool(monkeypatch, "compare_outside", *which, "ranking") == 2
-    assert (
-        run_tool(monkeypatch, "compare_outside", "--problems", "suzuki,cart-pole") == 2
-    )
-    section = TOOL.Comparison(
-        {("suzuki", "ours"): np.ones((2, 3))}, {("suzuki", "ours"): 1.0}
-    )
-    rows = [
-        line for line in section.figures() if line.startswith("| ligand_1 | unknown | ")
-    ]
-    assert len(rows) == 1 and not any(
-        line.startswith("| ranking") for line in section.figures()
-    )
