@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
@@ -229,12 +230,15 @@ def test_missing_families_are_left_out_with_a_line(
 ) -> None:
     words = ("--out", tmp_path / "new", "--cache", tmp_path / "new", "--trials", 9)
     tool.refuses("data: .*reactions/suzuki", "compare_measured", *words, "--data", ".")
-    targets = ("--data", data, "--targets")
-    tool.refuses(
-        "targets: 'coupling-9'", "compare_measured", *words, *targets, "coupling-9"
-    )
-    allowed = "trials: 9 .* at most 7, half of the candidates of amination-1"
-    tool.refuses(allowed, "compare_measured", *words, *targets, "amination")
+    for target, message in (
+        ("coupling-9", "targets: 'coupling-9' cannot"),
+        ("amination", "trials: 9 .* at most 7, half of the candidates of amination-1"),
+    ):
+        targets = ("--data", data, "--targets", target)
+        assert tool("compare_measured", *words, *targets) == 2
+        left_out, error = tool.err.splitlines()
+        assert left_out.startswith("dedispersion is left out: no kernels/dedispersion")
+        assert re.match(f"error: {message}", error)
     assert not (tmp_path / "new").exists()
 
 
