@@ -120,7 +120,7 @@ class Versus(NamedTuple):
         """Two cells of a table; p is bold where the first arm is behind."""
         is_behind = self.lost > self.won and self.p < BEHIND_P
         p = f"**{self.p:.2g}**" if is_behind else f"{self.p:.2g}"
-        return f"{self.won} : {self.lost} | {p}"
+        return f"{self.won}:{self.lost} | {p}"
 
 
 class Comparison:

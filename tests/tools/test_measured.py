@@ -328,12 +328,12 @@ def compared(mine: list[list[float]], theirs: list[list[float]]) -> Any:
 def test_a_target_is_won_by_its_seeds() -> None:
     good, bad = [[3.0, 1.0]] * 7, [[3.0, 2.0]] * 7
     lines = compared(good, bad).figures()
-    assert "| hill climber after 3 | 0 : 0 | 1 | 7 : 0 | 0.016 |" in lines
+    assert "| hill climber after 3 | 0:0 | 1 | 7:0 | 0.016 |" in lines
     lines = compared(bad, good).figures()
-    assert "| hill climber after 3 | 0 : 0 | 1 | 0 : 7 | **0.016** |" in lines
+    assert "| hill climber after 3 | 0:0 | 1 | 0:7 | **0.016** |" in lines
     found = compared(good, bad)
     # a cost of 1 is the least there is; a run of two trials took 0.4 s
     assert found.regret(found.targets[0], "hill").tolist() == [2.0, 1.0]
     assert any(line.endswith("| 2 | 1 | 200 |") for line in found.figures())
     versus = TOOL.Versus.of([3, -1, 0, 10])
-    assert versus == (2, 1, 1.0) and versus.cells() == "2 : 1 | 1"
+    assert versus == (2, 1, 1.0) and versus.cells() == "2:1 | 1"
