@@ -12,6 +12,8 @@ from the rows near it:
   that the valley goes on between two rows.
 
 The table decides which: its best rows are left out in turn, and guessed from the others.
+Features that it has beside worlds are always the nearest rows' mean: kriging has learned
+its constants from costs, and of other columns it would make wild ones.
 """
 
 from collections.abc import Callable
@@ -41,46 +43,6 @@ LEAST_TAUGHT = 32  # rows, from which kriging is learned
 LARGEST_SHARE = 0.6
 
 
-@dataclass(frozen=True, eq=False)
-class Between:
-    """m rows in the unit cube, and a guess of what they tell of points between them.
-
-    Attributes:
-        unit: the rows, [m, e].
-        guess: how columns at points follow from rows near them.
-    """
-
-    unit: Floats
-    guess: Guess
-
-    def at(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
-        """Columns [m, k] of the rows at other points of the unit cube, [n, k].
-
-        Each point [e] is guessed from the rows near the centre [c, e] that is nearest to
-        it.
-        """
-        found = np.empty((len(points), columns.shape[1]))
-        nearest = _squares(points, centres).argmin(axis=1)
-        for place, centre in enumerate(centres):
-            own = nearest == place
-            if own.any():
-                pool = self._pool(centre)
-                found[own] = self.guess(self.unit[pool], columns[pool], points[own])
-        return found
-
-    @cached_property
-    def _lengths(self) -> Floats:
-        """|u|^2 of the rows, [m]."""
-        return np.asarray(np.einsum("me,me->m", self.unit, self.unit))
-
-    def _pool(self, centre: Floats) -> Whole:
-        """Places of the rows that are nearest to a point of the unit cube [e], ascending."""
-        # Less |centre|^2, which all share.
-        squares = self._lengths - 2.0 * (self.unit @ centre)
-        count = min(NEAR_POOL, len(squares))
-        return np.sort(np.argpartition(squares, count - 1)[:count])
-
-
 def nearest_mean(x: Floats, columns: Floats, points: Floats) -> Floats:
     """The mean of each point's `NEAR_ROWS` nearest rows, weighted: a `Guess`.
 
@@ -98,6 +60,53 @@ def nearest_mean(x: Floats, columns: Floats, points: Floats) -> Floats:
     places = near.nonzero()[1]
     matrix = scipy.sparse.csr_array((weight, places, starts), squares.shape)
     return np.asarray(matrix @ columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """m rows in the unit cube, and a guess of what they tell of points between them.
+
+    Attributes:
+        unit: the rows, [m, e].
+        guess: how columns at points follow from rows near them.
+        beside: the last columns, so many, are of worlds, which the guess is of; those
+            before are features.
+    """
+
+    unit: Floats
+    guess: Guess = nearest_mean
+    beside: int = 0
+
+    def at(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
+        """Columns [m, k] of the rows at other points of the unit cube, [n, k].
+
+        Each point [e] is guessed from the rows near the centre [c, e] that is nearest to
+        it.
+        """
+        found = np.empty((len(points), columns.shape[1]))
+        features = columns.shape[1] - self.beside
+        nearest = _squares(points, centres).argmin(axis=1)
+        for place, centre in enumerate(centres):
+            own = nearest == place
+            if own.any():
+                pool = self._pool(centre)
+                x, known, asked = self.unit[pool], columns[pool], points[own]
+                found[own, features:] = self.guess(x, known[:, features:], asked)
+                if features:
+                    found[own, :features] = nearest_mean(x, known[:, :features], asked)
+        return found
+
+    @cached_property
+    def _lengths(self) -> Floats:
+        """|u|^2 of the rows, [m]."""
+        return np.asarray(np.einsum("me,me->m", self.unit, self.unit))
+
+    def _pool(self, centre: Floats) -> Whole:
+        """Places of the rows that are nearest to a point of the unit cube [e], ascending."""
+        # Less |centre|^2, which all share.
+        squares = self._lengths - 2.0 * (self.unit @ centre)
+        count = min(NEAR_POOL, len(squares))
+        return np.sort(np.argpartition(squares, count - 1)[:count])
 
 
 def kriged(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.between import Between, Guess, chosen_guess, nearest_mean
+from study.sampler.between import Between, chosen_guess
 from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation
 from study.sampler.space import Number, Space, first_not_taken, standing_for
@@ -132,10 +132,10 @@ class Rows:
         """
 
         def made() -> Between:
-            guess: Guess = nearest_mean
-            if isinstance(ensemble, Ensemble) and not ensemble.is_drawn:
-                guess = chosen_guess(self.unit, ensemble.mean)
-            return Between(self.unit, guess)
+            if not isinstance(ensemble, Ensemble) or ensemble.is_drawn:
+                return Between(self.unit)
+            guess = chosen_guess(self.unit, ensemble.mean)
+            return Between(self.unit, guess, beside=ensemble.columns.shape[1])
 
         return _once(ensemble or self, "between", made)
 

@@ -57,7 +57,7 @@ def error_at_the_best(guess, mean):
     errors = []
     for row in np.argsort(mean)[:10]:
         others = np.arange(len(mean)) != row
-        rows = between.Between(UNIT[others], guess)
+        rows = between.Between(UNIT[others], guess, beside=1)
         place = UNIT[row][None]
         errors.append(rows.at(mean[others, None], place, place)[0, 0] - mean[row])
     return float(np.mean(errors))
@@ -87,7 +87,7 @@ def test_costs_that_are_not_smooth_are_those_of_the_nearest_rows(mean):
 def test_few_rows_teach_nothing(count):
     guess = between.chosen_guess(UNIT[:count], BOWL[:count])
     assert guess is between.nearest_mean
-    rows = between.Between(UNIT[:count], guess)
+    rows = between.Between(UNIT[:count], guess, beside=1)
     found = rows.at(BOWL[:count, None], UNIT[50:53], UNIT[:1])
     assert np.isfinite(found).all()
 
@@ -102,12 +102,23 @@ def test_each_point_is_guessed_from_the_rows_near_its_centre():
         seen.append((x, asked))
         return own[:1].repeat(len(asked), axis=0)
 
-    between.Between(UNIT, guess).at(columns, points, centres)
+    between.Between(UNIT, guess, beside=1).at(columns, points, centres)
     for (x, asked), centre, point in zip(seen, centres, points, strict=True):
         away = np.linalg.norm(UNIT - centre, axis=1)
         nearest = np.sort(np.argsort(away)[: between.NEAR_POOL])
         assert_allclose(x, UNIT[nearest])
         assert_allclose(asked, point[None])
+
+
+def test_features_beside_worlds_are_the_nearest_rows_mean():
+    """Kriging knows the worlds' length scales alone: of jagged features it makes wild ones."""
+    columns = np.column_stack([FALLS, BOWL])
+    guess = between.chosen_guess(UNIT, BOWL)
+    points = UNIT[:5] + 0.01
+    found = between.Between(UNIT, guess, beside=1).at(columns, points, UNIT[:5])
+    plain = between.Between(UNIT).at(columns, points, UNIT[:5])
+    assert_allclose(found[:, 0], plain[:, 0])
+    assert np.abs(found[:, 1] - plain[:, 1]).min() > 0.0
 
 
 def test_a_table_decides_once_and_not_for_goals_that_are_drawn():
