@@ -18,7 +18,7 @@ from study.options import COMMANDS, documentation, parser_of
 from tests.processes import printed
 from tests.tools.running import ROOT, TOOLS, load_tool
 
-MOST = 10  # files, and classes, of a proposal; 34 and 26 in 0.2.0
+MOST_FILES, MOST_CLASSES = 11, 10  # of a proposal; 34 and 26 in 0.2.0
 
 
 @pytest.mark.slow
@@ -62,7 +62,8 @@ def test_a_proposal_passes_few_files_and_classes() -> None:
     files = {file for file, _ in called if "tests" not in file.parts}
     classes = {name.rpartition(".")[0] for file, name in called if file in files} - {""}
     assert "FeatureKernelSampler" in classes
-    assert len(files) <= MOST and len(classes) <= MOST, (files, classes)
+    assert len(files) <= MOST_FILES, files
+    assert len(classes) <= MOST_CLASSES, classes
 
 
 # As of validate.
