@@ -23,6 +23,7 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+import scipy
 from optuna.distributions import (
     BaseDistribution,
     CategoricalDistribution,
@@ -184,10 +185,8 @@ def not_near(points: Floats, taken: Floats, share: float) -> Mask:
 
     In one parameter at least: it is the largest of the distances.
     """
-    new = np.ones(len(points), dtype=bool)
-    for place in taken:
-        new &= np.abs(points - place).max(axis=1, initial=0.0) >= share
-    return new
+    away = scipy.spatial.distance.cdist(points, taken, "chebyshev")
+    return np.asarray(away.min(axis=1, initial=np.inf) >= share)
 
 
 def as_suggested(distribution: BaseDistribution, value: Any) -> Any:
