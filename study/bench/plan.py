@@ -293,7 +293,7 @@ class Plan:
         allowed: NDArray[np.bool_] | None = None,
         limits_of: Sequence[FrozenTrial] = (),
     ) -> FeatureKernelSampler:
-        """The sampler over candidates; trials off the table have what their nearest rows have.
+        """The sampler over candidates; trials off the table have what rows near them tell.
 
         Args:
             candidates: the rows.
