@@ -29,6 +29,7 @@ STAGE_PX = 340  # the least width of a stage
 TIMELINE_PX = 110  # its height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
 GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
+OVER_TIME = "over time"  # tags figures on which a tap moves the clock
 RIM_M = 0.008  # of a muscle, both sides together
 # As frames have them: their lines and activations are in the order of `MUSCLES`, those
 # of the left leg, then those of the right.
@@ -163,7 +164,8 @@ class Stage:
 class Player:
     """Two stages, their clock and their time line; the second stage comes with a kept gait.
 
-    `removed` is a button; what it does is the caller's.
+    `removed` is a button; what it does is the caller's. `script` moves the clock to the
+    time of a tap on a figure.
     """
 
     def __init__(self, document: Document) -> None:
@@ -190,7 +192,7 @@ class Player:
         )
         timeline = _timeline(curves, falls)
         timeline.add_layout(cursor)
-        script = models.CustomJS.from_file(
+        self.script = script = models.CustomJS.from_file(
             SCRIPTS / "play.mjs",
             stages=[stage.parts for stage in self.stages],
             play=play,
@@ -238,6 +240,7 @@ def _timeline(
     """Heights of the hips over time, and where each walker fell."""
     plot = figure(
         name="timeline",
+        tags=[OVER_TIME],
         height=TIMELINE_PX,
         sizing_mode="stretch_width",
         tools="",

@@ -3,6 +3,8 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
@@ -20,12 +22,19 @@ from study.experiment.walker import (
     row_text,
 )
 from study.explore.words import CHOICES
-from study.pictures import style
+from study.pictures import style, write_gait_cycle, write_strip
 from study.pictures.fall import fall_text
 from study.pictures.gait_cycle import STRIKE, event_times
 from study.pictures.movie import encoded
 from study.pictures.scene import LARGE, force_arrows, frames, motion_of
 from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
+from study.pictures.trajectory_files import (
+    FORMATS,
+    RECORD_RATE_HZ,
+    kept,
+    require_trajectory_file,
+    write_trajectory,
+)
 from taichi_nmm.result import Trajectory
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
@@ -179,6 +188,13 @@ def walk(gains: NamedGains, experiment: WalkerExperiment) -> Walk:
     )
 
 
+def recorded(walk: Walk, number: int) -> tuple[Trajectory, int]:
+    """A walk again, as the command `walk` records it, and the number that was given."""
+    alone = walk.experiment.on_one_thread().with_settings(arch="cpu")
+    result = recorded_walk(walk.gains, alone, walk.run, RECORD_RATE_HZ)
+    return kept(result.trajectories[0]), number
+
+
 def warm_up() -> None:
     """Compile the kernels before the first gait is asked for."""
     level = chosen_setting(
@@ -196,12 +212,20 @@ FILM = "walk.mp4"
 FILM_S = 8.0  # of the walk's end
 GAINS, CONFIG = "gains.json", "walk.toml"
 NAMES = (GAINS, CONFIG)  # what every command takes: --gains, --config
+RECORDINGS = tuple(f"walk{ending}" for ending in FORMATS)
+STRIP, CYCLE = "strip.png", "gait_cycle.png"
+PICTURES = (STRIP, CYCLE)
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
-    """One of `NAMES` or `FILM` and its content, to be taken from the page."""
+    """A file by its name above, and its content, to be taken from the page."""
+    if name in (*RECORDINGS, *PICTURES):
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            write_recording(walk, path)
+            return name, path.read_bytes()
     if name == FILM:
         terrain = walk.experiment.terrain(walk.run)
         pictures = frames(walk.trajectory, terrain, FILM_S, walk.gains.name)
@@ -210,3 +234,19 @@ def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
         tables = {"runs": walk.run + 1, **as_written(walk.experiment)}
         return name, to_toml(tables).encode()
     return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
+
+
+def write_recording(walk: Walk, path: Path) -> None:
+    """One of `RECORDINGS` or `PICTURES`, with the bytes of the command's."""
+    if path.name in RECORDINGS:
+        require_trajectory_file(path)  # before the work
+    trajectory, _ = recorded(walk, 0)
+    terrain = walk.experiment.terrain(walk.run)
+    title = f"{walk.gains.name} on {terrain.name}: {row_text(walk.row)}"
+    if path.name == STRIP:
+        write_strip(path, trajectory, terrain, title)
+    elif path.name == CYCLE:
+        write_gait_cycle(path, trajectory, walk.experiment.weight_n(walk.run), title)
+    else:
+        world = walk.experiment.world(walk.run)
+        write_trajectory(path, trajectory, walk.gains.name, world)

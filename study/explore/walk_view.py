@@ -4,7 +4,7 @@ import html
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 from bokeh import models
@@ -16,6 +16,7 @@ from storage.store import Store
 from study.experiment.gains import NamedGains, gains_at, gains_of_source
 from study.explore import walk as walking
 from study.explore.server import NIGHT, Latest, Message, Saver, flow
+from study.explore.signals import Signals
 from study.explore.stage import Player
 from study.explore.strides import Cycle
 from study.explore.trials import Trials
@@ -27,6 +28,7 @@ from taichi_nmm.settings import ENGINES
 WRAPS = (
     ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
 )
+SIGNALS = "signals"
 STRIDE = "stride beside people"
 FIRST_GAIT = "reference"
 
@@ -52,10 +54,13 @@ class WalkView:
         self._walk: walking.Walk | None = None
         self._start: walking.Walk | None = None  # with which later ones are compared
         self._beside: walking.Walk | None = None  # of the gait that is kept
+        self._makers = makers
         self._walks = Latest(document, walkers, self._walked, self._failed)
         saver = Saver(document, makers, message)
         self.save = saver.save
         self._player = Player(document)
+        self._figures: dict[str, Cycle | Signals] = {}
+        self._signals = partial(Signals, document, makers, message, self._player.script)
         self._score = models.Div(text="", name="score", disable_math=True)
         self._others = Latest(document, walkers, self._walked_beside, message.failed)
         self._hands = Hands(message, self._again, self.show)
@@ -66,6 +71,7 @@ class WalkView:
         self._parts = {
             "gains": self._hands.layout,
             "score": self._score,
+            SIGNALS: None,
             STRIDE: None,
             "take it with you": self._taking(),
         }
@@ -137,6 +143,8 @@ class WalkView:
             self._others.ask(walking.walk, self._beside.gains, setting)
 
     def _walked(self, found: walking.Walk) -> None:
+        if self._walk is None:  # the page is there: time for what may be asked next
+            self._makers.submit(walking.warm_up)
         self._walk = found
         self._start = self._start or found
         self._player.show(found)
@@ -157,26 +165,34 @@ class WalkView:
         start = self._beside or self._start
         if self._walk is not None and start is not None:
             self._score.text = score_text(self._walk, start)
-            if self._looked_at == STRIDE:
-                self._cycle.show(self._walk, self._beside)
+            for part in (SIGNALS, STRIDE):
+                if self._looked_at == part:
+                    self._drawn(part).show(self._walk, self._beside)
 
     @property
     def _looked_at(self) -> str:
         """The part that is shown."""
         return str(self._part.labels[self._part.active])
 
-    @cached_property
-    def _cycle(self) -> Cycle:
+    def _drawn(self, part: str) -> Cycle | Signals:
         """Made when it is first looked at: a page would open a quarter later."""
-        return Cycle()
+        if part not in self._figures:
+            self._figures[part] = Cycle() if part == STRIDE else self._signals()
+        return self._figures[part]
 
     def _turn(self) -> None:
         """Show another part alone: a hidden figure never gets a size."""
         self._compare()
-        self._below.children = [self._parts[self._looked_at] or self._cycle.layout]
+        part = self._looked_at
+        self._below.children = [self._parts[part] or self._drawn(part).layout]
 
     def _taking(self) -> Any:
-        names = (*walking.NAMES, walking.FILM)
+        names = (
+            *walking.NAMES,
+            walking.FILM,
+            *walking.RECORDINGS,
+            *walking.PICTURES,
+        )
         buttons = [models.Button(label=name, name=f"save-{name}") for name in names]
         for button in buttons:
             button.on_click(self._message.safely(partial(self._take, button.label)))

@@ -82,7 +82,7 @@ def in_words(name: str) -> tuple[str, str]:
         return CHOICES["names"][name], last
     unit = CHOICES["units"].get(last) if parts else None
     parts = parts if unit else [*parts, last]
-    text = " ".join(WORDS.get(part, part) for part in parts)
+    text = " ".join(WORDS.get(part.lower(), part) for part in parts)
     return (f"{text} ({unit})" if unit else text), parts[-1]
 
 

@@ -97,9 +97,8 @@ def strides_of(
         body_weight_n: by which forces are divided.
         side: `LEFT` (0) or `RIGHT` (1).
     """
-    strikes = event_times(trajectory, side, STRIKE)[SETTLING_STRIDES:]
-    starts, ends = strikes[:-1], strikes[1:]
-    times_s = starts[:, None] + (ends - starts)[:, None] * (PERCENT / 100.0)
+    times_s = stride_times(trajectory, side)
+    starts, ends = times_s[:, 0], times_s[:, -1]
     # A force is the mean over the interval that ends at its sample: it belongs to the
     # middle.
     half_interval_s = 0.5 * np.diff(trajectory.time_s[:2]).sum()
@@ -128,6 +127,13 @@ def strides_of(
         take_off_percent=(100.0 * (first - starts) / (ends - starts))[first < ends],
         duration_s=ends - starts,
     )
+
+
+def stride_times(trajectory: Trajectory, side: int) -> Array:
+    """When the strides of a leg are at `PERCENT`, after the settling ones, s, [n, p]."""
+    strikes = event_times(trajectory, side, STRIKE)[SETTLING_STRIDES:]
+    share = PERCENT / 100.0
+    return strikes[:-1, None] * (1.0 - share) + strikes[1:, None] * share
 
 
 def event_times(trajectory: Trajectory, side: int, kind: int) -> Array:

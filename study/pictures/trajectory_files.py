@@ -318,6 +318,9 @@ CSV = (  # a field of the trajectory, how the names of its columns begin, and th
     ("fibre_velocity_mps", MUSCLES, "_fibre_mps"),
     ("delayed", DELAYED, ""),
 )
+POWERS = [f"{joint}_power_w" for joint in JOINTS]
+OWN_COLUMNS = [f"{stem}{end}" for _, stems, end in CSV for stem in stems] + POWERS
+"""Names of `own_columns`, less the time's."""
 
 
 def kept(trajectory: Trajectory) -> Trajectory:
@@ -334,12 +337,18 @@ def kept(trajectory: Trajectory) -> Trajectory:
 
 
 def own_columns(trajectory: Trajectory) -> Columns:
-    """All samples, by names with units; signs as in `Trajectory`."""
+    """All samples, by names with units; signs as in `Trajectory`.
+
+    A joint's power is the mean over the interval that ends at a sample: its torque
+    times the angle that it turns.
+    """
     columns = {"time_s": trajectory.time_s}
     for field, stems, end in CSV:
         values = getattr(trajectory, field).astype(np.float64)
         columns |= named([f"{stem}{end}" for stem in stems], values)
-    return columns
+    turned_rad = gained(trajectory.joint_rad)
+    power_w = trajectory.joint_torque_nm * turned_rad / _interval(trajectory)
+    return columns | named(POWERS, power_w)
 
 
 def require_trajectory_file(path: Path) -> None:

@@ -5,7 +5,8 @@ const HERE = {sync: false}
 const SLIDER_MS = 200 // between moves of the slider
 const HIGH_M = 2.2 // shown at least, with the ground below
 const AHEAD = 0.45 // where the walker is in the picture, from the left
-const STRIDES = "cycle-" // begins the names of figures of the stride
+const CURVES = /^(cycle-|signals-)/ // begins the names of figures over time or the stride
+const OVER_TIME = "over time" // tags a figure
 const BONES = [0, 1, 3] // at which points of a leg's chain thigh, shank and foot begin
 const NEAR_M = 0.05 // of a muscle, from the pointer
 const OWN_KEYS = /^(INPUT|SELECT|TEXTAREA|BUTTON|SUMMARY)$/ // to which the space bar means something
@@ -21,7 +22,7 @@ export default (args, changed) => {
     const place = changed.event_name === "mouseleave" ? [] : [changed.x - x_range.start, changed.y - y_range.start]
     pointed.figure.setv({tags: place}, HERE)
   } else if (changed.event_name === "tap") {
-    move_to(args, Math.max(0, Math.min(changed.x, args.slider.end)))
+    if (changed.origin.tags[0] === OVER_TIME) move_to(args, Math.max(0, Math.min(changed.x, args.slider.end)))
   } else if (changed !== args.play && changed !== args.ghost) { // the page is ready, or frames have come
     const ends = args.stages.map(({frames}) => frames.data.time_s?.[0].at(-1) ?? 0)
     args.slider.setv({end: Math.max(0.1, ...ends)}, HERE)
@@ -93,25 +94,26 @@ function draw_all(args) {
   draw_strides(args)
 }
 
-// A line in each figure of the stride, where the left leg is between two strikes of its heel: an
-// element of the page, for a cursor of Bokeh's would have each figure painted anew.
+// A line in each figure of the stride, where the left leg is between two strikes of its heel, and of
+// time: an element of the page, for a cursor of Bokeh's would have each figure painted anew.
 function draw_strides({stages: [{frames}], cursor}) {
   const now = performance.now()
   if (!(now - state.looked < SLIDER_MS)) {
     state.looked = now
-    const strides = (view) => view.model.type === "Figure" && view.model.name?.startsWith(STRIDES)
-    state.lines = [...Bokeh.index.query(strides)].map((view) => {
+    const curves = ({model}) => model.type === "Figure" && CURVES.test(model.name)
+    state.lines = [...Bokeh.index.query(curves)].map((view) => {
       view.walker ??= view.canvas_view.overlays_el.appendChild(document.createElement("div"))
       const {left, top, width, height} = view.frame.bbox
       const place = `left: ${left - 1}px; top: ${top}px; height: ${height}px; background: ${cursor.line_color}`
-      return [view.walker, width / 100, `position: absolute; width: 2px; pointer-events: none; ${place}; transform: `]
+      return [view.walker, width, view.model, `position: absolute; width: 2px; pointer-events: none; ${place}; transform: `]
     })
   }
   const strikes = frames.data.strikes_s?.[0] ?? []
   const next = strikes.findIndex((strike) => strike > state.time)
   state.stride = next > 0 ? 100 * (state.time - strikes[next - 1]) / (strikes[next] - strikes[next - 1]) : null
-  for (const [line, px, style] of state.lines) {
-    line.style = style + (state.stride === null ? "scale(0)" : `translateX(${(state.stride * px).toFixed(1)}px)`)
+  for (const [line, px, {tags: [over], x_range: {start, end}}, style] of state.lines) {
+    const share = ((over === OVER_TIME ? state.time : state.stride ?? NaN) - start) / (end - start)
+    line.style = style + (share >= 0 && share <= 1 ? `translateX(${(share * px).toFixed(1)}px)` : "scale(0)")
   }
 }
 

@@ -14,9 +14,11 @@ import pytest
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
 from study.experiment.gains import gains_of_source
+from study.explore.signals import FIRST
 from study.explore.store_view import read_selection
-from study.explore.walk import RATE_HZ, Walk, chosen_setting, walk
+from study.explore.walk import RATE_HZ, Walk, chosen_setting, recorded, walk
 from study.pictures import stick_figure
+from study.pictures.trajectory_files import own_columns
 from taichi_nmm.result import MUSCLES
 from tests.browser import opened_page
 from tests.cases import ASSETS, asset, cases
@@ -369,6 +371,32 @@ def test_a_newcomer_finds_it_in_four_clicks(
 ) -> None:
     assert sum(press(page, step) for step in steps) <= 4
     page.wait_for_function(sees)
+
+
+def test_signals_are_found_by_typing(page: Any, store: Path, the_walk: Walk) -> None:
+    """Two are there at first; a third is drawn over the stride, with the muscle of people."""
+    walks(page, lambda: change(page, "start", "value", "reference"))
+    page.get_by_text("signals", exact=True).click()
+    page.wait_for_function("named('signal-1')?.data.y.length > 1000")
+    columns = own_columns(recorded(the_walk, 0)[0])
+    page.wait_for_function("named('signal-words').text === 'blue: reference'")
+    for slot, name in enumerate(FIRST):
+        drawn = page.evaluate(f"[...named('signal-{slot}').data.y]")
+        assert drawn == columns[name].tolist()
+        assert page.evaluate(f"named('signals-{slot}').tags[1]") == name
+    field = page.evaluate_handle("view_of('signals').shadow_el.querySelector('input')")
+    field.as_element().click()
+    page.keyboard.type("left sol activ")
+    page.wait_for_timeout(300)  # it searches as one types
+    page.keyboard.press("Enter")
+    page.wait_for_function("named('signals-2').tags[1] === 'l_SOL_activation'")
+    page.get_by_text("over the stride", exact=True).click()
+    page.wait_for_function("named('on-2').data.x.length === 4")
+    page.wait_for_function("named('signals-2').inner_width > 100")
+    page.wait_for_function(
+        "walk_player.lines.some(([, , {name}]) => name === 'signals-2')"
+    )
+    change(page, "part", "active", 0)
 
 
 def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:

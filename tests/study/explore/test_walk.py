@@ -153,6 +153,26 @@ def test_what_is_taken_walks_the_same_to_the_bit(
     assert Path("walk.sto").read_bytes().startswith(b"gains\n")
 
 
+@pytest.mark.slow
+def test_recordings_and_pictures_are_those_of_the_command(
+    fell: Walk,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    pytest.importorskip("ezc3d", reason="no ezc3d: pip install 'taichi-nmm[c3d]'")
+    Path("walk.toml").write_bytes(walking.file_of_walk(fell, "walk.toml")[1])
+    words = ["--gains", "published", "--config", "walk.toml", "--movie-seconds", "0"]
+    for name in walking.RECORDINGS:
+        words += ["--trajectory", name]
+    assert run_tool(monkeypatch, "walk", *words, "--out", ".") == 0
+    capsys.readouterr()
+    for wanted in (*walking.RECORDINGS, *walking.PICTURES):
+        name, content = walking.file_of_walk(fell, wanted)
+        assert name == wanted and Path(wanted).read_bytes() == content, wanted
+
+
 def test_an_axis_that_is_cut_says_so() -> None:
     """The impact of the heel goes beyond the axis of the ground's force."""
     cycle = Cycle()

@@ -85,8 +85,10 @@ def test_csv_has_all_samples_by_names_with_units(tmp_path: Path) -> None:
         "delayed",
     ]
     wide = [WALK.time_s[:, None], *(getattr(WALK, field) for field in fields)]
-    np.testing.assert_array_equal(table, np.hstack(wide))
+    count = sum(values.shape[1] for values in wide)
+    np.testing.assert_array_equal(table[:, :count], np.hstack(wide))
     assert len(set(names)) == table.shape[1]
+    assert {name.rpartition("_")[2] for name in names[count:]} == {"w"}  # powers
     known = {"time_s", "x_m", "thigh_l_rad", "r_knee_flexion_rad", "l_SOL_force_n"}
     assert known <= set(names)
 
