@@ -16,7 +16,7 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: quickstart compare results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
+.PHONY: quickstart compare sweep-limp results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -42,11 +42,14 @@ compare-exo-hip: store-exo-hip
 compare-exo-effort: store-exo-effort
 compare-prosthesis-known: store-prosthesis
 
+sweep-limp: $(STORES)
+	$(BIN)/python tools/sweep.py --config outside-limp --over world.muscles.SOL_left=1:0:-0.1 --runs 10 --trials 30
+
 compare: $(STORES)
 	$(BIN)/python tools/compare.py --config rough8-smooth
 	$(BIN)/python tools/report.py out/compare/rough8-smooth
 
-results: $(addprefix compare-,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort)
+results: $(addprefix compare-,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) sweep-limp
 	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
 
 test: .venv/test-compiled

@@ -40,6 +40,7 @@ SHORT = {
     "study": "--trials 2",
     "quickstart": "",
     "compare": "--runs 1 --trials 2 --workers 1",
+    "sweep": "--runs 1 --trials 2 --workers 1",
     "walk": "--duration 2 --movie-seconds 0.3",
 }
 
@@ -164,6 +165,7 @@ def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
             is_first = module is pictures
             monkeypatch.setattr(module, name, lambda path, *_: path, raising=is_first)
     monkeypatch.setattr("study.pictures.strip.strips_figure", lambda *_: None)
+    monkeypatch.setattr("study.pictures.strip.gallery_figure", lambda *_: None)
     monkeypatch.setattr("study.pictures.style.save_png", lambda _, path: path)
     monkeypatch.setattr(trajectory_files, "write_trajectory", lambda *_: None)
 

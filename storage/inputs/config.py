@@ -1,7 +1,7 @@
 """Configurations: TOML read strictly, so that no misspelt key is ever ignored."""
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -183,8 +183,8 @@ def _without(data: dict[str, Any], path: list[str]) -> dict[str, Any]:
     return data if rest else {key: value for key, value in data.items() if key != first}
 
 
-def read_toml(path: str | Path) -> Table:
-    """The top table of a TOML file, or of a variant of it.
+def read_toml(path: str | Path, over: Mapping[str, Any] | None = None) -> Table:
+    """The top table of a TOML file, or of a variant of it; tables `over` lie over that.
 
     FILE-VARIANT.toml, if there is no such file, is FILE.toml with its table
     [variants.VARIANT] laid over it (`laid_over`); `about` in that table is a line for
@@ -214,7 +214,7 @@ def read_toml(path: str | Path) -> Table:
         data.pop("about", None)
         if isinstance(data.get("name"), str):
             data["name"] += f"-{name}"
-    return Table(data, folder=file.parent)
+    return Table(laid_over(data, dict(over or {})), folder=file.parent)
 
 
 def laid_over(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -53,6 +53,7 @@ from study.pictures.trajectory_files import (
     write_opensim,
     write_trajectory,
 )
+from study.report.people import QUANTITIES, not_human
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.result import (
@@ -90,7 +91,7 @@ REPORTED = (
     *dict(FURTHER_FIELDS),
 )
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-COLUMN = 10  # characters
+COLUMN = 14  # characters
 # Options that it uses.
 OF_THE_FRONT = ("--front", "--store", "--config", "--arch", "--json")
 
@@ -247,17 +248,27 @@ def summary(
     terrain: Terrain,
     mass_kg: float,
 ) -> str:
-    """For people: how the walk of each engine ended, then a line each number and a column each."""
+    """For people: how the walk of each engine ended, a line each number, and what is not human."""
     lines = [f"{name}, {by}: {ended(walk, terrain)}" for by, walk in walks.items()]
-    wide = max(map(len, FIGURES))
-    lines.append(" " * wide + "".join(engine.rjust(COLUMN) for engine in walks))
+    wide = max(len(each) for each in (*FIGURES, *(of.label for of in QUANTITIES)))
+    lines.append(
+        " " * wide + "".join(name.rjust(COLUMN) for name in (*walks, "people"))
+    )
     known = [
         known_numbers(walk.rows[0]) | {"mass_kg": mass_kg} for walk in walks.values()
     ]
+    for each in QUANTITIES:
+        shown = [each.text(each.value(values)) for values in known]
+        cells = (*shown, each.range_text)
+        lines.append(
+            each.label.ljust(wide) + "".join(cell.rjust(COLUMN) for cell in cells)
+        )
     for label, figure in FIGURES.items():
         column, _, form = figure.partition(":")
         shown = [figure_text(column, form, values[column]) for values in known]
-        lines.append(label.ljust(wide) + "".join(each.rjust(COLUMN) for each in shown))
+        lines.append(label.ljust(wide) + "".join(cell.rjust(COLUMN) for cell in shown))
+    for by, values in zip(walks, known, strict=True):
+        lines += [f"not human, {by}: {word}" for word in not_human(values)]
     return "\n".join(lines)
 
 
@@ -284,6 +295,7 @@ def report(
     return {
         **{field: numbers[field] for field in REPORTED},
         "mass_kg": mass_kg,
+        "not_human": not_human(numbers),
         "end_reason": str(walk.end_reason[0]),
         "ended": ended(walk, terrain),
         "gains": gains.as_document(),

@@ -4,6 +4,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -140,6 +141,8 @@ class Request:
         trials: of each arm in each run, in total, at least 1.
         workers: processes of this machine that try trials.
         cluster: that tries trials in place of the workers; None: there is none.
+        pool: of processes that are there, which tries trials in place of both; None:
+            new ones are started.
     """
 
     out: Path
@@ -149,6 +152,7 @@ class Request:
     trials: int | None = None
     workers: int = 1
     cluster: Cluster | None = None
+    pool: Pool | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,13 +196,17 @@ def compare(
     ExperimentFolder.check(request.out, identity)
     check_database(experiment, url, arms, runs)
     read = sorted({arm.store for arm in arms if arm.store})
-    opened = open_pool(
-        request.workers,
-        request.cluster,
-        request.out,
-        experiment.on_one_thread().robot,
-        experiment.packages,
-        [store_path(experiment, key) for key in read],
+    opened = (
+        nullcontext(request.pool)
+        if request.pool
+        else open_pool(
+            request.workers,
+            request.cluster,
+            request.out,
+            experiment.on_one_thread().robot,
+            experiment.packages,
+            [store_path(experiment, key) for key in read],
+        )
     )
     with opened as pool, ExperimentFolder.claim(request.out, identity) as folder:
         pool.agree(folder.path)

@@ -165,21 +165,29 @@ def is_of_robots(path: Path) -> bool:
     return isinstance(read_toml(path).unread.get("simulator"), str)
 
 
-def read_any(path: Path, arch: str | None, seed: int | None) -> Experiment:
+def read_any(
+    path: Path,
+    arch: str | None,
+    seed: int | None,
+    over: Mapping[str, Any] | None = None,
+) -> Experiment:
     """The experiment of a configuration: on the walker, or on the simulator that it names.
 
     Raises:
         InputError: as `read_experiment` and `read_robots`.
     """
     if is_of_robots(path):
-        return read_robots(path, arch, seed)
-    return read_experiment(path, arch, seed)
+        return read_robots(path, arch, seed, over)
+    return read_experiment(path, arch, seed, over)
 
 
 def read_robots(
-    path: Path, arch: str | None = None, seed: int | None = None
+    path: Path,
+    arch: str | None = None,
+    seed: int | None = None,
+    over: Mapping[str, Any] | None = None,
 ) -> RobotExperiment:
-    """Read and check the configuration of a comparison; `arch` and `seed` override the file's.
+    """Read and check the configuration of a comparison; see `read_experiment`.
 
     Raises:
         InputError: an unknown key, a wrong type, a value out of range, or no store.
@@ -208,7 +216,7 @@ def read_robots(
             each.done()
         return experiment
 
-    experiment = read_whole(read_toml(path), read)
+    experiment = read_whole(read_toml(path, over), read)
     store = open_store(experiment.stores[STORE])
     experiment.require_store(STORE, store)
     simulator = experiment.simulator

@@ -280,9 +280,12 @@ def outcome_text(shown: Mapping[str, Any]) -> str:
 
 
 def read_experiment(
-    path: str | Path, arch: str | None = None, seed: int | None = None
+    path: str | Path,
+    arch: str | None = None,
+    seed: int | None = None,
+    over: Mapping[str, Any] | None = None,
 ) -> WalkerExperiment:
-    """Read and check an experiment's TOML; `arch` and `seed` override the file's.
+    """Read and check an experiment's TOML; `arch`, `seed` and the tables `over` override it.
 
     Which arms there are, and what their stores hold, is checked by
     `study.experiment.arms`.
@@ -292,7 +295,7 @@ def read_experiment(
     """
     name = Path(path).stem
     return read_whole(
-        read_toml(path), lambda table: experiment_of(table, name, arch, seed)
+        read_toml(path, over), lambda table: experiment_of(table, name, arch, seed)
     )
 
 

@@ -1,7 +1,7 @@
 """Strips of stick figures over the ground they walk on, to scale; one or several walks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -170,19 +170,24 @@ class Stretch:
 
 
 def last_stretch(
-    shown: Shown, terrain: Terrain, colour: str, width_m: float | None = None
+    shown: Shown,
+    terrain: Terrain,
+    colour: str,
+    width_m: float | None = None,
+    shown_m: float = SHOWN_M,
 ) -> Stretch:
-    """The last `SHOWN_M` of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
+    """The last metres of the hip's way; poses are about `POSE_SPACING_M` apart, evenly.
 
     Args:
         shown: a walk of at least one finite sample.
         terrain: the ground it walked on.
         colour: of its hip.
         width_m: of the frame; None: as wide as the poses.
+        shown_m: how many metres.
     """
     trajectory = stick.finite(shown.trajectory)
     way = np.abs(trajectory.q[-1, 0] - trajectory.q[:, 0])  # still to come
-    first = max(np.flatnonzero(way > SHOWN_M), default=0)
+    first = max(np.flatnonzero(way > shown_m), default=0)
     count = max(round(way[first] / POSE_SPACING_M), 1) + 1
     poses_s = np.linspace(trajectory.time_s[first], trajectory.time_s[-1], count)
     x, z, *_ = stick.at_times(trajectory, trajectory.q, poses_s).T
@@ -267,6 +272,45 @@ def strips_figure(
     if with_profile:
         axes = style.axes_at(figure, LEFT_IN, AXIS_IN, wide_in, PROFILE_IN)
         _draw_profile(axes, parts)
+    return figure
+
+
+PANEL_M = 2.6  # of a walk, of many that are drawn side by side
+PANEL_SCALE = 0.62  # of the scale of a strip
+PANELS_ABREAST = 3
+GAP_IN = 0.15
+PANELS_DPI = 120  # many walks in a picture of a megabyte and less
+
+
+def gallery_figure(walks: Sequence[tuple[Shown, Terrain]], title: str) -> Figure:
+    """The last metres of many walks, each on its ground, `PANELS_ABREAST` in a row."""
+    width_m = PANEL_M + 2.0 * MARGIN_M
+    parts = [
+        last_stretch(shown, terrain, style.MODEL, width_m, shown_m=PANEL_M)
+        for shown, terrain in walks
+    ]
+    wide_in = PANEL_SCALE * parts[0].wide_in
+    high_m = max(part.frame.top - part.frame.bottom for part in parts)
+    high_in = PANEL_SCALE * SCALE_IN_PER_M * high_m
+    abreast = min(PANELS_ABREAST, len(parts))
+    rows = -(-len(parts) // abreast)
+    width = LEFT_IN + abreast * (wide_in + GAP_IN) - GAP_IN + RIGHT_IN
+    height = TITLE_IN + rows * (TITLE_IN + high_in) + GAP_IN
+    figure = style.new_figure(width, height, PANELS_DPI)
+    figure.text(LEFT_IN / width, 1.0 - 0.2 / height, title, va="center", **style.TITLE)
+    for number, part in enumerate(parts):
+        row, column = divmod(number, abreast)
+        left = LEFT_IN + column * (wide_in + GAP_IN)
+        bottom = height - TITLE_IN - (row + 1) * (TITLE_IN + high_in)
+        axes = style.axes_at(figure, left, bottom, wide_in, high_in)
+        frame = part.frame._replace(top=part.frame.bottom + high_m)
+        replace(part, frame=frame).draw(axes)
+        axes.set(xlabel="", xticks=[])
+        if column:
+            axes.set(ylabel="", yticks=[])
+    bar_bottom = height - 2.0 * TITLE_IN - high_in
+    bar = style.axes_at(figure, width - 0.85, bar_bottom, 0.13, min(1.6, high_in))
+    stick.activation_bar(bar)
     return figure
 
 

@@ -15,9 +15,23 @@ from matplotlib.figure import Figure
 from storage.commit import commit
 
 # Of the eight of Okabe and Ito, which survive colour blindness: all but yellow, too
-# pale for lines. A grey and a brown come after them, told apart by their lightness.
+# pale for lines. Those that come after them are far from all others in the space CIELAB.
 BLACK, BLUE, VERMILION = "#000000", "#0072B2", "#D55E00"
-OTHERS = ("#E69F00", "#009E73", "#CC79A7", "#56B4E9", BLACK, "#8A9099", "#6B4A12")
+OTHERS = (
+    "#E69F00",
+    "#009E73",
+    "#CC79A7",
+    "#56B4E9",
+    BLACK,
+    "#8A9099",
+    "#6B4A12",
+    "#332288",
+    "#8964F7",
+    "#26594C",
+    "#C8B560",
+    "#EE6677",
+    "#4C2659",
+)
 
 INK = "#22262B"
 FAINT = "#8A9099"  # of what stands back, such as spines and peers

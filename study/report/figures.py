@@ -125,14 +125,17 @@ class Look:
 
 
 def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
-    """The look of each arm, in the order given; the same whichever arms stand beside it."""
+    """The look of each arm, in the order given; the same whichever arms stand beside it.
+
+    Of all `ARMS` each has a colour of its own.
+    """
     front = {PAPER_ARM, OUR_ARM, best_peer(arms.values())}
     others = [name for name in (*ARMS, *arms) if name not in COLOURS]
     found: dict[str, Look] = {}
     for arm in arms:
         place = others.index(arm) if arm in others else 0
         colour = COLOURS.get(arm, style.OTHERS[place % len(style.OTHERS)])
-        dash = DASHES[0 if arm in COLOURS else 1 + place // len(style.OTHERS) % 2]
+        dash = DASHES[0 if arm in COLOURS else 1 + place % 2]
         marker = MARKERS[
             list(COLOURS).index(arm) if arm in COLOURS else place % len(MARKERS)
         ]
@@ -154,6 +157,14 @@ def trial_axis(axes: Axes, trials: int) -> None:
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("trials", fontsize=style.TEXT_PT, color=style.INK)
+
+
+def log_costs(axes: Axes) -> None:
+    """A logarithmic axis of costs, all above zero."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def headline(figure: Figure, left_in: float, title: str, remark: str) -> None:
@@ -254,10 +265,7 @@ def write_best_cost(path: Path, results: Results) -> Path:
         not is_walking
         and min(float(arm.best.min()) for arm in results.arms.values()) > 0.0
     ):
-        axes.set_yscale("log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_locator(NullLocator())
+        log_costs(axes)
     elif is_walking:
         axes.set_ylim(0.0, 315.0)
         axes.axhline(

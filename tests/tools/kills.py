@@ -61,6 +61,7 @@ SCENES = {
     "study": "study --config {base}/rough.toml --arm dog --storage sqlite:///out/s.db --out out",
     "compare": f"{COMPARE} out",
     "report": "report compared",
+    "sweep": f"sweep --config {{base}}/rough.toml --over body.disturbance=0.1,0.2 {ONE} --out out",
 }
 PREPARATIONS = (
     f"precompute --config {{base}}/store.toml --out store {ONE}",

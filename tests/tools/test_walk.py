@@ -65,8 +65,9 @@ def test_a_faller_is_shown_too(tmp_path, tool, monkeypatch):
     (folder,) = (tmp_path / "out" / "walk").iterdir()
     assert {path.name for path in folder.iterdir()} == PICTURES
     # No step was scored.
-    for unknown in ("knee peak in swing (deg, flexion +)", "distance from people"):
-        assert re.search(rf"^{re.escape(unknown)}.* -$", tool.out, re.MULTILINE)
+    for unknown in ("knee in swing (deg, flexion +)", "distance from people"):
+        assert re.search(rf"^{re.escape(unknown)}.* -( .*)?$", tool.out, re.MULTILINE)
+    assert "not human" not in tool.out
     report = tool.json("walk", *words, 0)
     assert report["step_count"] == 0
     assert report["human_deviation"] is report["hip_torque_peak_nm"] is None
@@ -97,12 +98,15 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path, tool):
     assert own["distance_m"] != report["distance_m"]
     assert model.read_text() == text
     assert tool(*words, "--engine", "both") == 0
-    end, other_end, *lines = tool.out.splitlines()[:5]
+    end, other_end, head, *lines = tool.out.splitlines()
     assert "taichi: walked 3.0 s" in end and "mujoco: walked 3.0 s" in other_end
-    numbers = [line.split()[-2:] for line in lines]
-    assert numbers[0] == ["taichi", "mujoco"]
-    for kind, shown in zip((ENERGY, OF_MUSCLES), numbers[1:], strict=True):
-        assert shown == [f"{one[kind]:.2f}" for one in (own, report)]
+    assert head.split() == ["taichi", "mujoco", "people"]
+    for kind, label in ((ENERGY, "energy of muscles"), (OF_MUSCLES, "of the muscles")):
+        (line,) = (line for line in lines if line.startswith(label))
+        assert line.split()[-3:-1] == [f"{one[kind]:.2f}" for one in (own, report)]
+    for name, one in (("taichi", own), ("mujoco", report)):
+        told = [line for line in lines if line.startswith(f"not human, {name}: ")]
+        assert [line.partition(": ")[2] for line in told] == one["not_human"] != []
 
 
 @pytest.fixture

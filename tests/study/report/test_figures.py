@@ -23,6 +23,7 @@ def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> Non
     for arms in (results.arms, {name: arm(name, [1, 2]) for name in ARMS}):
         found = looks(arms)
         assert len({(look.colour, look.marker) for look in found.values()}) == len(arms)
+        assert len({look.colour for look in found.values()}) == len(arms)
         assert all(look.label == ARMS[name].label for name, look in found.items())
         assert list(found) == list(arms)
         assert len({look.label for look in found.values()}) == len(arms)

@@ -1,0 +1,134 @@
+"""A sweep: its values, the trials of each, and that nothing begins where one is refused."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from study.experiment.compare import Progress, Request
+from study.experiment.sweep import Point, Tuned, points_of, read_swept, sweep
+from study.experiment.walker import WalkerExperiment, read_experiment
+from tests.study import fake_walker
+from tests.study.conftest import refused
+
+KEY = "body.disturbance"
+
+
+@pytest.mark.parametrize(
+    ("word", "values"),
+    [
+        ("1:0:-0.25", (1, 0.75, 0.5, 0.25, 0)),
+        ("0:1:0.3", (0, 0.3, 0.6, 0.9)),
+        ("0.1:0.3:0.1", (0.1, 0.2, 0.3)),  # as they are written, to the last bit
+        ("2:2:1", (2,)),
+        ("1,0.5,1", (1, 0.5)),
+        ("-1:1:1", (-1, 0, 1)),
+        ("1e16,3", (1e16, 3)),
+    ],
+)
+def test_values(word: str, values: tuple[float, ...]) -> None:
+    swept = read_swept(f"a.b={word}")
+    assert swept.values == values and swept.label == "b"
+    assert all(
+        isinstance(value, type(expected))
+        for value, expected in zip(swept.values, values, strict=True)
+    )
+    assert swept.over(3) == {"a": {"b": 3}}
+
+
+def test_at_most_a_hundred_values() -> None:
+    assert len(read_swept("a=1:100:1").values) == 100
+    with refused("at most 100 values"):
+        read_swept("a=0:100:1")
+
+
+class Sweep:
+    """Sweeps of the toy experiment over its disturbance, in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.config = fake_walker.write_config(folder, "until_walker = true")
+        self.out = folder / "swept"
+        self.shown: list[Progress] = []
+
+    def read(self, over: Mapping[str, Any]) -> WalkerExperiment:
+        return read_experiment(self.config, over=over)
+
+    def points(self, word: str) -> list[Point]:
+        return points_of(read_swept(word), self.read, self.out)
+
+    def run(self, word: str, runs: int = 2, trials: int = 4) -> list[Tuned]:
+        request = Request(self.out, runs=runs, trials=trials)
+        self.shown.clear()
+        points = self.points(word)
+        return [*sweep(points, "ranking", request, self.shown.append, lambda *_: "")]
+
+
+@pytest.fixture
+def toy_sweep(fake_simulator: None, tmp_path: Path) -> Sweep:
+    return Sweep(tmp_path)
+
+
+def test_each_value_has_all_its_trials_on_the_same_robots(toy_sweep: Sweep) -> None:
+    first, second = toy_sweep.run(f"{KEY}=0.1,0.2")
+    for value, tuned in ((0.1, first), (0.2, second)):
+        table = pq.read_table(toy_sweep.out / str(value) / "trials.parquet")
+        assert table["experiment"].unique().to_pylist() == [f"toy-disturbance-{value}"]
+        assert len(table) == 8  # also after a walker
+        least = pc.min(table["cost"].filter(pc.equal(table["run"], 0))).as_py()
+        assert tuned.best_cost[0] == least == tuned.best["cost"][0].as_py()
+        # simulated once more, the best trial is the same
+        assert tuned.rows["distance_m"].tolist() == tuned.best["distance_m"].to_pylist()
+    bodies = [tuned.point.experiment.body(0).mass_kg for tuned in (first, second)]
+    away = [(mass / bodies[0].sum() - 1.0) for mass in bodies]
+    assert bodies[0].shape == bodies[1].shape and (away[0] != away[1]).any()
+    last = toy_sweep.shown[-1]
+    assert (last.trials, last.total, last.studies) == (16, 16, 4)
+    assert [each.trials for each in toy_sweep.shown] == sorted(
+        each.trials for each in toy_sweep.shown
+    )
+
+
+def test_a_later_call_computes_what_is_missing_and_tells_what_it_is_asked(
+    toy_sweep: Sweep,
+) -> None:
+    many = toy_sweep.run(f"{KEY}=0.1,0.2", runs=3, trials=6)
+    calls = len(fake_walker.calls)
+    (few,) = toy_sweep.run(f"{KEY}=0.2", runs=2, trials=3)
+    assert len(fake_walker.calls) == calls + 1  # of the best trials alone
+    assert len(few.best) == 2 and max(few.best["trial"].to_pylist()) < 3
+    assert (few.best_cost >= many[1].best_cost[:2]).all()
+    # a value more
+    assert [tuned.point.value for tuned in toy_sweep.run(f"{KEY}=0.1:0.3:0.1")] == [
+        0.1,
+        0.2,
+        0.3,
+    ]
+
+
+def test_a_key_of_a_range_takes_a_number(toy_sweep: Sweep) -> None:
+    points = toy_sweep.points("world.strength=0.8,0.9")
+    strengths = [
+        point.experiment.conditions.world_ranges.strength  # type: ignore[attr-defined]
+        for point in points
+    ]
+    assert strengths == [(0.8, 0.8), (0.9, 0.9)]
+    with refused(r"world\.strength: 99 .*\[lowest, highest\]"):
+        toy_sweep.points("world.strength=0.8,99")
+
+
+@pytest.mark.parametrize("key", ["trials", "runs"])
+def test_a_key_that_decides_nothing_is_refused(key: str, toy_sweep: Sweep) -> None:
+    with refused(f"over: '{key}' .*decides trials"):
+        toy_sweep.points(f"{key}=1,2")
+
+
+def test_nothing_begins_where_the_last_value_is_refused(toy_sweep: Sweep) -> None:
+    toy_sweep.run(f"{KEY}=0.2")
+    document = toy_sweep.out / "0.2" / "experiment.json"
+    document.write_text(document.read_text().replace('"seed": 5', '"seed": 6'))
+    with refused(r"seed: 5 .*0\.2"):
+        toy_sweep.run(f"{KEY}=0.1,0.2")
+    assert not (toy_sweep.out / "0.1").exists()
