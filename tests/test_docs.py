@@ -178,7 +178,7 @@ def test_all_examples_of_the_sampler_run_in_their_order(
         exec(compile(code, f"the sampler's pages, block {number}", "exec"), names)
     said = capsys.readouterr().out
     _, *shown = [text for page in pages for text in code_blocks(page, "text")]
-    assert len(shown) == 7 and all(text in said for text in shown)
+    assert len(shown) == 8 and all(text in said for text in shown)
     oven = optuna.load_study(study_name="oven", storage="sqlite:///oven.db")
     rows = [trial.user_attrs["row"] for trial in oven.trials]
     assert len(set(rows)) == len(rows) == 10  # stopped after five, then continued

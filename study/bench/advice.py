@@ -20,10 +20,12 @@ from optuna.distributions import BaseDistribution
 
 from storage.inputs.errors import InputError
 from study.bench.journal import State, Trial
+from study.bench.limits import FALL, named
 from study.bench.plan import Plan, Safety
 from study.bench.shown import frozen, study_of
 from study.sampler.policy import RANKED
 from study.sampler.prediction import Best, Prediction
+from study.sampler.risk import RiskError
 from study.sampler.rows import Rows
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
@@ -96,7 +98,8 @@ class Advice:
         """Parameters, notes and reason of the next trial, after those that were just asked for.
 
         Raises:
-            InputError: no candidate is left, or none within the limits of [safety].
+            InputError: no candidate is left, or none within the limits of [safety] or
+                the risks of [limit].
         """
         trials = [*self.here, *asked]
         study = self._study(trials)
@@ -105,6 +108,12 @@ class Advice:
             study.sampler = self._sampler(self._allowed(trials))
         try:
             trial = study.ask(dict(self.space))
+        except RiskError as error:
+            name = named(error.limit)
+            allowed = error.allowed_by("trials of your own (`taichi-nmm bench add`)")
+            raise InputError(
+                f"limit.{name}", self.plan.allowed[name], allowed
+            ) from None
         except TableExhaustedError as error:
             allowed = "a row that nobody has tried"
             raise InputError("candidates", str(error), allowed) from None
@@ -240,18 +249,25 @@ class Advice:
                     )
         if np.isfinite(found.success[place]):
             parts.append(f"success {100 * found.success[place]:.0f} %")
+        if FALL in found.risks:
+            parts.append(f"a fall {_percent(found.risks[FALL][place])}")
         if self.plan.limited:
-            parts.append(self._expected_limits(float(found.kept[place])))
+            parts.append(self._expected_limits(found, place))
         sentence = f"{EXPECTED}{', '.join(parts)}." if parts else ""
         return f"{sentence} {self._unknown_limits(self.told)}".strip()
 
-    def _expected_limits(self, kept: float) -> str:
-        """The chance that limits are kept, where trials tell of them; what is unknown, by name."""
+    def _expected_limits(self, found: Prediction, place: int) -> str:
+        """The chance that limits are kept, where anything tells of them; the unknown, by name."""
         limited = self.plan.limited
-        told = {name for trial in self.state.finished for name in trial.columns}
+        chances = {name: 1.0 for name in map(named, found.risks) if name != FALL}
+        for limit, risk in found.risks.items():
+            if limit != FALL:
+                chances[named(limit)] *= 1.0 - float(risk[place])
+        told = {name: kept for name, kept in chances.items() if np.isfinite(kept)}
+        kept = np.prod([*told.values()])
         known = ", ".join(name for name in limited if name in told)
         unknown = ", ".join(name for name in limited if name not in told)
-        if not known or not np.isfinite(kept):
+        if not known:
             return f"limits unknown ({', '.join(limited)})"
         if unknown:
             return f"limits of {known} kept {100 * kept:.0f} %, of {unknown} unknown"
@@ -371,6 +387,10 @@ class Advice:
 def places_of(rows: Rows, trials: Iterable[Trial]) -> NDArray[np.float64]:
     """Trials in the unit cube of the parameters, [n, e]."""
     return rows.space.unit(np.array([rows.space.row(each.params) for each in trials]))
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if np.isfinite(share) else "unknown"
 
 
 def _trials(numbers: Sequence[int]) -> str:

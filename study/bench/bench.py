@@ -32,7 +32,8 @@ from study.bench.advice import (
 )
 from study.bench.doubts import Range, doubts, odd_failures
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
-from study.bench.plan import Plan, read_plan, require_failures, require_limits
+from study.bench.limits import require_limits
+from study.bench.plan import Plan, read_plan, require_failures
 from study.bench.shown import require_shown, show
 from study.bench.words import operator_here, require_names
 from study.sampler.space import as_suggested, printed_tolerance
@@ -222,7 +223,7 @@ class Bench:
             repeat: a finished trial, whose parameters are tried once more.
 
         Raises:
-            InputError: no candidate is left, or none within the limits of [safety].
+            InputError: no candidate is left, or none within [safety] and [limit].
         """
         with self._turn() as state:
             advice = self._advice(state)
@@ -491,8 +492,7 @@ class Bench:
         columns = dict(columns or {})
         for name, given in columns.items():
             if name not in self.plan.columns:
-                known = listed(self.plan.columns, name)
-                known = known or "none: [columns] of the file names them"
+                known = listed(self.plan.columns, name) or "none in [columns]"
                 raise InputError(name, given, f"one of the columns {known}")
         result = {"value": value, "columns": columns, "note": note}
         if failed_s is None:

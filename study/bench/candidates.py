@@ -6,7 +6,7 @@ refused by name; nothing outside of it is ever proposed.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from typing import Any, cast
@@ -23,8 +23,12 @@ from optuna.distributions import (
 from storage.foreign_tables import ForeignTable
 from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
+from study.bench.limits import ByFamily
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
+
+Told = Callable[[str, tuple[str, ...]], ByFamily]
+"""What columns of a file tell, by the key that names them and their names or patterns."""
 
 KINDS = ("float", "whole", "choice")
 FARTHEST = 1e300  # of a bound, so that differences of two are finite
@@ -145,11 +149,17 @@ def beyond_bounds(
             )
 
 
-def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> FeatureTable:
+def of_file(
+    table: Table,
+    begun: Mapping[str, BaseDistribution] | None,
+    limits: Callable[[ByFamily, Told], Mapping[str, ByFamily]],
+) -> FeatureTable:
     """The rows of a file, whose columns the table [candidates] names.
 
     Args:
         table: of the bench's file.
+        limits: in worlds, by what rows cost in these (nothing, in other units than the
+            value) and by what the file's columns tell.
         begun: the parameters of a bench that was begun, perhaps by an earlier version,
             which took other guesses: they hold. None: it begins now.
 
@@ -169,12 +179,10 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
         }
     else:
         space = dict(begun)
-    outcomes = {}  # each pattern is a family
     taken = set(names)
+    outcomes = ByFamily()  # each pattern is a family
     for pattern in patterns:
-        named = [name for name in found.names if fnmatch(name, pattern)]
-        if pattern in found.names:  # a name may look like a pattern: cost [J]
-            named = [pattern]
+        named = _named(found, pattern)
         twice = [name for name in named if name in taken]
         if not named or (twice and begun is None):
             allowed = f"some of {listed(found.names, pattern)}"
@@ -190,14 +198,31 @@ def of_file(table: Table, begun: Mapping[str, BaseDistribution] | None) -> Featu
             row, column = np.argwhere(is_empty)[0].tolist()
             allowed = "what the trial costs in this world; or no such row"
             raise InputError(f"candidates.{named[column]}[{row}]", "nothing", allowed)
+
+    def told(field: str, patterns: tuple[str, ...]) -> ByFamily:
+        families = {pattern: _named(found, pattern) for pattern in patterns}
+        for pattern, named in families.items():
+            if not named:
+                allowed = f"some of {listed(found.names, pattern)}"
+                raise InputError(field, pattern, allowed)
+        return {family: _columns(found, named) for family, named in families.items()}
+
     return FeatureTable.from_arrays(
         {name: found.values(name) for name in names},
         _columns(found, features) if features else None,
         features or None,
         outcomes=outcomes or None,
         better=better,
+        limits=limits({} if better else outcomes, told),
         space=space,
     )
+
+
+def _named(table: ForeignTable, pattern: str) -> list[str]:
+    """The columns of a table by a name or a pattern."""
+    if pattern in table.names:  # a name may look like a pattern: cost [J]
+        return [pattern]
+    return [name for name in table.names if fnmatch(name, pattern)]
 
 
 def _columns(table: ForeignTable, names: Iterable[str]) -> NDArray[np.float64]:

@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -24,8 +24,18 @@ from storage.simulator import SURVIVED
 from storage.store import open_store
 from study.bench.candidates import better_of, of_file
 from study.bench.journal import LOG, Trial
+from study.bench.limits import (
+    FALL,
+    ByFamily,
+    Column,
+    by_limit,
+    in_worlds,
+    read_allowed,
+    read_column,
+)
 from study.sampler.sampler import MOST_OFF_GRID, FeatureKernelSampler
 from study.sampler.table import FeatureTable
+from study.sampler.worlds import limits_in_worlds
 
 if TYPE_CHECKING:
     from study.experiment.features import Cost
@@ -36,7 +46,7 @@ Missing = TypeVar("Missing", None, float)
 
 SMOOTH = "smooth"  # the cost of a store, if the file names none
 # Parts of the file that may change under a running bench: none tells what a trial was.
-FREE = ("about", "off_grid", "safety", "storage")
+FREE = ("about", "limit", "off_grid", "safety", "storage")
 READABLE = "a readable TOML file of a bench"
 
 
@@ -112,29 +122,6 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class Column:
-    """Another number of a trial, and the limits that it must keep.
-
-    Attributes:
-        unit: of the number, in words.
-        least: that is allowed, in this unit; minus infinity: there is no such limit.
-        most: that is allowed; infinity: there is no such limit.
-    """
-
-    unit: str
-    least: float
-    most: float
-
-    def limits(self, name: str, value: float) -> dict[str, float]:
-        """What is above zero where a limit is broken, by name."""
-        both = {
-            f"{name} at least": self.least - value,
-            f"{name} at most": value - self.most,
-        }
-        return {limit: excess for limit, excess in both.items() if excess > -math.inf}
-
-
-@dataclass(frozen=True)
 class Safety:
     """Limits of what may be proposed.
 
@@ -164,6 +151,7 @@ class Plan:
         goal: what a trial is tried for.
         columns: other numbers of a trial, by name.
         safety: limits of what may be proposed.
+        allowed: what a proposal may risk, by the name of a column or "fall".
         off_grid: points near the best trials that are looked at; None: as many as the
             sampler has.
         url: of the study database.
@@ -178,6 +166,7 @@ class Plan:
     goal: Goal
     columns: Mapping[str, Column]
     safety: Safety
+    allowed: Mapping[str, float]
     off_grid: int | None
     url: str
 
@@ -186,17 +175,17 @@ class Plan:
         """Names of the columns that have limits."""
         return [name for name, column in self.columns.items() if column.limits("", 0.0)]
 
-    def limits(self, told: Mapping[str, float]) -> dict[str, float]:
-        """What is above zero where a limit is broken, by name, of the columns of a trial."""
-        return {
-            limit: excess
-            for name, value in told.items()
-            for limit, excess in self.columns[name].limits(name, value).items()
-        }
+    def limits(self, trial: Trial) -> dict[str, float]:
+        """What is above zero where a trial broke a limit, by name; falls, if [limit] has them."""
+        found = {FALL: 1.0 if trial.failed else -1.0} if FALL in self.allowed else {}
+        for name, value in trial.columns.items():
+            limits = self.columns[name].limits(name, value)
+            found |= {limit: float(excess) for limit, excess in limits.items()}
+        return found
 
     def broke(self, trial: Trial) -> bool:
         """Whether a trial broke a limit, as far as is known."""
-        return any(excess > 0.0 for excess in self.limits(trial.columns).values())
+        return any(excess > 0.0 for excess in self.limits(trial).values())
 
     def may_be_named(self, trial: Trial) -> bool:
         """Whether a finished trial neither failed nor, as far as is known, broke a limit."""
@@ -261,9 +250,24 @@ class Plan:
         table = Table(self.candidates.unread, "candidates", self.candidates.folder)
         with warnings.catch_warnings(action="ignore", category=UserWarning):
             # They are of rows that are left out.
-            is_file = self.store is None
-            found = of_file(table, begun) if is_file else _of_store(table, self.goal)
+            if self.store is None:
+                found = of_file(table, begun, self._limits_in_file)
+            else:
+                found = _of_store(table, self)
         table.done()
+        return found
+
+    def _limits_in_file(
+        self, costs: ByFamily, told: Callable[[str, tuple[str, ...]], ByFamily]
+    ) -> dict[str, ByFamily]:
+        """Limits in the worlds of a file, above zero where broken: a row falls by its cost."""
+        found = in_worlds(self.columns, told)
+        if FALL in self.allowed and costs and self.goal.failed is not None:
+            sign, at_end = -1.0 if self.goal.maximise else 1.0, self.goal.failed[1]
+            found[FALL] = {
+                family: np.where(sign * each >= sign * at_end, 1.0, 0.0)
+                for family, each in costs.items()
+            }
         return found
 
     def cautions(self) -> list[str]:
@@ -316,6 +320,7 @@ class Plan:
             off_grid=self.off_grid if allowed is None else 0,
             allowed=allowed,
             limits_of=limits_of,
+            allowed_risk=by_limit(self.allowed, self.columns) or None,
             **options,
         )
 
@@ -335,7 +340,8 @@ def _plan_of(table: Table, path: Path) -> Plan:
     name = table.text("name", path.stem)
     if not name.strip() or "/" in name:
         raise InputError("name", name, "a name without /")
-    columns = table.table("columns")
+    columns, goal = table.table("columns"), _goal(table.table("goal"))
+    known = {key: read_column(columns.table(key)) for key in columns.unread}
     plan = Plan(
         path=path,
         document=document,
@@ -343,9 +349,12 @@ def _plan_of(table: Table, path: Path) -> Plan:
         about=table.text("about", ""),
         seed=table.integer("seed", 0),
         candidates=table.table("candidates"),
-        goal=_goal(table.table("goal")),
-        columns={key: _column(columns.table(key)) for key in columns.unread},
+        goal=goal,
+        columns=known,
         safety=_safety(table.table("safety")),
+        allowed=read_allowed(
+            table.table("limit"), known, knows_falls=goal.failed is not None
+        ),
         off_grid=(
             table.integer("off_grid", low=0, high=MOST_OFF_GRID)
             if "off_grid" in table.unread
@@ -353,7 +362,10 @@ def _plan_of(table: Table, path: Path) -> Plan:
         ),
         url=_url(table.table("storage"), path, name),
     )
-    for part in (table, *map(table.table, ("goal", "safety", "columns", "storage"))):
+    for part in (
+        table,
+        *map(table.table, ("goal", "safety", "columns", "limit", "storage")),
+    ):
         part.done()
     least_success = plan.safety.least_success
     if least_success > 0.0 and plan.goal.success is None:
@@ -411,16 +423,6 @@ def _goal(table: Table) -> Goal:
     )
 
 
-def _column(table: Table) -> Column:
-    column = Column(
-        unit=table.text("unit", ""),
-        least=_number(table, "least", -math.inf),
-        most=_number(table, "most", math.inf),
-    )
-    table.done()
-    return column
-
-
 def _safety(table: Table) -> Safety:
     def share(key: str) -> float:
         return table.number(key, getattr(Safety, key), 0.0, 1.0)
@@ -451,7 +453,8 @@ def require_failures(goal: Goal, simulated: Sequence[float] | None) -> None:
             raise InputError(f"goal.{key}", value, allowed)
         if simulated and all(goal.is_better(value, end) for end in simulated):
             least, most = simulated
-            allowed = f"a value worse than the best one simulated, of {least:.4g} to {most:.4g}"
+            best = f"the best one simulated, of {least:.4g} to {most:.4g}"
+            allowed = f"a value worse than {best}; or failed all runs of the worlds?"
             raise InputError(f"goal.{key}", value, allowed)
     if goal.failed is not None and goal.is_better(*goal.failed):
         at_once, at_end = goal.failed
@@ -459,29 +462,34 @@ def require_failures(goal: Goal, simulated: Sequence[float] | None) -> None:
         raise InputError("goal.failed_at_end", at_end, allowed)
 
 
-def require_limits(columns: Mapping[str, Column]) -> None:
-    """Refuse limits that no number keeps."""
-    for name, column in columns.items():
-        if column.least > column.most:
-            allowed = f"a number up to columns.{name}.most, {column.most:g}"
-            raise InputError(f"columns.{name}.least", column.least, allowed)
-
-
-def _of_store(table: Table, goal: Goal) -> FeatureTable:
+def _of_store(table: Table, plan: Plan) -> FeatureTable:
     """The rows of a store: with features, or else in the worlds of its families."""
     # Of the walker: what has no store does without, as `status` does.
-    from study.experiment.features import world_table
+    from study.experiment.features import told_of, world_table
     from study.experiment.objective import PRINTED, Objective, Term, named_function
 
     path, features = table.folder / table.text("store"), table.texts("features")
     cost = table.text("cost", SMOOTH)
     better = better_of(table)
+    store = open_store(path)
+
+    def told(field: str, names: tuple[str, ...]) -> ByFamily:
+        if len(names) > 1:
+            raise InputError(field, list(names), "one column that the worlds keep")
+        return told_of(store, names[0], field)
+
+    limits = in_worlds(plan.columns, told)
+    if FALL in plan.allowed:
+        lasted = told_of(store, SURVIVED, "limit.fall")
+        limits[FALL] = {family: 1.0 - each for family, each in lasted.items()}
     if features:
-        return FeatureTable.from_parquet(path, features=features)
-    in_values = goal if better is None else replace(goal, failed=None)
-    term = Term(cost, 1.0, function=named_function(table, cost))
-    costs = Objective(cost).in_worlds if cost in PRINTED else in_values.in_worlds(term)
-    rows = world_table(path, costs).rows
-    assert rows.worlds is not None
-    worlds = replace(rows.worlds, better=better)
-    return FeatureTable(replace(rows, worlds=worlds))
+        found = FeatureTable.from_parquet(path, features=features).rows
+    else:
+        goal = plan.goal if better is None else replace(plan.goal, failed=None)
+        term = Term(cost, 1.0, function=named_function(table, cost))
+        in_values = goal.in_worlds(term)
+        costs = Objective(cost).in_worlds if cost in PRINTED else in_values
+        found = world_table(path, costs).rows
+        assert found.worlds is not None
+        found = replace(found, worlds=replace(found.worlds, better=better))
+    return FeatureTable(replace(found, limits=limits_in_worlds(limits, len(found))))

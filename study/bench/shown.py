@@ -27,7 +27,7 @@ def frozen(
 ) -> FrozenTrial:
     """A trial as Optuna has it, with the limits of its columns or, if given, with others."""
     told = trial.value is not None
-    limits = plan.limits(trial.columns) if limits is None else limits
+    limits = plan.limits(trial) if limits is None else limits
     shown = {key: getattr(trial, key) for key in ATTRIBUTES}
     return create_trial(
         state=TOLD[told],

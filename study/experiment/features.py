@@ -148,6 +148,18 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
     return found
 
 
+def told_of(store: Store, column: str, field: str) -> dict[str, Floats]:
+    """A column [n, w] of the rows in the worlds of each family, by name, as `outcomes_of` has it.
+
+    Raises:
+        InputError: naming the field: the worlds have not kept it.
+    """
+    try:
+        return outcomes_of(store, lambda given, horizon_s: given[column])
+    except InputError as error:
+        raise InputError(field, column, error.allowed) from None
+
+
 def _costs(returned: Any, shape: tuple[int, int]) -> Floats:
     """What a cost function returned, as numbers [n, w] of its own.
 

@@ -25,7 +25,7 @@ from storage.inputs.errors import InputError, listed
 from study.sampler.arrays import Floats
 from study.sampler.rows import Rows
 from study.sampler.space import Number, Space, first_not_taken
-from study.sampler.worlds import Better, Outcomes, Worlds, matrix_of
+from study.sampler.worlds import Better, Outcomes, Worlds, limits_in_worlds, matrix_of
 
 if TYPE_CHECKING:
     # Slow to load: where a file is read.
@@ -53,6 +53,7 @@ def checked_rows(
     space: Mapping[str, BaseDistribution] | None = None,
     outcomes: Outcomes | None = None,
     better: Better | None = None,
+    limits: Mapping[str, Outcomes] | None = None,
 ) -> Rows:
     """The content of a table; arguments and errors are those of `FeatureTable.from_arrays`."""
     if not parameters:
@@ -103,6 +104,7 @@ def checked_rows(
         feature_names=names,
         features=matrix,
         worlds=worlds,
+        limits=limits_in_worlds(limits or {}, len(matrix)),
     )
 
 

@@ -161,6 +161,25 @@ def _placed(found: list[tuple[FrozenTrial, Floats, int]], d: int) -> Placed:
     )
 
 
+def placed(rows: Rows, params: Sequence[Mapping[str, Any]]) -> Placed:
+    """Parameters by name, as trials over a table that have them would be placed.
+
+    Raises:
+        InputError: parameters that the table's distributions cannot have.
+    """
+    parameters = np.empty((len(params), len(rows.names)))
+    numbers = np.full(len(params), OFF_TABLE)
+    for place, values in enumerate(params):
+        known, row = rows.space.row(values), rows.find(values)
+        if known is None:
+            allowed = f"one of {rows.space.as_dict()}"
+            raise InputError(f"params[{place}]", dict(values), allowed)
+        parameters[place] = known
+        if row is not None:
+            numbers[place] = row
+    return Placed(trials=(), parameters=parameters, rows=numbers)
+
+
 def _looked_up(
     trial: FrozenTrial, space: Space, table: Rows | None, known: LookedUp
 ) -> tuple[int | None, Floats | None]:
@@ -212,6 +231,23 @@ def row_of(table: Rows, trial: FrozenTrial) -> int | None:
     return table.find(values)
 
 
+def is_own(table: Rows, study: optuna.Study, trial: FrozenTrial, row: int) -> bool:
+    """Whether no other trial has the row that was just written into this one.
+
+    A trial that was enqueued with the row, and still waits, has it too; one that has the
+    number and did something else has not.
+    """
+    return not any(
+        (
+            other.user_attrs.get(ROW_ATTRIBUTE) == row
+            or other.state is TrialState.WAITING
+        )
+        and row_of(table, other) == row
+        for other in study.get_trials(deepcopy=False)
+        if other.number != trial.number
+    )
+
+
 def noted_features(trial: FrozenTrial) -> list[float] | None:
     """The features that were left in a trial of a point off the table; None without such a note.
 
@@ -235,12 +271,17 @@ def notes_of(row: int, features: Floats) -> dict[str, Any]:
     return notes
 
 
+def limit_names(trials: Iterable[FrozenTrial]) -> list[str]:
+    """Names of the constraints that trials told of, in the order of `read_limits`."""
+    return sorted({key for trial in trials for key in trial.constraints})
+
+
 def read_limits(trials: Sequence[FrozenTrial]) -> Floats:
     """The constraints of trials, [n, c], by their names; NaN where unknown, kept where <= 0.
 
     As `transforms.by_side` has what `trial.set_constraint` was told.
     """
-    keys = sorted({key for trial in trials for key in trial.constraints})
+    keys = limit_names(trials)
     limits = np.empty((len(trials), len(keys)))
     for key, column in zip(keys, limits.T, strict=True):
         told = [trial.constraints.get(key, np.nan) for trial in trials]

@@ -8,7 +8,7 @@ end is good where several predict the cost; else `RANDOM` ones.
 """
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -30,7 +30,15 @@ from study.sampler.calibration import Errors, past_errors
 from study.sampler.covariance import ADDITIVE, NEARNESS, Kernel
 from study.sampler.draws import Purpose, generator
 from study.sampler.goals import Goals
-from study.sampler.history import History, read_limits
+from study.sampler.history import (
+    OFF_TABLE,
+    ROW_ATTRIBUTE,
+    History,
+    Placed,
+    noted_features,
+    read_limits,
+)
+from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, is_doubtful
 from study.sampler.worlds import matrix_of
@@ -62,6 +70,7 @@ class Options:
             improvement alone counts.
         allowed: rows of the table that may be proposed, [n]; None: all.
         limits_of: trials of other studies, whose constraints alone are learned.
+        allowed_risk: of breaking limits; None: any.
     """
 
     kernel: Kernel
@@ -72,6 +81,7 @@ class Options:
     success: float | None
     allowed: Mask | None
     limits_of: tuple[FrozenTrial, ...] = ()
+    allowed_risk: float | Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -269,6 +279,25 @@ def call_features(
     return features
 
 
+def features_of(rows: Rows, placed: Placed, function: Features | None) -> Floats:
+    """Features of trials over a table, [n, k]: its own, or as noted, or by the function."""
+    features, is_off = rows.features[placed.rows], placed.rows == OFF_TABLE
+    features[is_off] = np.nan
+    for place, trial in enumerate(placed.trials):
+        noted = noted_features(trial) if is_off[place] else None
+        if noted is not None and len(noted) == features.shape[1]:
+            features[place] = noted
+    # Of points off the table also infinities are missing: none are noted.
+    missing = np.isnan(features)
+    unknown = missing.all(axis=1) | (missing.any(axis=1) & is_off)
+    if unknown.any() and function is not None:
+        points = placed.parameters[unknown]
+        features[unknown] = call_features(
+            function, points, features.shape[1], to_choose=False
+        )
+    return features
+
+
 def one_thread() -> AbstractContextManager[Any]:
     """BLAS on one thread: on these sizes more are slower, and workers are parallel already."""
     return _thread_pools().limit(limits=1, user_api="blas")  # type: ignore[no-any-return]
@@ -290,3 +319,10 @@ def set_attributes(
         study._storage.set_trial_user_attr(trial._trial_id, key, value)
         # The objective sees it, as it does what it sets itself.
         trial.user_attrs[key] = value
+
+
+def take_back(study: optuna.Study, trial: FrozenTrial, notes: Collection[str]) -> None:
+    """Mark a trial with these notes as no row of a table: notes cannot be removed."""
+    if notes:
+        nothing = dict.fromkeys(notes) | {ROW_ATTRIBUTE: OFF_TABLE}
+        set_attributes(study, trial, nothing)

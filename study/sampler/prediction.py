@@ -11,11 +11,8 @@ import scipy
 from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats, Whole
 from study.sampler.calibration import (
-    LEAST_TOLD,
-    LIMIT,
     Calibration,
     ends_of,
-    noise_of,
     reading_of,
     tells_scale,
 )
@@ -25,9 +22,6 @@ from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
 
 SHOWN_CANDIDATES = 10
-# The share of the rule of succession in what n trials tell of a limit is RULE / n^2: of
-# the first ones the model was far too sure.
-RULE = 4.0
 # How far an interval reaches beyond all that was simulated or read, in standard deviations
 # of the table: costs have a logarithm, and few trials an interval to 1e9.
 REACH = 1.5
@@ -155,8 +149,10 @@ class Prediction:
         high: its other end, [m].
         success: chance of a value that is a success, [m]; NaN where the interval is, or
             where no success is defined.
-        kept: chance that all limits are kept, [m]; NaN before trials have told of them,
-            and while fewer than three have, none of which broke one.
+        kept: chance that all limits are kept, [m]; NaN where a risk is.
+        risks: chance that a limit is broken, by its name, [m]; NaN before worlds or
+            trials have told of it, and while fewer than three trials have, none of which
+            broke it.
     """
 
     rows: Whole
@@ -165,6 +161,7 @@ class Prediction:
     high: Floats
     success: Floats
     kept: Floats
+    risks: Mapping[str, Floats]
 
     def __str__(self) -> str:
         """A line for each of the first candidates."""
@@ -199,7 +196,12 @@ def _share_text(share: float) -> str:
 
 
 def prediction_of(
-    model: Model, points: Points, rows: Whole, history: History, errors: Floats
+    model: Model,
+    points: Points,
+    rows: Whole,
+    history: History,
+    errors: Floats,
+    risks: Mapping[str, Floats],
 ) -> Prediction:
     """The prediction at points, after the trials of a history.
 
@@ -212,15 +214,20 @@ def prediction_of(
         rows: of the table, [m]; -1 off it.
         history: of the study.
         errors: of past trials, each predicted before it was made, [t, 1 + c].
+        risks: of limits, by their names, [m].
     """
     unknown = np.full(len(points), np.nan)
+    kept = unknown
+    if risks:
+        kept = np.prod([1.0 - risk for risk in risks.values()], axis=0)
     nothing = Prediction(
         rows=rows,
         value=unknown,
         low=unknown,
         high=unknown,
         success=unknown,
-        kept=_chance_kept(model, points, errors[:, 1:]),
+        kept=kept,
+        risks=risks,
     )
     costs = model.costs
     if (
@@ -252,34 +259,6 @@ def prediction_of(
         high=high if history.sign > 0 else low,
         success=success,
     )
-
-
-def _chance_kept(model: Model, points: Points, errors: Floats) -> Floats:
-    """The chance that all limits are kept, [m]; NaN where too few trials have told of one.
-
-    Of each limit it is Laplace's rule of succession, and with more and more trials the
-    model, as its errors [t, c] have it. Where all trials gave the same (a flag), nothing
-    is known of a scale, and the rule alone counts.
-    """
-    posteriors = model.limit_posteriors
-    chance = np.full(len(points), 1.0 if posteriors else np.nan)
-    for column, posterior in posteriors.items():
-        limit = model.told_limits[:, column]
-        told = limit[np.isfinite(limit)]
-        n, kept = len(told), int((told <= 0.0).sum())
-        if n < LEAST_TOLD and kept == n:
-            chance[:] = np.nan
-            continue
-        by_rule = (kept + 1.0) / (n + 2.0)
-        trusted = max(1.0 - RULE / n**2, 0.0)
-        if not trusted or (told == told[0]).all():
-            chance *= by_rule
-            continue
-        mean, variance = posterior.predict(model.visible(points))
-        found = Calibration.of(errors[:, column], LIMIT)
-        by_model = found.chance_below(0.0, mean, variance + noise_of(posterior))
-        chance *= trusted * by_model + (1.0 - trusted) * by_rule
-    return chance
 
 
 def _over_noise(model: Model) -> tuple[Floats, Floats]:

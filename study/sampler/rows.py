@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property, partial
 from typing import Any, TypeVar
 
@@ -36,6 +36,9 @@ class Rows:
         worlds: what each row costs in simulated worlds; None: that is not known.
         alike: vectors whose products are the covariance of the rows, [n, r]; None:
             there are none.
+        limits: in which worlds each row breaks a limit, by its name: costs of 1, or 0.
+            They change no proposal but where a sampler is allowed a risk, and are no
+            part of the digest.
     """
 
     space: Space
@@ -44,6 +47,7 @@ class Rows:
     features: Floats
     worlds: Worlds | None = None
     alike: Floats | None = None
+    limits: Mapping[str, Worlds] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of rows, n."""
@@ -51,7 +55,7 @@ class Rows:
 
     def __getstate__(self) -> dict[str, Any]:
         """The state without what is derived from the columns."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,7 +111,7 @@ class Rows:
                 features, self.unit if coordinates else np.empty((len(features), 0))
             )
 
-        return _once(ensemble or self, (by_order, coordinates), made)
+        return once(ensemble or self, (by_order, coordinates), made)
 
     def ensemble(self, signs: Floats, goals: Goals | None = None) -> Relation:
         """Worlds, or likeness, as the model takes them, of rows that may be proposed.
@@ -117,12 +121,12 @@ class Rows:
         """
         worlds, alike = self.worlds, self.alike
         if alike is not None:
-            return _once(self, "alike", lambda: Alike(self._chosen(alike)))
+            return once(self, "alike", lambda: Alike(self._chosen(alike)))
         assert worlds is not None
         costs = partial(worlds.of_rows, self.numbers, signs, goals)
         if goals is not None:
             return Ensemble(worlds, costs(), is_drawn=True)
-        return _once(self, ("ensemble", *signs), lambda: Ensemble(worlds, costs()))
+        return once(self, ("ensemble", *signs), lambda: Ensemble(worlds, costs()))
 
     def between(self, ensemble: Relation | None = None) -> Between:
         """What rows that may be proposed tell of points between them; made once.
@@ -137,7 +141,7 @@ class Rows:
             guess = chosen_guess(self.unit, ensemble.mean)
             return Between(self.unit, guess, beside=ensemble.columns.shape[1])
 
-        return _once(ensemble or self, "between", made)
+        return once(ensemble or self, "between", made)
 
     def between_at(
         self, points: Points, place: Floats, ensemble: Relation | None
@@ -149,7 +153,7 @@ class Rows:
             found = between.at(points.features, place[None], place[None])
             return np.asarray(found[0])
 
-        return _once(points, place.tobytes(), made)
+        return once(points, place.tobytes(), made)
 
     def as_parameters(self, row: int) -> dict[str, Any]:
         """One row as Optuna takes it: native values by name."""
@@ -195,7 +199,7 @@ class Rows:
         """The first row whose value of one parameter a distribution has not; None: it has all."""
         own = self.space.distributions[column]
         made = partial(first_not_taken, own, self.parameters[:, column], suggested)
-        return None if suggested == own else _once(self, (column, suggested), made)
+        return None if suggested == own else once(self, (column, suggested), made)
 
     def digest(self) -> str:
         """SHA-256 of names, distributions, parameters, features and worlds."""
@@ -251,7 +255,7 @@ class Rows:
         return first
 
 
-def _once(owner: Rows | Points | Relation, key: Any, made: Callable[[], T]) -> T:
+def once(owner: Rows | Points | Relation, key: Any, made: Callable[[], T]) -> T:
     """What an owner keeps under a key: each proposal needs it, and the first one computes it."""
     if key not in owner.kept:
         owner.kept[key] = made()

@@ -20,6 +20,7 @@ from study.sampler.diagnostics import Likeness, Worth, likeness_of, worth_of
 from study.sampler.draws import ReproducibleRandomSampler
 from study.sampler.policy import Features, Options, one_thread
 from study.sampler.prediction import Best, Prediction, best_of
+from study.sampler.risk import AllowedRisk, allowed_risk
 from study.sampler.space_policy import SpacePolicy
 from study.sampler.table import FeatureTable
 from study.sampler.table_policy import TablePolicy
@@ -116,6 +117,9 @@ class FeatureKernelSampler(BaseSampler):
             are not looked at then.
         limits_of: trials of other studies over the same table, whose constraints alone
             are learned: what broke a limit there is expected to break it here.
+        allowed_risk: proposals keep to candidates whose chance to break a limit is at
+            most this, by the limit's name, or one number for each limit. The table's
+            `limits` tell of it, or trials do (`trial.set_constraint`).
 
     Raises:
         InputError: an option that cannot be used; in a trial (strict), before its
@@ -123,6 +127,8 @@ class FeatureKernelSampler(BaseSampler):
             the table or the space, values enqueued that no row has, or a function that
             raises or returns other than finite [n, k]. At a trial's end: it has not
             suggested all of the table (strict).
+        RiskError: in a trial, when no candidate that is left has a risk as small as
+            `allowed_risk`, or nothing tells of it.
         TableExhaustedError: in a trial, when no row is left (strict).
         ValueError: `best`, `predict` or `worth` of a study with several objectives.
     """
@@ -139,6 +145,7 @@ class FeatureKernelSampler(BaseSampler):
         success=checks.optional(checks.number()),
         allowed=checks.optional(_MASK),
         limits_of=checks.each(checks.instance(FrozenTrial)),
+        allowed_risk=checks.optional(allowed_risk),
     )
     def __init__(
         self,
@@ -155,6 +162,7 @@ class FeatureKernelSampler(BaseSampler):
         success: float | None = None,
         allowed: Mask | None = None,
         limits_of: Sequence[FrozenTrial] = (),
+        allowed_risk: AllowedRisk | None = None,
     ) -> None:
         self._kernel = kernel or ("euclidean" if features is None else "additive")
         if self._kernel not in KERNELS:
@@ -175,6 +183,7 @@ class FeatureKernelSampler(BaseSampler):
             success=success,
             allowed=allowed,
             limits_of=tuple(limits_of),
+            allowed_risk=allowed_risk,
         )
         seed = secrets.randbits(64) if seed is None else seed
         self._independent = independent_sampler or ReproducibleRandomSampler(seed=seed)
@@ -200,6 +209,7 @@ class FeatureKernelSampler(BaseSampler):
             "success": success,
             "allowed": allowed,
             "limits_of": limits_of,
+            "allowed_risk": allowed_risk,
         }
         self._call = _call_text(shown)
 
@@ -378,6 +388,9 @@ def _require_sense_of_table(
         raise InputError("off_grid", off_grid, allowed)
     if options.space is not None:
         raise InputError("space", "given", "none: a table knows its own")
+    if options.allowed_risk is not None and not options.strict:
+        allowed = "none without strict: the independent sampler knows no risk"
+        raise InputError("allowed_risk", options.allowed_risk, allowed)
     if options.kernel.of_features and not related and not table.rows.feature_names:
         allowed = "none, or euclidean: the table has no features"
         raise InputError("kernel", kernel, allowed)
@@ -391,6 +404,8 @@ def _require_sense_of_space(
         raise InputError("allowed", "given", "none without a table")
     if options.limits_of:
         raise InputError("limits_of", "given", "none without a table")
+    if options.allowed_risk is not None:
+        raise InputError("allowed_risk", options.allowed_risk, "none without a table")
     if function is not None:
         allowed = "none: only a table needs it beside `features`"
         raise InputError("feature_function", "given", allowed)

@@ -120,6 +120,7 @@ class FeatureTable:
         parameters=checks.by_name(checks.anything),
         feature_names=checks.optional(checks.each(checks.text)),
         better=checks.optional(checks.word("lower", "higher")),
+        limits=checks.optional(checks.by_name(checks.anything)),
         **SPACE_CHECKS,
     )
     def from_arrays(
@@ -130,6 +131,7 @@ class FeatureTable:
         *,
         outcomes: Outcomes | None = None,
         better: Better | None = None,
+        limits: Mapping[str, Outcomes] | None = None,
         bounds: Bounds | None = None,
         space: Mapping[str, BaseDistribution] | None = None,
     ) -> Self:
@@ -148,6 +150,9 @@ class FeatureTable:
                 family counts the same.
             better: "higher" or "lower" says which outcomes are good, where they are in
                 other units than the study's values: shares survived, scores.
+            limits: what each row comes to in simulated worlds, by the name of a limit,
+                [n, w] or by family: above 0 it breaks the limit there, as by
+                `trial.set_constraint` in a trial.
             feature_names: k names; by default feature_0, feature_1, ...
             bounds: (low, high) of numeric parameters; by default those of the columns.
                 All rows lie within. Whole numbers with bounds that are not whole are
@@ -168,6 +173,7 @@ class FeatureTable:
             space=space,
             outcomes=outcomes,
             better=better,
+            limits=limits,
         )
         return cls(rows)
 

@@ -6,8 +6,8 @@ again. Of two that choose one row, the one that writes later is sure to see the 
 number and takes another row; if both write before either reads, both do. Nobody waits.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -32,11 +32,12 @@ from study.sampler.history import (
     Placed,
     as_suggested_rows,
     distribution_misfit,
+    is_own,
     next_trial,
     no_row_has,
     not_suggested,
-    noted_features,
     notes_of,
+    placed,
     proves_fit,
     read_history,
     row_of,
@@ -54,10 +55,13 @@ from study.sampler.policy import (
     Policy,
     Proposal,
     call_features,
+    features_of,
     one_thread,
     set_attributes,
+    take_back,
 )
 from study.sampler.prediction import Prediction, prediction_of
+from study.sampler.risk import Certificate, Places, by_trials, risks_of
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among, not_near
@@ -210,7 +214,7 @@ class TablePolicy(Policy):
         """Propose nothing of the table for this trial; an error, or a warning (not strict)."""
         proposal = self.remembered(trial)
         if proposal is not None:
-            self._take_back(study, trial, proposal.notes)
+            take_back(study, trial, proposal.notes)
         self.remember(trial, NOTHING)
         self.misfit(error)
 
@@ -241,42 +245,18 @@ class TablePolicy(Policy):
                 with one_thread():
                     proposal = self._choose(study, trial, withdrawn)
             except (InputError, TableExhaustedError) as error:
-                self._take_back(study, trial, noted)
+                take_back(study, trial, noted)
                 self.misfit(error)
                 return NOTHING
             if proposal is NOTHING:
-                self._take_back(study, trial, noted)
+                take_back(study, trial, noted)
                 return NOTHING
             noted |= proposal.notes
             set_attributes(study, trial, proposal.notes)
             row = proposal.notes[ROW_ATTRIBUTE]
-            if row == OFF_TABLE or self._is_own(study, trial, row):
+            if row == OFF_TABLE or is_own(self.rows, study, trial, row):
                 return proposal
             withdrawn.add(row)
-
-    def _is_own(self, study: optuna.Study, trial: FrozenTrial, row: int) -> bool:
-        """Whether no other trial has the row that was just written into this one.
-
-        A trial that was enqueued with the row, and still waits, has it too; one that
-        has the number and did something else has not.
-        """
-        return not any(
-            (
-                other.user_attrs.get(ROW_ATTRIBUTE) == row
-                or other.state is TrialState.WAITING
-            )
-            and row_of(self.rows, other) == row
-            for other in study.get_trials(deepcopy=False)
-            if other.number != trial.number
-        )
-
-    def _take_back(
-        self, study: optuna.Study, trial: FrozenTrial, notes: Collection[str]
-    ) -> None:
-        """Mark a trial with these notes as no row: notes cannot be removed."""
-        if notes:
-            nothing = dict.fromkeys(notes) | {ROW_ATTRIBUTE: OFF_TABLE}
-            set_attributes(study, trial, nothing)
 
     def _choose(
         self, study: optuna.Study, trial: FrozenTrial, withdrawn: set[int]
@@ -286,6 +266,7 @@ class TablePolicy(Policy):
         Raises:
             InputError: nothing can be proposed: worlds with other goals than the study,
                 fixed values that no row has, or a feature function that fails.
+            RiskError: no candidate has a risk as small as is allowed.
             TableExhaustedError: no row is left.
         """
         rows, own_turn = self.rows, turn(study, trial)
@@ -302,7 +283,8 @@ class TablePolicy(Policy):
             offered &= self.options.allowed
         if history.fixed:
             offered &= rows.having(history.fixed)
-        if not offered.any() and not (self.options.off_grid and len(history.cost)):
+        is_near = bool(self.options.off_grid and len(history.cost))
+        if not offered.any() and not is_near:
             if not history.fixed:
                 message = f"all {len(rows)} rows of the table have been tried"
                 raise TableExhaustedError(message)
@@ -311,9 +293,37 @@ class TablePolicy(Policy):
                 raise error
             self.take_over(error)  # what the user fixed is tried all the same
             return NOTHING
+        certificate = None
+        if self.options.allowed_risk is not None:
+            model = self._model(history, own_turn)
+            certificate = Certificate.of(
+                self.options.allowed_risk,
+                partial(self._risks, history, model),
+                Places(rows.numbers, rows.unit),
+                self._points(model.ensemble),
+                offered,
+            )
+            offered = certificate.offered
+            if not offered.any() and not is_near:
+                raise certificate.refusal()
         if self._begins(history) and offered.any():
             return self._first_row(offered, own_turn, self._ensemble(history))
-        return self._best_candidate(history, offered, own_turn)
+        found = self._best_candidate(history, offered, own_turn, certificate)
+        if found is NOTHING and certificate is not None:
+            raise certificate.refusal()
+        return found
+
+    def _risks(
+        self, history: History, model: Model, places: Places, points: Points
+    ) -> dict[str, Floats]:
+        """The chance to break each limit at places, which are these points, [k]."""
+        return risks_of(
+            self.rows,
+            history,
+            self.options.limits_of,
+            places,
+            partial(by_trials, model, points, partial(self.errors, model)),
+        )
 
     def _begins(self, history: History) -> bool:
         """Whether this is one of the first trials; with costs in worlds, none of them succeeded.
@@ -384,7 +394,11 @@ class TablePolicy(Policy):
         return self._of_row(int(numbers[best]))
 
     def _best_candidate(
-        self, history: History, offered: Mask, own_turn: int
+        self,
+        history: History,
+        offered: Mask,
+        own_turn: int,
+        certificate: Certificate | None,
     ) -> Proposal:
         """The candidate of the largest utility after some trials; of equal ones any."""
         model = self._model(history, own_turn)
@@ -394,7 +408,7 @@ class TablePolicy(Policy):
             rng = self.rng(Purpose.CANDIDATES, own_turn)
             utility = model.utility(points, free, rng)
         if self.options.off_grid:
-            value, off = self._off_table(history, utility, model, own_turn)
+            value, off = self._off_table(history, utility, model, own_turn, certificate)
             if not free.any() or value > utility.max():
                 return off
         return self._best_row(utility, offered, self.rng(Purpose.TIE_BREAK, own_turn))
@@ -407,26 +421,19 @@ class TablePolicy(Policy):
             seen=self._seen(history.done, ensemble),
             ensemble=ensemble,
             running=self._seen(history.running, ensemble),
-            elsewhere=self._seen(self._places(others), ensemble) if others else None,
+            elsewhere=self._seen(placed(self.rows, others), ensemble)
+            if others
+            else None,
         )
         return self.of_turn(model, own_turn)
 
-    def _places(self, params: Sequence[Mapping[str, Any]]) -> Placed:
-        """Parameters by name, as trials that have them would be placed."""
-        rows, parameters = self.rows, np.empty((len(params), len(self.rows.names)))
-        numbers = np.full(len(params), OFF_TABLE)
-        for place, values in enumerate(params):
-            known, row = rows.space.row(values), rows.find(values)
-            if known is None:
-                allowed = f"one of {rows.space.as_dict()}"
-                raise InputError(f"params[{place}]", dict(values), allowed)
-            parameters[place] = known
-            if row is not None:
-                numbers[place] = row
-        return Placed(trials=(), parameters=parameters, rows=numbers)
-
     def _off_table(
-        self, history: History, utility: Floats, model: Model, own_turn: int
+        self,
+        history: History,
+        utility: Floats,
+        model: Model,
+        own_turn: int,
+        certificate: Certificate | None,
     ) -> tuple[float, Proposal]:
         """The best of some points near the best rows and trials, and its utility.
 
@@ -447,19 +454,25 @@ class TablePolicy(Policy):
         taken = np.vstack([history.done.parameters, history.running.parameters])
         new = not_among(near, taken)
         features = np.full((len(near), len(rows.feature_names)), np.nan)
+        unit = space.unit(near)
         if self.function is not None:
             features = call_features(self.function, near, features.shape[1])
             known = np.asarray(~np.isnan(features).any(axis=1))
             new = new & known if (new & known).any() else known
             points = self._as_points(near, features)
         else:
-            unit = space.unit(near)
             elsewhere = new & not_near(unit, space.unit(taken), REPEAT)
             if np.isfinite(utility).any() or elsewhere.any():
                 new = elsewhere
             own = self._points(model.ensemble).features
             between = rows.between(model.ensemble)
             points = Points(between.at(own, unit, space.unit(centres)), unit)
+        if certificate is not None:
+            new = new & certificate.within(
+                Places.off_table(unit, space.unit(centres)), points
+            )
+            if not new.any():
+                return -np.inf, NOTHING
         rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
         utility = model.utility(points, new, rng)
         chosen = argmax_random_tie(utility, rng)
@@ -482,7 +495,9 @@ class TablePolicy(Policy):
     def _seen(self, placed: Placed, ensemble: Relation | None) -> Points:
         """Trials as points: with worlds, those off the table have what rows near them tell."""
         if ensemble is None:
-            return self._as_points(placed.parameters, self._features(placed))
+            return self._as_points(
+                placed.parameters, features_of(self.rows, placed, self.function)
+            )
         rows, points = self.rows, self._points(ensemble)
         unit = rows.space.unit(placed.parameters)
         place = np.searchsorted(rows.numbers, placed.rows)
@@ -500,26 +515,6 @@ class TablePolicy(Policy):
         scale = self.rows.scale(by_order=kernel.by_order)
         return Points(scale.standard(features), unit)
 
-    def _features(self, placed: Placed) -> Floats:
-        """Features of trials, [n, k]: of the table, or as noted, or by the function."""
-        features, is_off = self.rows.features[placed.rows], placed.rows == OFF_TABLE
-        features[is_off] = np.nan
-        for place, trial in enumerate(placed.trials):
-            noted = noted_features(trial) if is_off[place] else None
-            if noted is not None and len(noted) == features.shape[1]:
-                features[place] = noted
-        # Of points off the table also infinities are missing: none are noted.
-        missing = np.isnan(features)
-        unknown = missing.all(axis=1) | (missing.any(axis=1) & is_off)
-        if unknown.any() and self.function is not None:
-            features[unknown] = call_features(
-                self.function,
-                placed.parameters[unknown],
-                features.shape[1],
-                to_choose=False,
-            )
-        return features
-
     def present(self, study: optuna.Study) -> Present:
         """See `Present`."""
         self._adopt(study)
@@ -530,7 +525,7 @@ class TablePolicy(Policy):
             trials=done.trials,
             rows=tuple(row_of(self.rows, trial) for trial in done.trials),
             names=self.rows.feature_names,
-            features=self._features(done),
+            features=features_of(self.rows, done, self.function),
             model=model,
             is_doubted=self.doubts(model, ODD_TURN),
             errors=self.errors(model),
@@ -544,11 +539,16 @@ class TablePolicy(Policy):
         history = self._history(study, next_trial(study))
         model = self._model(history, len(history.cost))
         if params is None:
-            points, numbers = self._points(model.ensemble), self.rows.numbers
+            places = Places(self.rows.numbers, self.rows.unit)
+            points = self._points(model.ensemble)
         else:
-            asked = self._places(params)
-            points, numbers = self._seen(asked, model.ensemble), asked.rows
-        return prediction_of(model, points, numbers, history, self.errors(model))
+            asked = placed(self.rows, params)
+            places = Places(asked.rows, self.rows.space.unit(asked.parameters))
+            points = self._seen(asked, model.ensemble)
+        risks = self._risks(history, model, places, points)
+        return prediction_of(
+            model, points, places.rows, history, self.errors(model), risks
+        )
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.
@@ -585,7 +585,7 @@ class TablePolicy(Policy):
         if row is None and noted is not None:
             is_wrong = noted not in (OFF_TABLE, known)
             if is_wrong or missing is not None or other is not None:
-                self._take_back(study, trial, NOTES & trial.user_attrs.keys())
+                take_back(study, trial, NOTES & trial.user_attrs.keys())
         if missing is not None and (noted is not None or self.options.strict):
             self.misfit(missing)
         elif is_complete and other is not None:

@@ -70,7 +70,12 @@ class Worlds:
     as_before: Floats | None = None
 
     @classmethod
-    def of(cls, outcomes: Outcomes, better: Better | None = None) -> "Worlds":
+    def of(
+        cls,
+        outcomes: Outcomes,
+        better: Better | None = None,
+        field: str = "table.outcomes",
+    ) -> "Worlds":
         """The worlds of outcomes [n, w] (or [n]: one world), or of such outcomes by family.
 
         [n, w, k] are those of k goals, in the units of the study's k values.
@@ -80,25 +85,23 @@ class Worlds:
         """
         families = outcomes if isinstance(outcomes, Mapping) else {"world": outcomes}
         if not families:
-            raise InputError("table.outcomes", "none", "one family of worlds or more")
+            raise InputError(field, "none", "one family of worlds or more")
         names: list[str] = []
         parts: list[Floats] = []
         weights: list[Floats] = []
         for family, given in families.items():
-            field = "table.outcomes"
-            if outcomes is families:
-                field += f".{family}"
-            part = matrix_of(field, given, "w")
+            own = f"{field}.{family}" if outcomes is families else field
+            part = matrix_of(own, given, "w")
             if parts and len(part) != len(parts[0]):
                 raise InputError(
-                    field, f"{len(part)} rows", f"{len(parts[0])}, as the others"
+                    own, f"{len(part)} rows", f"{len(parts[0])}, as the others"
                 )
             if part.ndim > 2 and better is not None:
                 allowed = "[n, w], or [n, w, k] without better"
-                raise InputError(f"{field}.shape", part.shape, allowed)
+                raise InputError(f"{own}.shape", part.shape, allowed)
             if parts and part.shape[2:] != parts[0].shape[2:]:
                 allowed = f"goals as the others: {parts[0].shape[2:]}"
-                raise InputError(f"{field}.shape", part.shape, allowed)
+                raise InputError(f"{own}.shape", part.shape, allowed)
             count = part.shape[1]
             names += [f"{family} {world}" for world in range(count)]
             parts.append(part)
@@ -116,7 +119,7 @@ class Worlds:
         )
         if not worlds.known.any():
             allowed = "a row with its cost in all worlds"
-            raise InputError("table.outcomes", "gaps in all rows", allowed)
+            raise InputError(field, "gaps in all rows", allowed)
         return worlds
 
     @cached_property
@@ -145,6 +148,29 @@ class Worlds:
             )
         sign = {"higher": -1.0, "lower": 1.0, None: float(signs[0])}[self.better]
         return sign * self.costs[rows].reshape(len(rows), -1)
+
+
+def limits_in_worlds(given: Mapping[str, Outcomes], count: int) -> dict[str, Worlds]:
+    """In which worlds each row breaks a limit, 1 or 0, by its name.
+
+    Args:
+        given: what rows come to in worlds, [n, w], or by family; above 0 a limit is
+            broken, as by `trial.set_constraint`.
+        count: of the table's rows, n.
+    """
+    found = dict[str, Worlds]()
+    for name, outcomes in given.items():
+        field = f"table.limits.{name}"
+        families = outcomes if isinstance(outcomes, Mapping) else {"world": outcomes}
+        broken = dict[str, Floats]()
+        for family, told in families.items():
+            part = matrix_of(field, told, "w")
+            if part.ndim > 2 or len(part) != count:
+                allowed = f"({count}, w), as the table has rows"
+                raise InputError(f"{field}.shape", part.shape, allowed)
+            broken[family] = np.where(np.isnan(part), np.nan, part > 0.0)
+        found[name] = Worlds.of(broken, field=field)
+    return found
 
 
 def _each_goal(outcomes: Floats, changed: Callable[[Floats], Floats]) -> Floats:

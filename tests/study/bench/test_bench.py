@@ -19,6 +19,7 @@ from optuna.trial import TrialState
 
 from study.bench import journal
 from study.bench.bench import Bench, Own
+from study.bench.journal import Trial
 from study.bench.plan import Goal, read_plan
 from study.experiment.objective import Term
 from study.sampler.table_policy import TableExhaustedError
@@ -389,7 +390,9 @@ def test_numbers_of_numpy_are_numbers(bench):
 
 def test_a_limit_that_is_exceeded_beyond_all_floats_is_broken(tmp_path):
     plan = read_plan(robot.write(tmp_path, more="[columns.heat]\nmost = -1e308\n"))
-    assert plan.limits({"heat": 1e308}) == {"heat at most": np.inf}
+    assert plan.limits(Trial(0, {}, {}, "", "", columns={"heat": 1e308})) == {
+        "heat at most": np.inf
+    }
 
 
 def test_a_relative_database_lies_beside_the_file(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.calibration import COST, LARGEST_ERROR, Calibration, reading_of
+from study.sampler.history import placed
 from tests.study.sampler import campaigns
 from tests.study.sampler.studies import told
 
@@ -75,7 +76,9 @@ def test_each_trial_is_predicted_by_those_before_it(features):
         policy = before.sampler._policy
         history = policy._history(before, optuna.trial.create_trial(value=0.0))
         model = policy._model(history, number)
-        point = policy._seen(policy._places([{"x": LINE[4 * number]}]), model.ensemble)
+        point = policy._seen(
+            placed(policy.rows, [{"x": LINE[4 * number]}]), model.ensemble
+        )
         is_told = number > 1 or features is None
         assert np.isnan(found[number, 0]) != is_told
         if is_told:

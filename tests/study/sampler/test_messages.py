@@ -107,6 +107,14 @@ OPTIONS = {
     "kernel: … allowed: euclidean: there are no features": (None, {"kernel": "rbf"}),
     "off_grid: … allowed: 0 without a feature_function": (TABLE, {"off_grid": 9}),
     "space: … allowed: none: a table knows its own": (TABLE, {"space": SPACE}),
+    "allowed_risk: … allowed: a chance above 0 and below 1": (
+        TABLE,
+        {"allowed_risk": 1},
+    ),
+    "allowed_risk: … allowed: none without strict: …": (
+        TABLE,
+        {"allowed_risk": 0.1, "strict": False},
+    ),
     "features: … allowed: a FeatureTable, a function, or None": (FEATURES, {}),
 }
 # Of trials: features, options, and the objective.
@@ -128,6 +136,17 @@ TRIALS = {
     ),
     "…: 'suggested, and not in the table' …": (TABLE, {}, within(name="A")),
     "…: 'not suggested in trial …' …": (TABLE, {}, only_a),
+    "allowed_risk.…: … allowed: from … on, "
+    "the least risk of a candidate that is left; …": (
+        FeatureTable.from_arrays(PARAMETERS, FEATURES, limits={"fall": FEATURES}),
+        {"allowed_risk": 0.01},
+        both,
+    ),
+    "allowed_risk.…: … allowed: … first: neither worlds nor 3 trials tell of …": (
+        TABLE,
+        {"allowed_risk": {"fall": 0.1}},
+        both,
+    ),
     "all … rows of the table have been tried": (TABLE, {}, both),
     "…: … allowed: the range declared in …": (
         None,
