@@ -51,6 +51,11 @@ class NamedGains:
     low_level: NDArray[np.float64]
     later: tuple["NamedGains", ...] = ()
 
+    def by_name(self) -> dict[str, float]:
+        """All gains, searched and low-level, by name."""
+        values = (*self.gains.tolist(), *self.low_level.tolist())
+        return dict(zip((*GAIN_NAMES, *LOW_LEVEL_NAMES), values, strict=True))
+
     def as_document(self) -> dict[str, float]:
         """By name, as a gains file has them; low-level gains where they are not the defaults."""
         changed = {

@@ -144,6 +144,9 @@ WARNING = "#B3261E"
 # back. Figures are no widgets: the colours of data are never changed.
 NIGHT = """@media (prefers-color-scheme: dark) {
 :host { filter: invert(0.92) hue-rotate(180deg); color: #22262B } }"""
+WRAPS = (
+    ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
+)
 OURS = "this did not work; the error is printed where the command was started"
 
 

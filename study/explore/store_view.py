@@ -340,6 +340,7 @@ class StoreView:
             name="selection",
         )
         self._refusal = Message("selection-message")
+        self._row_refusal = Message("row-message")
         # without `low` and `high`: the browser would silently replace a wrong number
         self.row = models.Spinner(
             title=f"{store.ROW} shown", step=1, mode="int", name="row"
@@ -373,13 +374,16 @@ class StoreView:
             self._refusal.layout,
             flow(*(each.plot for each in self._histograms), least_px=160),
             flow(count, self.row, take),
+            self._row_refusal.layout,
         ]
         self.selection.styles = {"flex": "4 1 260px"}
         panel = column(*points, sizing_mode="stretch_width", name="Points")
         self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
-        message.watch(self.row, "value", self._picked)
-        message.watch(self.row, "tags", self._picked)  # the same row, clicked again
+        self._row_refusal.watch(self.row, "value", self._picked)
+        self._row_refusal.watch(
+            self.row, "tags", self._picked
+        )  # the same row, clicked again
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
 
@@ -422,6 +426,7 @@ class StoreView:
 
     def _picked(self) -> None:
         """Hand on the row that was clicked or typed."""
+        self._row_refusal.tell("")
         places = np.flatnonzero(self._rows == self.row.value)
         if not len(places):
             allowed = f"0 to {self._rows.max()}, {self._store.ROW}s of the page"

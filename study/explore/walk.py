@@ -13,7 +13,8 @@ import numpy as np
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
-from storage.inputs.config import Table
+from storage.inputs.config import Table, laid_over
+from storage.inputs.errors import InputError
 from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.walker import (
     WalkerExperiment,
@@ -46,6 +47,8 @@ LASTS_S: dict[str, float] = CHOICES["lasts_s"]  # by the kind of ground
 DURATIONS = ("5 s", "10 s", "20 s", "40 s", "100 s")
 OWN = "as in the study"
 NAME = "walk"  # of the configuration
+NONE: Mapping[str, Any] = MappingProxyType({})
+CHANGED = {"body", "terrain", "world", "simulation"}  # what may be laid over a setting
 
 
 def chosen_setting(
@@ -56,16 +59,22 @@ def chosen_setting(
     world: str,
     engine: str,
     duration_s: float,
-    own: Mapping[str, Any] = MappingProxyType({}),
+    own: Mapping[str, Any] = NONE,
+    files: Mapping[str, Any] = NONE,
+    changes: Mapping[str, Any] = NONE,
 ) -> WalkerExperiment:
     """The experiment of the page's choices, by the names above; its last run walks.
 
     `OWN` takes the ground, the masses or the world of a study, whose document is `own`.
-    Of the same engine, other settings of the simulation are the study's, too.
+    Of the same engine, other settings of the simulation are the study's, too. Grounds
+    may also be `files`, by their names; `changes` are laid over all of it.
 
     Raises:
-        InputError: a seed out of its bounds, or a document of another version.
+        InputError: a seed or a change out of its bounds, or a document of another
+            version.
     """
+    if other := sorted({*changes} - CHANGED):
+        raise InputError("what if", other[0], f"tables {', '.join(sorted(CHANGED))}")
     simulation = own.get("simulation", {})
     if simulation.get("engine", ENGINES[0]) != engine:
         simulation = {"engine": engine}
@@ -75,22 +84,23 @@ def chosen_setting(
         "runs": own.get("run", 0) + 1,
         "simulation": {**simulation, "duration_s": duration_s},
         "body": own["body"] if disturbance == OWN else body,
-        "terrain": own["ground"] if ground == OWN else GROUNDS[ground],
+        "terrain": own["ground"] if ground == OWN else {**GROUNDS, **files}[ground],
         "world": own.get("world", {}) if world == OWN else WORLDS[world],
     }
-    return experiment_of(Table(tables), NAME)
+    return experiment_of(Table(laid_over(tables, dict(changes))), NAME)
 
 
 def to_toml(tables: dict[str, Any], name: str = "") -> str:
     """Plain values as TOML, in which they look as in JSON; tables come last."""
-    lines = [f"[{name}]\n"] if name else []
-    inner = []
+    lines, inner = [], []
     for key, value in tables.items():
         if isinstance(value, dict):
             inner.append(to_toml(value, f"{name}.{key}".lstrip(".")))
         else:
             lines.append(f"{key} = {json.dumps(value)}\n")
-    return "\n".join(["".join(lines), *inner])
+    if name and lines:
+        lines.insert(0, f"[{name}]\n")
+    return "\n".join(filter(None, ["".join(lines), *inner]))
 
 
 RATE_HZ = 30

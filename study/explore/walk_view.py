@@ -3,7 +3,6 @@
 import html
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,21 +12,24 @@ from bokeh.layouts import column, row
 
 from storage.inputs.errors import InputError
 from storage.store import Store
-from study.experiment.gains import NamedGains, gains_at, gains_of_source
+from study.experiment.gains import (
+    NamedGains,
+    gains_at,
+    gains_of_source,
+    named_gains,
+)
 from study.explore import walk as walking
-from study.explore.server import NIGHT, Latest, Message, Saver, flow
+from study.explore.server import WRAPS, Latest, Message, Saver, flow
 from study.explore.signals import Signals
 from study.explore.stage import Player
 from study.explore.strides import Cycle
 from study.explore.trials import Trials
+from study.explore.what_if import WhatIf
 from study.explore.words import in_words
-from taichi_nmm.parameters import GAINS
+from taichi_nmm.parameters import DEVICE, GAINS
 from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS, known_numbers
 from taichi_nmm.settings import ENGINES
 
-WRAPS = (
-    ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
-)
 SIGNALS = "signals"
 STRIDE = "stride beside people"
 FIRST_GAIT = "reference"
@@ -63,13 +65,17 @@ class WalkView:
         self._signals = partial(Signals, document, makers, message, self._player.script)
         self._score = models.Div(text="", name="score", disable_math=True)
         self._others = Latest(document, walkers, self._walked_beside, message.failed)
-        self._hands = Hands(message, self._again, self.show)
+        self._hands = Hands(self._again, self.show)
+        self._files: dict[str, Any] = {}  # grounds of a person's own
+        self._what_if = WhatIf(self._chosen, self._add_ground)
         self._choices = _choices(self._own)
+        self._refusal = refusal = Message("setting-message")
         for name, choice in self._choices.items():
             answer = self._on_ground if name == "ground" else self._chosen
-            message.watch(choice, "value", answer)
+            refusal.watch(choice, "value", answer)
         self._parts = {
             "gains": self._hands.layout,
+            "what if": self._what_if.layout,
             "score": self._score,
             SIGNALS: None,
             STRIDE: None,
@@ -89,6 +95,7 @@ class WalkView:
         self._player.removed.on_click(message.safely(lambda: self._put_beside(None)))
         walk = column(
             flow(*self._choices.values(), keep),
+            refusal.layout,
             self._player.layout,
             sizing_mode="stretch_width",
             name="The walk",
@@ -97,7 +104,7 @@ class WalkView:
             self._part,
             self._below,
             sizing_mode="stretch_width",
-            name="Gains, score, stride and files",
+            name="Gains, what if, score, signals, stride and files",
         )
         self.panels = [walk, parts]
 
@@ -118,11 +125,20 @@ class WalkView:
     def _on_ground(self) -> None:
         """Walk until the ground has been met: flat ground lies before all others."""
         duration = self._choices["duration_s"]
-        lasts = _lasts(self._choices["ground"].value, self._own)
+        lasts = _lasts(self._choices["ground"].value, self._own, self._files)
         if duration.value == lasts:
             self._chosen()
         else:
             duration.value = lasts  # which is another choice
+
+    def _add_ground(self, name: str, table: dict[str, Any]) -> None:
+        """Let a ground of a person's own be chosen, and walk there."""
+        menu = self._choices["ground"]
+        self._files[name] = table
+        menu.options = list(dict.fromkeys([*menu.options, name]))
+        if menu.value == name:  # read again
+            self._chosen()
+        menu.value = name
 
     def _failed(self, error: BaseException) -> None:
         self._message.failed(error)
@@ -134,9 +150,12 @@ class WalkView:
 
     def _again(self) -> None:
         self._message.tell("")
+        self._refusal.tell("")
         chosen = {name: choice.value for name, choice in self._choices.items()}
         chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
-        setting = walking.chosen_setting(**chosen, own=self._own)
+        setting = walking.chosen_setting(
+            **chosen, own=self._own, files=self._files, changes=self._what_if.tables
+        )
         self._player.stages[0].say(self._hands.gains.name, "simulating ...")
         self._walks.ask(walking.walk, self._hands.gains, setting)
         if self._beside is not None:
@@ -216,7 +235,7 @@ def _choices(own: dict[str, Any]) -> dict[str, Any]:
     """By the names of `chosen_setting`'s arguments; first those of a study, if there is one."""
     study = [walking.OWN] if own else []
     grounds = [*study, *walking.GROUNDS]
-    lasts = _lasts(grounds[0], own)
+    lasts = _lasts(grounds[0], own, {})
     menus: dict[str, tuple[str, list[str]]] = {
         "ground": ("ground", grounds),
         "world": ("world", [*study, *walking.WORLDS]),
@@ -241,31 +260,31 @@ def _choices(own: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _lasts(ground: str, own: dict[str, Any]) -> str:
+def _lasts(ground: str, own: dict[str, Any], files: dict[str, Any]) -> str:
     """How long a walk is asked for at first: as in the study, or until it has met the ground."""
     if ground == walking.OWN:
         return f"{own['simulation']['duration_s']:.12g} s"
-    return f"{walking.LASTS_S[walking.GROUNDS[ground]['kind']]:g} s"
+    kind = {**walking.GROUNDS, **files}[ground]["kind"]
+    return f"{walking.LASTS_S[kind]:g} s"
 
 
 STARTS = ("published", "reference")
+MOVED = (*GAINS, *DEVICE)  # by hand: gains, and the torque of an exoskeleton
 STEPS = 400  # of a slider
 NUMBER_PX = 130
 
 
 class Hands:
-    """A slider and a number for each gain of a walker.
+    """A slider and a number for each of `MOVED` of a walker.
 
     `changed` is called when a person has changed `gains`, `start` with those of a
     starting point.
     """
 
     def __init__(
-        self,
-        message: Message,
-        changed: Callable[[], None],
-        start: Callable[[NamedGains], None],
+        self, changed: Callable[[], None], start: Callable[[NamedGains], None]
     ) -> None:
+        self._refusal = message = Message("gains-message")
         self._changed = changed
         self._start = start
         self._still = False  # while the page, not a person, moves the sliders
@@ -284,7 +303,7 @@ class Hands:
                 sizing_mode="stretch_width",
                 name=f"gain-{gain.name}",
             )
-            for gain in GAINS
+            for gain in MOVED
         ]
         self._numbers = [
             models.NumericInput(
@@ -293,7 +312,7 @@ class Hands:
                 width=NUMBER_PX,
                 name=f"number-{gain.name}",
             )
-            for gain in GAINS
+            for gain in MOVED
         ]
         message.watch(self._starts, "value", self._from_start)
         pairs = list(zip(self._sliders, self._numbers, strict=True))
@@ -304,14 +323,15 @@ class Hands:
         self.take(gains_of_source(STARTS[0]))
         rows = flow(*(row(*pair) for pair in pairs), least_px=300)
         self.layout: models.Column = column(
-            self._starts, rows, sizing_mode="stretch_width"
+            self._starts, message.layout, rows, sizing_mode="stretch_width"
         )
 
     def take(self, gains: NamedGains) -> None:
         """Show other gains, without a call of `changed`."""
         self.gains = gains
-        for place, value in enumerate(gains.gains.tolist()):
-            self._show(place, value)
+        values = gains.by_name()
+        for place, gain in enumerate(MOVED):
+            self._show(place, values[gain.name])
 
     def _from_start(self) -> None:
         if self._starts.value:
@@ -320,17 +340,16 @@ class Hands:
             self._start(gains)
 
     def _set(self, place: int) -> None:
-        gain = GAINS[place]
-        value = self._numbers[place].value
-        gains = self.gains.gains.copy()
-        if self._still or value == gains[place]:
+        gain, values = MOVED[place], self.gains.by_name()
+        before, value = values[gain.name], self._numbers[place].value
+        if self._still or value == before:
             return
         if value is None or not gain.low <= value <= gain.high:
-            self._show(place, float(gains[place]))
+            self._show(place, before)
             raise InputError(gain.name, value, f"{gain.low:g} to {gain.high:g}")
-        gains[place] = value
+        self._refusal.tell("")
         name = self.gains.name.removesuffix(" changed") + " changed"
-        self.gains = replace(self.gains, name=name, gains=gains)
+        self.gains = named_gains(name, {**values, gain.name: value})
         self._changed()
 
     def _show(self, place: int, value: float) -> None:

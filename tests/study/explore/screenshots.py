@@ -49,13 +49,13 @@ def draw(page: Any) -> None:
         page.set_viewport_size({"width": 1500, "height": 1000})
         walks(page, lambda: page.get_by_text("keep it beside").click())
         walks(page, lambda: change(page, "start", "value", "published"))
-        change(page, "part", "active", 1)
+        page.get_by_text("score", exact=True).click()
         keep(page, "gaits", page.locator(".column").last)
     with opened(page, OUT / "compare" / "exo", "--study", "exo/worlds/run-000"):
         walks(page, lambda: page.get_by_text("keep it beside").click())
         walks(page, lambda: change(page, "start", "value", "reference"))
         change(page, "ghost", "active", True)
-        change(page, "part", "active", 2)
+        page.get_by_text("stride beside people").click()
         page.wait_for_function("named('cycle-knee')?.inner_width > 100")
         keep(page, "strides", page.locator(".column").last)
 

@@ -125,6 +125,12 @@ def speeds_of(store: Path) -> Any:
     return open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
 
 
+def look_at(page: Any, part: str, model: str) -> None:
+    """Turn to a part of the walk's panel, until a model of it is there."""
+    page.get_by_role("button", name=part, exact=True).click()
+    page.wait_for_function("(model) => named(model) !== null", arg=model)
+
+
 def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
     rows = len(open_store(store))
     assert page.evaluate("window.store_view.chosen") == rows == fake_walker.STORE_ROWS
@@ -255,31 +261,30 @@ def test_a_slider_changes_the_gait_within_its_bounds(page: Any, store: Path) -> 
     walks(page, lambda: change(page, "gain-K_SOL", "value", 12.0))
     assert page.evaluate(leg) != before
     assert page.evaluate("named('number-K_SOL').value") == 12.0
-    change(page, "part", "active", 1)
-    page.wait_for_function("/<b>[+-]/.test(named('score')?.text)")
-    change(page, "part", "active", 0)
-    page.wait_for_function("named('number-K_SOL') !== null")
+    look_at(page, "score", "score")
+    page.wait_for_function("/<b>[+-]/.test(named('score').text)")
+    look_at(page, "gains", "number-K_SOL")
     change(page, "number-K_SOL", "value", 99.0)
-    page.wait_for_function("named('message').text.includes('K_SOL: 99')")
+    page.wait_for_function("named('gains-message').text.includes('K_SOL: 99')")
     page.wait_for_function("named('number-K_SOL').value === 12")
     walks(page, lambda: change(page, "number-K_SOL", "value", 10.0))
-    assert page.evaluate("named('message').text") == ""
+    assert page.evaluate("named('gains-message').text") == ""
 
 
-@cases("out-of-bounds.toml", "field", "text", "said")
+@cases("out-of-bounds.toml", "field", "text", "line", "said")
 def test_out_of_bounds_is_said(
-    page: Any, store: Path, field: str, text: str, said: str
+    page: Any, store: Path, field: str, text: str, line: str, said: str
 ) -> None:
-    change(page, "part", "active", 0)
-    page.wait_for_function("named('number-K_SOL') !== null")
+    look_at(page, "gains", "number-K_SOL")
     held = page.evaluate(f"named('{field}').value") or 0
     # At the keyboard: fields round and clip what a hand on a model does not.
     box = page.evaluate_handle(f"view_of('{field}').input_el").as_element()
     box.fill(text)
     box.press("Enter")
-    page.wait_for_function("(said) => named('message').text.includes(said)", arg=said)
+    there = "([line, said]) => named(line).text.includes(said)"
+    page.wait_for_function(there, arg=[line, said])
     page.wait_for_timeout(500)
-    assert said in page.evaluate("named('message').text")  # still
+    assert said in page.evaluate(f"named('{line}').text")  # still
     change(page, field, "value", held)
 
 
@@ -303,9 +308,9 @@ def point_at(page: Any, side: str, muscle: str) -> None:
 @pytest.fixture(scope="module")
 def standing(page: Any, store: Path) -> None:
     """The gait `reference`."""
-    change(page, "part", "active", 0)
-    page.wait_for_function("named('start') !== null")
+    look_at(page, "gains", "start")
     walks(page, lambda: change(page, "start", "value", "reference"))
+    page.get_by_text("reference", exact=True).first.wait_for()
 
 
 @pytest.fixture(scope="module")
@@ -375,9 +380,11 @@ def test_a_newcomer_finds_it_in_four_clicks(
 
 def test_signals_are_found_by_typing(page: Any, store: Path, the_walk: Walk) -> None:
     """Two are there at first; a third is drawn over the stride, with the muscle of people."""
+    look_at(page, "gains", "start")
     walks(page, lambda: change(page, "start", "value", "reference"))
-    page.get_by_text("signals", exact=True).click()
-    page.wait_for_function("named('signal-1')?.data.y.length > 1000")
+    change(page, "duration", "value", "10 s")  # as `the_walk`
+    look_at(page, "signals", "signals")
+    page.wait_for_function("named('signal-1')?.data.y.length === 2000")
     columns = own_columns(recorded(the_walk, 0)[0])
     page.wait_for_function("named('signal-words').text === 'blue: reference'")
     for slot, name in enumerate(FIRST):
@@ -396,7 +403,29 @@ def test_signals_are_found_by_typing(page: Any, store: Path, the_walk: Walk) -> 
     page.wait_for_function(
         "walk_player.lines.some(([, , {name}]) => name === 'signals-2')"
     )
-    change(page, "part", "active", 0)
+
+
+def test_what_if_a_muscle_is_weak(page: Any, store: Path) -> None:
+    """It walks at once, and lines that cannot be used leave it."""
+    look_at(page, "gains", "start")
+    walks(page, lambda: change(page, "start", "value", "reference"))
+    look_at(page, "what if", "lines")
+    walks(page, lambda: change(page, "world.muscles.SOL_left", "value", 0.5))
+    assert page.evaluate("named('lines').value") == "[world.muscles]\nSOL_left = 0.5"
+    assert page.evaluate("named('fall-0').data.words.length") == 1
+    seen = page.evaluate("window.walk_player.shown")
+    change(page, "lines", "value", "world.muscles.SOL_left = 20")
+    page.wait_for_function("/SOL_left: 20 /.test(named('what-if-message').text)")
+    assert page.evaluate("window.walk_player.shown") == seen
+    ground = page.evaluate_handle("view_of('ground-file').input_el").as_element()
+    hill = b"x_m,height_m\n0,0\n1,0\n2,0.3\n"
+    sent = {"name": "hill.csv", "mimeType": "text/csv", "buffer": hill}
+    walks(page, lambda: ground.set_input_files(sent))
+    heights = "[...named('stage-frames').data.ground[0]].filter((_, i) => i % 2)"
+    page.wait_for_function(f"Math.abs(Math.max(...{heights}) - 0.3) < 1e-6")
+    walks(page, page.get_by_text("none of this").click)
+    walks(page, lambda: change(page, "ground", "value", "flat"))
+    change(page, "duration", "value", "10 s")
 
 
 def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:
