@@ -31,7 +31,7 @@ from tests.tools.conftest import Tool, tool
 from tests.tools.running import ROOT, run_tool
 
 CONFIGS = {*shipped_configs(stores=True), *shipped_configs(stores=False)}
-PAINTERS = ("write_strip", "write_gait_cycle", "write_movie")
+PAINTERS = ("write_strip", "write_gait_cycle", "write_movies")
 
 __all__ = ["tool"]  # a fixture of the commands' own tests
 # Options that make a command short, at its end, where they replace earlier ones.

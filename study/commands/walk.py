@@ -21,6 +21,7 @@ from storage.inputs.errors import InputError
 from storage.store import open_store
 from study.experiment.features import WORLDS, feature_table, front_of
 from study.experiment.gains import (
+    TRIAL,
     NamedGains,
     gains_of_row,
     gains_of_source,
@@ -42,7 +43,7 @@ from study.pictures import (
     strip,
     style,
     write_gait_cycle,
-    write_movie,
+    write_movies,
     write_strip,
 )
 from study.pictures.fall import fall_text
@@ -92,6 +93,7 @@ REPORTED = (
 )
 FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 COLUMN = 14  # characters
+BEFORE, AFTER = "before", "after"  # of two gaits
 # Options that it uses.
 OF_THE_FRONT = ("--front", "--store", "--config", "--arch", "--json")
 
@@ -125,6 +127,19 @@ def find_gains(args: Namespace) -> NamedGains:
     return gains_of_source(args.gains or "reference")
 
 
+def before_of(args: Namespace) -> NamedGains:
+    """The controller that is shown as before: by name, of a file, or another trial of --storage.
+
+    Raises:
+        InputError: none of these, or one beside two engines or several speeds.
+    """
+    if args.engine == BOTH_ENGINES or len(args.speed or ()) > 1:
+        raise InputError("before", args.before, "none beside two engines or speeds")
+    if TRIAL.fullmatch(args.before) and args.storage is not None:
+        return gains_of_trial(args.before, args.storage)
+    return gains_of_source(args.before)
+
+
 def priced(store: Path) -> str:
     """What a row of a store is to have the least of; a line is printed where that lacks motors."""
     if has_worlds_of(open_store(store), ENERGY):
@@ -143,6 +158,8 @@ def folder_of(gains: NamedGains, experiment: WalkerExperiment, args: Namespace) 
         "engine": args.engine,
         "version": taichi_nmm.__version__,
     }
+    if args.before is not None:
+        walk["before"] = before_of(args).as_document()
     digest = hashlib.sha256(json.dumps(walk, sort_keys=True).encode()).hexdigest()
     return Path("out") / "walk" / f"{gains.name}-{digest[:DIGEST_LENGTH]}"
 
@@ -191,21 +208,25 @@ def write_model(path: Path, experiment: WalkerExperiment, run: int) -> None:
 
 def write_pictures(
     walks: Mapping[str, taichi_nmm.Result],
+    drawn: str,
     experiment: WalkerExperiment,
     args: Namespace,
     folder: Path,
     name: str,
+    before: str,
 ) -> dict[str, str]:
     """Draw, and return the paths of the pictures by their names.
 
     Args:
-        walks: the walk by each engine; the first is drawn, several are compared.
+        walks: by engine, or `BEFORE` and `AFTER`; two are compared.
+        drawn: that of them which has the other pictures.
         experiment: in which they walked.
         args: of the command.
         folder: of the pictures.
         name: of the controller and the ground.
+        before: of the controller that is shown as before; "": there is none.
     """
-    result, *_ = walks.values()
+    result = walks[drawn]
     trajectory = result.trajectories[0]
     terrain = experiment.terrain(args.run)
     weight_n = experiment.weight_n(args.run)
@@ -218,19 +239,27 @@ def write_pictures(
         write_strip(files["strip"], trajectory, terrain, title),
         write_gait_cycle(files["gait_cycle"], trajectory, weight_n, title),
     ]
+    shown = [
+        strip.Shown(
+            label=by,
+            title=f"{by}: {row_text(walk.rows[0])}",
+            trajectory=walk.trajectories[0],
+        )
+        for by, walk in walks.items()
+    ]
     if args.movie_seconds > 0:
-        movie_s = args.movie_seconds
-        paths.append(write_movie(files["movie"], trajectory, terrain, movie_s, title))
+        filmed = [(trajectory, title)]
+        if before:
+            names = (before, name)
+            filmed = [
+                (each.trajectory, f"{of}, {each.title}")
+                for of, each in zip(names, shown, strict=True)
+            ]
+        paths.append(write_movies(files["movie"], filmed, terrain, args.movie_seconds))
     if len(walks) > 1:
-        shown = [
-            strip.Shown(
-                label=engine,
-                title=f"{engine}: {row_text(walk.rows[0])}",
-                trajectory=walk.trajectories[0],
-            )
-            for engine, walk in walks.items()
-        ]
         compared = f"{name}, run {args.run}: two engines"
+        if before:
+            compared = f"{before}, then {name}, run {args.run}"
         figure = strip.strips_figure(shown, terrain, compared)
         paths.append(style.save_png(figure, files["strips"]))
     return {path.stem: str(path) for path in paths}
@@ -334,6 +363,7 @@ def main(args: Namespace) -> None:
         show_front(args, read(args))
         return
     gains = find_gains(args)
+    before = None if args.before is None else before_of(args)
     if args.duration is not None:
         checks.number(SHORTEST_TRIAL_S, LONGEST_TRIAL_S)("duration", args.duration)
     checks.number(0.0, LONGEST_MOVIE_S)("movie-seconds", args.movie_seconds)
@@ -346,16 +376,23 @@ def main(args: Namespace) -> None:
         engine: simulate(gains, experiment.with_settings(engine=engine), args.run)
         for engine in engines
     }
-    result = walks[engines[0]]
+    drawn = engines[0]
+    if before is not None:
+        after = walks.pop(drawn)
+        drawn = AFTER
+        walks = {BEFORE: simulate(before, experiment, args.run), AFTER: after}
+    result = walks[drawn]
     terrain = experiment.terrain(args.run)
     mass_kg = float(experiment.body(args.run).mass_kg.sum())
     name = f"{gains.name} on {terrain.name}"
-    paths = write_pictures(walks, experiment, args, folder, name)
+    then = "" if before is None else before.name
+    paths = write_pictures(walks, drawn, experiment, args, folder, name, before=then)
     paths |= write_files(result.trajectories[0], gains.name, experiment, args)
     if args.json:
         print(json.dumps(report(gains, result, terrain, mass_kg, paths)))
         return
-    print(summary(name, walks, terrain, mass_kg))
+    heading = f"{then}, then {name}" if then else name
+    print(summary(heading, walks, terrain, mass_kg))
     for shows, path in paths.items():
         print(f"{shows.replace('_', ' '):<19} {path}")
 
@@ -369,7 +406,7 @@ def prepared_folder(
     if args.movie_seconds > 0:
         find_ffmpeg()
         made.add("movie")
-    if is_compared:
+    if is_compared or args.before is not None:
         made.add("strips")
     require_engine(experiment.conditions.settings)
     if is_compared or args.mjcf is not None:

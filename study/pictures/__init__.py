@@ -5,7 +5,7 @@ canvas only) and, for the film, Pillow, which comes with it.
 """
 
 from study.pictures.gait_cycle import write_gait_cycle
-from study.pictures.movie import find_ffmpeg, write_movie
+from study.pictures.movie import find_ffmpeg, write_movie, write_movies
 from study.pictures.scene import LARGE, SMALL, Film
 from study.pictures.strip import write_strip
 
@@ -16,5 +16,6 @@ __all__ = [
     "find_ffmpeg",
     "write_gait_cycle",
     "write_movie",
+    "write_movies",
     "write_strip",
 ]

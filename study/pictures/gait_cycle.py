@@ -306,7 +306,8 @@ def _caption(figure: Figure, strides: Strides, title: str) -> None:
         ]
     above = ((0.978, title, style.TITLE), (0.953, subtitle(strides), style.TEXT))
     for top, text, look in above:
-        figure.text(0.012, top, text, va="top", **look)
+        line = figure.text(0.012, top, text, va="top", **look)
+        style.fit(line, 0.976 * SIZE_IN[0])
     figure.legend(
         handles=handles,
         loc="upper left",

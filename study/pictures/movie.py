@@ -3,8 +3,10 @@
 import os
 import subprocess
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,7 +72,40 @@ def write_movie(
     Raises:
         InputError: no ffmpeg that works, or the file cannot be written.
     """
-    return _write(path, frames(trajectory, terrain, seconds, title, film), film)
+    return write_movies(path, [(trajectory, title)], terrain, seconds, film=film)
+
+
+def write_movies(
+    path: str | Path,
+    walks: Sequence[tuple[Trajectory, str]],
+    terrain: Terrain,
+    seconds: float,
+    *,
+    film: Film = LARGE,
+) -> Path:
+    """Film several walks above each other; of a shorter one the last picture stays.
+
+    Args:
+        path: as in `write_movie`.
+        walks: each with its title.
+        terrain: the ground that they walked on.
+        seconds: how much of each walk's end is shown.
+        film: size of each, rate and quality.
+
+    Raises:
+        InputError: as `write_movie`.
+    """
+    width, height = film.size_px
+    whole = replace(film, size_px=(width, height * len(walks)))
+    films = [frames(walk, terrain, seconds, title, film) for walk, title in walks]
+    return _write(path, _above_each_other(films), whole)
+
+
+def _above_each_other(films: Sequence[Iterator[bytes]]) -> Iterator[bytes]:
+    last = [b""] * len(films)
+    for pictures in zip_longest(*films):
+        last = [new or old for new, old in zip(pictures, last, strict=True)]
+        yield b"".join(last)
 
 
 def film_run(

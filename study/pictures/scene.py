@@ -5,7 +5,6 @@ shrunk, so that edges are smooth; text is drawn at its size. Pillow comes with
 Matplotlib, and so does the font.
 """
 
-import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -112,7 +111,7 @@ def font(size_px: int) -> ImageFont.FreeTypeFont:
 
 
 FULL_WIDTH_PX = 1280  # at which the sizes of text and lines are given
-VIEW_WIDTH_M = 4.4
+VIEW_WIDTH_M = 4.7  # room for a title above the head
 BELOW_GROUND_M = 0.30
 AHEAD = 0.45  # where the walker is in the picture, from the left
 HEIGHT_TRACKING_S = 0.5  # the camera follows the ground's rise as slowly as this
@@ -121,8 +120,8 @@ FORCE_WIDTH_M = 0.014
 JOINT_RADIUS_M = 0.007
 PRESSURE_SHIFT_M = 0.05  # heel above ball by half of it: all the force is at the ball
 FORCE_SMOOTHING_S = 0.03  # impacts of a few milliseconds would only flicker
-TITLE_CHARACTERS = 44  # of a line: it ends left of the head
 KEY = "blue: force of the ground"
+DEVICE_KEY = "green: torque of the exoskeleton, half a turn at 80 N m"
 SMALLEST_TEXT_PX = 9  # of a film a quarter of the full size
 
 
@@ -163,6 +162,7 @@ class Motion:
         force_n: of the ground on the left foot, then the right, forward and up each,
             smoothed, [f, 4].
         level_m: the ground's height that the camera follows, [f].
+        device: an exoskeleton, with torques [f, 6]; None: there is none.
     """
 
     time_s: Array
@@ -170,6 +170,7 @@ class Motion:
     activation: Array
     force_n: Array
     level_m: Array
+    device: stick.Device | None = None
 
 
 def frames(
@@ -200,6 +201,7 @@ def motion_of(
         activation=stick.at_times(trajectory, trajectory.activation, times_s),
         force_n=stick.at_times(trajectory, smooth_force(trajectory), times_s),
         level_m=camera_level(terrain.height(q[:, 0]), rate_hz),
+        device=stick.device_at(trajectory, times_s),
     )
 
 
@@ -215,7 +217,7 @@ class Scene:
         self._size_px = size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         self._arrows = force_arrows(motion)
-        self._walker = stick.Walker(motion.q, motion.activation)
+        self._walker = stick.Walker(motion.q, motion.activation, motion.device)
         self._bar = self._activation_bar()
 
     def picture(self, number: int) -> bytes:
@@ -249,15 +251,25 @@ class Scene:
 
     def _write(self, canvas: Canvas, number: int, metres: list[int]) -> None:
         time_s, x_m = self._motion.time_s[number], self._motion.q[number, 0]
-        left = 0.015 * self._size_px[0]
-        titles = [(line, 18) for line in textwrap.wrap(self._title, TITLE_CHARACTERS)]
-        lines = (*titles, (f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (KEY, 15))
-        for line, (text, size) in enumerate(lines):
-            at = (left, (0.03 + 0.06 * line) * self._size_px[1])
+        wide, high = self._size_px
+        left = 0.015 * wide
+        self._write_title(canvas, left)
+        lines = [(f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (KEY, 15)]
+        if self._motion.device is not None:
+            lines.append((DEVICE_KEY, 15))
+        for line, (text, size) in enumerate(lines, start=1):
+            at = (left, (0.03 + 0.06 * line) * high)
             canvas.text(at, text, self._text_px(size), "la")
         for metre in metres:
             at = canvas.place(metre, float(self._terrain.height(metre)) - 0.08)
             canvas.text(at, f"{metre} m", self._text_px(15), "ma")
+
+    def _write_title(self, canvas: Canvas, left: float) -> None:
+        """One line, smaller where it would reach the edge."""
+        size, room = self._text_px(18), self._size_px[0] - 2.0 * left
+        over = font(size).getlength(self._title) / room
+        size = int(size / max(over, 1.0))
+        canvas.text((left, 0.03 * self._size_px[1]), self._title, max(size, 1), "la")
 
     def _text_px(self, size_px: int) -> int:
         return max(round(size_px * self._unit_px), SMALLEST_TEXT_PX)

@@ -8,7 +8,8 @@ the model.
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -52,15 +53,19 @@ class Surface(Protocol):
 class Walker:
     """A walker in n poses, with its muscles; the left leg is in front."""
 
-    def __init__(self, q: Array, activation: Array) -> None:
+    def __init__(
+        self, q: Array, activation: Array, device: "Device | None" = None
+    ) -> None:
         """Prepare what is drawn of all poses.
 
         Args:
             q: generalised coordinates, [n, 9].
             activation: of the muscles, left leg first, 0 to 1, [n, 14].
+            device: an exoskeleton in the same poses; None: it wears none.
         """
         self._q = q
         self._activation = activation
+        self._device = device
         self._outlines = [muscle_outlines(q, side) for side in (LEFT, RIGHT)]
 
     def draw(self, surface: Surface, number: int) -> None:
@@ -70,11 +75,19 @@ class Walker:
         shoulder, head = trunk(q)
         surface.bones(far.bones(), style.FAR_LIMB)
         self._draw_muscles(surface, number, RIGHT, style.FAINT)
+        self._draw_device(surface, number, RIGHT)
         surface.bones([(near.hip, shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB)
         surface.disc(head, HEAD_RADIUS_M, style.NEAR_LIMB)
         surface.bones(near.bones(), style.NEAR_LIMB)
         self._draw_muscles(surface, number, LEFT, style.INK)
         surface.joints(near.chain()[:3])
+        self._draw_device(surface, number, LEFT)
+
+    def _draw_device(self, surface: Surface, number: int, side: int) -> None:
+        if self._device is not None:
+            torque_nm = of_side(self._device.torque_nm[number], side)
+            worn = of_side(self._device.worn, side)
+            draw_device(surface, self._q[number], side, torque_nm, worn)
 
     def _draw_muscles(
         self, surface: Surface, number: int, side: int, edge: str
@@ -90,6 +103,110 @@ def activation_bar(axes: Axes) -> None:
     bar.set_label("muscle activation (1)", **style.SMALL)
     bar.ax.tick_params(labelsize=style.SMALL_PT, colors=style.INK, length=2)
     bar.outline.set_visible(False)
+
+
+STRUT_WIDTH_M = 0.016
+CUFF_M = 0.035  # half of its length, across the link
+ARC_RADIUS_M = 0.13
+ARC_WIDTH_M = 0.024
+ARC_RAD_PNM = 3.0 / 80.0  # the largest torque of a curve, 80 N m, is half a turn
+LEAST_ARC_RAD = 0.1
+ARC_POINTS = 12
+TIP_M = 0.06  # of the arrow at the end of an arc
+TIP_RAD = 0.5  # between its sides and the arc
+STRUTS_M = (
+    (0.30, 0.28),
+    (0.28, 0.25),
+    (0.28, 0.13),
+)  # up and down, of hip, knee, ankle
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """An exoskeleton in n poses.
+
+    Attributes:
+        torque_nm: in the order and signs of `Trajectory.joint_rad`, [n, 6].
+        worn: the joints that it turns at any time of the walk, bool [6].
+    """
+
+    torque_nm: Array
+    worn: NDArray[np.bool_]
+
+
+def device_at(trajectory: Trajectory, times_s: Array) -> Device | None:
+    """The exoskeleton of a walk at some times; None where it never turns a joint."""
+    torque_nm = np.nan_to_num(trajectory.device_torque_nm)
+    worn = np.asarray((torque_nm != 0.0).any(axis=0))
+    if not worn.any():
+        return None
+    return Device(at_times(trajectory, torque_nm, times_s), worn)
+
+
+def draw_device(
+    surface: Surface,
+    q: Array,
+    side: int,
+    torque_nm: Array,
+    worn: NDArray[np.bool_],
+) -> None:
+    """Struts and cuffs about the joints of a leg, and an arrow round each that is turned.
+
+    Args:
+        surface: to draw on.
+        q: coordinates of the pose, [9].
+        side: of the leg.
+        torque_nm: on hip, knee and ankle, in the signs of the joints, [3].
+        worn: whether there is a device, [3].
+    """
+    thigh, shank, foot = leg_angles(q, side)
+    joints = leg(q, side)
+    places = (  # of each joint, and where the links above and below lead from it
+        (joints.hip, -down(q[HAT_COLUMN]), down(thigh)),
+        (joints.knee, -down(thigh), down(shank)),
+        (joints.ankle, -down(shank), forward(foot)),
+    )
+    for number in np.flatnonzero(worn):
+        centre, *links = places[number]
+        parts: list[Bone] = []
+        for along, reach_m in zip(links, STRUTS_M[number], strict=True):
+            end = centre + reach_m * along
+            across = CUFF_M * _turned(along, 0.5 * np.pi)
+            parts += [(centre, end, STRUT_WIDTH_M)]
+            parts += [(end - across, end + across, STRUT_WIDTH_M)]
+        surface.bones(parts, style.DEVICE)
+        above, below = links
+        arc = torque_arc(centre, above - below, float(torque_nm[number]))
+        if arc:
+            surface.bones(arc, style.TORQUE)
+
+
+def torque_arc(centre: Array, middle: Array, torque_nm: float) -> list[Bone]:
+    """An arrow round a joint, as long as the torque is large; empty for almost none.
+
+    Args:
+        centre: of the joint, [2].
+        middle: direction from there to the arrow's middle, of any length but 0, [2].
+        torque_nm: clockwise, as all joints' positive torques turn the link below.
+    """
+    angle = torque_nm * ARC_RAD_PNM
+    if abs(angle) < LEAST_ARC_RAD:
+        return []
+    reach = ARC_RADIUS_M / np.linalg.norm(middle) * middle
+    turns = np.linspace(-0.5 * angle, 0.5 * angle, ARC_POINTS)
+    points = [centre + _turned(reach, float(turn)) for turn in turns]
+    back = points[-2] - points[-1]
+    back *= TIP_M / np.linalg.norm(back)
+    tips = [points[-1] + _turned(back, way) for way in (-TIP_RAD, TIP_RAD)]
+    ends = [*pairwise(points), *((points[-1], tip) for tip in tips)]
+    return [(start, end, ARC_WIDTH_M) for start, end in ends]
+
+
+def _turned(vector: Array, angle: float) -> Array:
+    """A vector [2], turned clockwise."""
+    x, z = vector
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([x * cosine + z * sine, z * cosine - x * sine])
 
 
 SHOULDER_M = 0.50  # above the hip, along the trunk

@@ -29,8 +29,10 @@ ABOVE_HIP_M = 0.95
 BELOW_GROUND_M = 0.16
 SCALE_IN_PER_M = 1.12
 LEFT_IN, RIGHT_IN, TITLE_IN, AXIS_IN, PROFILE_IN = 0.75, 1.0, 0.35, 0.45, 0.7
+GAP_IN = 0.15  # beside and below what is drawn
 COLOURS = (style.VERMILION, style.BLUE)  # of two walks
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
+DEVICE_KEY = " Green: an exoskeleton; arrows: its torque, half a turn at 80 N m."
 GROUND_LAYER = 100.0  # over the soles: half the drawn width of a foot is below them
 BEYOND_M = 1.0  # of ground, in the profile, ahead of where the walker came to
 LEVEL_M = 0.01  # ground that varies by less is level
@@ -150,6 +152,7 @@ class Stretch:
         walker = stick.Walker(
             stick.at_times(walk, walk.q, self.poses_s),
             stick.at_times(walk, walk.activation, self.poses_s),
+            stick.device_at(walk, self.poses_s),
         )
         for number in range(len(self.poses_s)):
             walker.draw(AxesSurface(axes, layer=3.0 + number), number)
@@ -164,7 +167,8 @@ class Stretch:
             axes.plot(*near.hip.T, color=self.colour, linewidth=0.8, zorder=1.6)
         x = np.linspace(left, right, 2000)
         _draw_ground(axes, x, self.terrain.height(x), bottom)
-        axes.set_title(self.shown.title, loc="left", **style.TEXT)
+        title = axes.set_title(self.shown.title, loc="left", **style.TEXT)
+        style.fit(title, axes.get_window_extent().width / axes.figure.dpi)
         axes.set_xlabel("distance (m)", **style.TEXT)
         axes.set_ylabel("height (m)", **style.TEXT)
 
@@ -232,7 +236,9 @@ def write_strip(
     Raises:
         InputError: the file cannot be written.
     """
-    shown = Shown(label="", title=KEY, trajectory=trajectory)
+    worn = np.nan_to_num(trajectory.device_torque_nm).any()
+    title_of_key = KEY + DEVICE_KEY if worn else KEY
+    shown = Shown(label="", title=title_of_key, trajectory=trajectory)
     figure = strips_figure([shown], terrain, title, dpi)
     return style.save_png(figure, path)
 
@@ -259,7 +265,7 @@ def strips_figure(
     if with_profile:
         height += PROFILE_IN + AXIS_IN + 0.1
     figure = style.new_figure(width, height, dpi)
-    figure.text(LEFT_IN / width, 1.0 - 0.2 / height, title, va="center", **style.TITLE)
+    _head(figure, title)
     top = height - TITLE_IN
     for part in parts:
         bottom = top - (TITLE_IN + part.high_in)
@@ -275,10 +281,18 @@ def strips_figure(
     return figure
 
 
+def _head(figure: Figure, title: str) -> None:
+    """The title of a figure: one line, as wide as the figure at most."""
+    width, height = figure.get_size_inches()
+    place = (LEFT_IN / width, 1.0 - 0.2 / height)
+    style.fit(
+        figure.text(*place, title, va="center", **style.TITLE), width - LEFT_IN - GAP_IN
+    )
+
+
 PANEL_M = 2.6  # of a walk, of many that are drawn side by side
 PANEL_SCALE = 0.62  # of the scale of a strip
 PANELS_ABREAST = 3
-GAP_IN = 0.15
 PANELS_DPI = 120  # many walks in a picture of a megabyte and less
 
 
@@ -297,7 +311,7 @@ def gallery_figure(walks: Sequence[tuple[Shown, Terrain]], title: str) -> Figure
     width = LEFT_IN + abreast * (wide_in + GAP_IN) - GAP_IN + RIGHT_IN
     height = TITLE_IN + rows * (TITLE_IN + high_in) + GAP_IN
     figure = style.new_figure(width, height, PANELS_DPI)
-    figure.text(LEFT_IN / width, 1.0 - 0.2 / height, title, va="center", **style.TITLE)
+    _head(figure, title)
     for number, part in enumerate(parts):
         row, column = divmod(number, abreast)
         left = LEFT_IN + column * (wide_in + GAP_IN)

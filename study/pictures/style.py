@@ -11,6 +11,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from storage.commit import commit
 
@@ -41,6 +42,8 @@ MODEL = BLUE
 OTHER_LEG = VERMILION
 HUMAN = "#9AA0A8"
 EMG = "#F3D9A4"
+DEVICE = "#26594C"
+TORQUE = "#009E73"  # of the device
 FAR_LIMB = "#DDE1E6"
 NEAR_LIMB = "#BEC5CE"
 # Its lightness falls monotonically: readable in grey and without red-green.
@@ -49,6 +52,7 @@ ACTIVATION_MAP = "YlOrRd"
 SMALL_PT = 8.0
 TEXT_PT = 9.0
 TITLE_PT = 11.0
+SMALLEST_PT = 1.0  # which nobody reads
 # How Matplotlib writes words of these sizes.
 SMALL: dict[str, Any] = {"fontsize": SMALL_PT, "color": INK}
 TEXT: dict[str, Any] = {"fontsize": TEXT_PT, "color": INK}
@@ -86,6 +90,18 @@ def axes_at(
     return figure.add_axes(
         (left_in / wide, bottom_in / high, wide_in / wide, high_in / high)
     )
+
+
+def fit(text: Text, wide_in: float) -> None:
+    """Write a line smaller, where it would be wider than so many inches."""
+    figure = text.get_figure(root=True)
+    assert figure is not None
+    # More than once: the widths of letters are whole pixels.
+    while (over := text.get_window_extent().width / (wide_in * figure.dpi)) > 1.0:
+        size = float(text.get_fontsize())
+        text.set_fontsize(size / (1.01 * over))
+        if size < SMALLEST_PT:
+            return
 
 
 def tidy(axes: Axes) -> None:

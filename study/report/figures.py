@@ -146,6 +146,7 @@ def looks(arms: Mapping[str, ArmRuns]) -> dict[str, Look]:
 LABEL_SPACING_PT = 10.0
 POINTS_AN_INCH = 72.0
 LABEL_OFFSET_PT = 27.0
+MARGIN_IN = 0.1  # right of a title
 TICKS = (1, 3, 10, 30, 100, 300, 1000)
 
 
@@ -174,7 +175,7 @@ def headline(figure: Figure, left_in: float, title: str, remark: str) -> None:
         (title, 0.24, style.TITLE_PT),
         (remark, 0.45, style.SMALL_PT),
     ):
-        figure.text(
+        line = figure.text(
             left_in / wide,
             1.0 - down_in / high,
             text,
@@ -182,6 +183,7 @@ def headline(figure: Figure, left_in: float, title: str, remark: str) -> None:
             color=style.INK,
             va="center",
         )
+        style.fit(line, wide - left_in - MARGIN_IN)
 
 
 def trial_ticks(trials: int) -> list[float]:

@@ -123,11 +123,11 @@ def test_lines_are_taken(
     assert dashboard[1:4] == ["-m", "taichi_nmm", "dashboard"]
     films: list[Any] = []
 
-    def write_movie(path: Path, *shown: Any) -> Path:
+    def write_movies(path: Path, *shown: Any) -> Path:
         films.append((path, *shown))
         return path
 
-    monkeypatch.setattr("study.pictures.write_movie", write_movie)
+    monkeypatch.setattr("study.pictures.write_movies", write_movies)
     for name in ("strip", "gait_cycle"):
         monkeypatch.setattr(f"study.pictures.write_{name}", lambda *_: Path("x"))
     assert command.tool(*film[3:], "--out", command.folder / "film") == 0

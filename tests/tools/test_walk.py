@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import imageio_ffmpeg
 import mujoco
 import pytest
 
@@ -16,6 +17,7 @@ from storage.tables import document_hash, write_table
 from study import pictures
 from study.experiment.gains import gains_of_row, row_at_speed
 from study.experiment.walker import read_experiment
+from study.pictures import LARGE
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import ENERGY, OF_MUSCLES
 from tests.study import fake_walker
@@ -112,7 +114,7 @@ def test_mujoco_moves_the_body_and_opens_its_file(tmp_path, tool):
 @pytest.fixture
 def walk(tmp_path, tool, simulator, monkeypatch):
     """Runs the command, with simulator and painters replaced; returns what it prints as JSON."""
-    for name in ("write_strip", "write_gait_cycle", "write_movie"):
+    for name in ("write_strip", "write_gait_cycle", "write_movies"):
         monkeypatch.setattr(pictures, name, lambda path, *_: path)
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
@@ -155,6 +157,45 @@ def test_two_walks_are_never_in_one_folder(walk, tool, tmp_path, monkeypatch):
     words = f"walk --config {weak} --movie-seconds 0 --out {film.parent}".split()
     tool.refuses("out: '.*movie.mp4' .* a folder without it", *words)
     assert film.read_text() == "a healthy walk"
+
+
+@pytest.mark.slow
+def test_a_gait_is_shown_beside_that_of_before(tmp_path, tool):
+    """Both are in the table, the strips and the film; numbers and other pictures are its own."""
+    slow = gains_file(tmp_path, WALKS | {"K_SOL": 0.9 * WALKS["K_SOL"]})
+    words = ["walk", "--duration", 3, "--movie-seconds", 0.3, "--out"]
+    alone = tool.json(*words, tmp_path / "alone", "--gains", slow)
+    both = tool.json(
+        *words, tmp_path / "both", "--gains", slow, "--before", "published"
+    )
+    assert set(both.pop("pictures")) == {*alone.pop("pictures"), "strips"}
+    assert both == alone
+    for name in ("strip.png", "gait_cycle.png"):
+        found, own = (tmp_path / folder / name for folder in ("both", "alone"))
+        assert found.read_bytes() == own.read_bytes()
+    shown = imageio_ffmpeg.read_frames(str(tmp_path / "both" / "movie.mp4"))
+    width, height = LARGE.size_px
+    assert next(shown)["size"] == (width, 2 * height)
+    shown.close()
+    line = (*words, tmp_path / "both", "--gains", slow, "--before", "published")
+    assert tool(*line) == 0
+    first, second, head, *lines = tool.out.splitlines()
+    assert first.startswith("published, then gains on flat, before: walked 3.0 s")
+    assert second.startswith("published, then gains on flat, after: walked 3.0 s")
+    assert head.split() == ["before", "after", "people"]
+    (energy,) = (each for each in lines if each.startswith("of the muscles"))
+    assert energy.split()[-2] == f"{alone[OF_MUSCLES]:.2f}" != energy.split()[-3]
+
+
+def test_before_is_a_walk_of_its_own(walk, tool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("study.pictures.strip.strips_figure", lambda *_: None)
+    monkeypatch.setattr("study.pictures.style.save_png", lambda _, path: path)
+    folders = [
+        Path(tool.json("walk", *line.split())["pictures"]["strip"]).parent.name
+        for line in ("", "--before published", "--before reference")
+    ]
+    assert len(set(folders)) == 3
 
 
 def test_a_store_without_the_motors_energy_says_so(walk, tool, tmp_path):

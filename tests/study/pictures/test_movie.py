@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from study.pictures import find_ffmpeg, write_movie
+from study.pictures import find_ffmpeg, write_movie, write_movies
 from study.pictures.scene import LARGE, SMALL, Canvas, Film, frames
 from taichi_nmm import InputError, Trajectory
 from taichi_nmm.terrain import flat, rough
@@ -40,9 +40,11 @@ def test_shapes_are_drawn_to_scale_and_a_bone_has_round_ends() -> None:
     assert black.any(axis=0).sum() == pytest.approx(125, abs=1)
 
 
-def picture(film: Film, title: str = "", walk: Trajectory = WALK) -> np.ndarray:
+def picture(
+    film: Film, title: str = "", walk: Trajectory = WALK, seconds: float = 0.2
+) -> np.ndarray:
     """The last frame of a film, [height, width, 3]."""
-    *_, last = frames(walk, flat(), 0.2, title, film)
+    *_, last = frames(walk, flat(), seconds, title, film)
     width, height = film.size_px
     return np.frombuffer(last, np.uint8).reshape(height, width, 3)
 
@@ -68,6 +70,45 @@ def test_active_muscles_are_darker() -> None:
     assert darkness(0.0) < darkness(0.5) < darkness(1.0)
     corner = np.s_[:40, :200]
     assert (picture(SMALL, "dog")[corner] != picture(SMALL, "random")[corner]).any()
+
+
+@pytest.mark.parametrize("film", [LARGE, SMALL])
+def test_a_title_is_one_line(film: Film) -> None:
+    """It ends before the edge, above all else."""
+    plain, titled = (picture(film, title) for title in ("", "w" * 150))
+    rows, columns = np.nonzero((plain != titled).any(axis=-1))
+    width, height = film.size_px
+    assert rows.min() > 0 and rows.max() < 0.09 * height
+    assert columns.min() < 0.03 * width and 0.9 * width < columns.max() < 0.99 * width
+
+
+def test_a_device_is_in_the_film_with_its_key() -> None:
+    torque_nm = np.zeros((len(WALK.time_s), 6))
+    torque_nm[:, 2] = 60.0
+    green = np.array([0x00, 0x9E, 0x73])
+    worn = picture(LARGE, walk=replace(WALK, device_torque_nm=torque_nm))
+    drawn = (np.abs(worn.astype(int) - green) < 8).all(axis=-1)
+    height, width = drawn.shape
+    assert drawn[int(0.6 * height) :, int(0.3 * width) : int(0.6 * width)].sum() > 200
+    assert not (np.abs(picture(LARGE).astype(int) - green) < 8).all(axis=-1).any()
+    key = np.s_[int(0.2 * height) : int(0.26 * height), : int(0.2 * width)]
+    assert (worn[key] != picture(LARGE)[key]).any()
+
+
+def test_walks_are_filmed_above_each_other(tmp_path: Path) -> None:
+    """Of the shorter one the last picture stays."""
+    file, frame = tmp_path / "both.mp4", tmp_path / "frame.png"
+    walks = [(GLIMPSE, "short"), (WALK, "long")]
+    write_movies(file, walks, flat(), 1.0, film=SMALL)
+    said = ffmpeg("-i", str(file), "-update", "1", str(frame))  # the last one
+    width, height = SMALL.size_px
+    assert f"{width}x{2 * height}" in said
+    upper, lower = np.split(imread(frame)[..., :3] * 255.0, 2)
+    for found, walk in ((upper, GLIMPSE), (lower, WALK)):
+        title = "short" if walk is GLIMPSE else "long"
+        expected = picture(SMALL, title, walk, seconds=1.0)
+        other = picture(SMALL, title, WALK if walk is GLIMPSE else GLIMPSE, 1.0)
+        assert np.abs(found - expected).mean() < 0.5 * np.abs(found - other).mean()
 
 
 def ffmpeg(*words: str) -> str:

@@ -1,14 +1,23 @@
 """Joints and muscles are drawn where the pose has them; the shown part of a walk."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from storage.inputs.errors import InputError
-from study.pictures import stick_figure
+from study.pictures import stick_figure, style
 from study.pictures.scene import motion_of
-from study.pictures.stick_figure import finite, leg, muscle_outlines
+from study.pictures.stick_figure import (
+    LEFT,
+    RIGHT,
+    finite,
+    leg,
+    muscle_outlines,
+    of_side,
+)
 from study.pictures.strip import SHOWN_M, Shown, last_stretch
 from taichi_nmm.result import MUSCLES, Trajectory
 from taichi_nmm.terrain import flat
@@ -62,3 +71,55 @@ def test_the_end_of_the_walk_is_shown() -> None:
     assert len(shown.time_s) == len(shown.q) == len(shown.activation) == 700
     with pytest.raises(InputError, match="no finite sample"):
         finite(replace(WALK, q=np.full_like(q, np.nan)))
+
+
+class Drawn:
+    """A surface that keeps its bones, by colour."""
+
+    def __init__(self) -> None:
+        self.kept: dict[str, list[stick_figure.Bone]] = {}
+
+    def bones(self, parts: Sequence[stick_figure.Bone], colour: str) -> None:
+        self.kept.setdefault(colour, []).extend(parts)
+
+
+def arc_of(torque_nm: float) -> list[np.ndarray]:
+    """The points of an arrow round the origin, whose middle is above; without its tip."""
+    bones = stick_figure.torque_arc(np.zeros(2), np.array([0.0, 2.0]), torque_nm)
+    return [start for start, _, _ in bones[:-2]] + [bones[-3][1]] if bones else []
+
+
+def test_an_arrow_turns_clockwise_and_is_as_long_as_its_torque() -> None:
+    assert arc_of(0.0) == arc_of(1.0) == []
+    for torque_nm in (20.0, 40.0, 80.0, -40.0):
+        points = np.array(arc_of(torque_nm))
+        angles = np.unwrap(np.arctan2(points[:, 0], points[:, 1]))  # clockwise from up
+        assert np.ptp(angles) == pytest.approx(3.0 * abs(torque_nm) / 80.0)
+        assert np.sign(angles[-1] - angles[0]) == np.sign(torque_nm)
+        assert angles.mean() == pytest.approx(0.0, abs=1e-9)
+        assert np.hypot(*points.T) == pytest.approx(stick_figure.ARC_RADIUS_M)
+
+
+def test_a_device_is_drawn_where_it_turns_a_joint() -> None:
+    times_s = WALK.time_s[100:103]
+    assert stick_figure.device_at(WALK, times_s) is None
+    torque_nm = np.zeros((len(WALK.time_s), 6))
+    torque_nm[100, 2] = 40.0  # the left ankle, at one moment
+    device = stick_figure.device_at(replace(WALK, device_torque_nm=torque_nm), times_s)
+    assert device is not None
+    assert device.worn.tolist() == [False, False, True, False, False, False]
+    assert device.torque_nm[:, 2].tolist() == [40.0, 0.0, 0.0]
+    surface = Drawn()
+    for side in (LEFT, RIGHT):
+        stick_figure.draw_device(
+            cast(stick_figure.Surface, surface),
+            WALK.q[100],
+            side,
+            of_side(device.torque_nm[0], side),
+            of_side(device.worn, side),
+        )
+    ankle = leg(WALK.q[100], LEFT).ankle
+    for bones in (surface.kept[style.DEVICE], surface.kept[style.TORQUE]):
+        ends = np.array([end for *both, _ in bones for end in both])
+        assert np.hypot(*(ends - ankle).T).max() < 0.35
+    assert surface.kept.keys() == {style.DEVICE, style.TORQUE}

@@ -6,8 +6,8 @@ import pytest
 from matplotlib.image import imread
 
 from study.pictures import write_gait_cycle, write_strip
-from study.pictures.strip import Shown, strips_figure
-from study.pictures.style import PNG_DPI, save_png
+from study.pictures.strip import Shown, gallery_figure, strips_figure
+from study.pictures.style import PNG_DPI, TEXT_PT, save_png
 from taichi_nmm import InputError, Trajectory
 from taichi_nmm.terrain import Terrain, flat, ramp, rough
 from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, WALK, walk
@@ -61,3 +61,37 @@ def test_an_unwritable_place_is_refused(tmp_path: Path) -> None:
         write_strip(place, GLIMPSE, flat())
     with pytest.raises(InputError, match="a place that can be written"):
         write_gait_cycle(place, GLIMPSE, BODY_WEIGHT_N)
+
+
+@pytest.mark.parametrize("length", [10, 120])
+def test_a_title_is_one_line_within_the_figure(length: int) -> None:
+    title = "w" * length
+    shown = Shown("label", title, GLIMPSE)
+    for figure in (
+        strips_figure([shown], flat(), title),
+        gallery_figure([(shown, flat())] * 2, title),
+    ):
+        lines = [*figure.texts, *(axes._left_title for axes in figure.axes)]
+        found = [line for line in lines if line.get_text() == title]
+        assert len(found) >= 2
+        for line in found:
+            box = line.get_window_extent()
+            assert 0.0 < box.x0 < box.x1 < figure.bbox.width
+            assert (line.get_fontsize() < TEXT_PT) is (length > 10)
+
+
+def test_many_walks_stand_beside_each_other() -> None:
+    shown = [(Shown(str(number), str(number), GLIMPSE), flat()) for number in range(5)]
+    *panels, _ = gallery_figure(shown, "made-up").axes
+    assert [panel.get_title(loc="left") for panel in panels] == [
+        "0",
+        "1",
+        "2",
+        "3",
+        "4",
+    ]
+    boxes = [panel.get_position().bounds for panel in panels]
+    assert len({round(left, 9) for left, *_ in boxes}) == 3
+    assert len({round(bottom, 9) for _, bottom, *_ in boxes}) == 2
+    scales = [panel.get_data_ratio() for panel in panels]
+    assert max(scales) == pytest.approx(min(scales))
