@@ -254,7 +254,8 @@ class Advice:
         if self.plan.limited:
             parts.append(self._expected_limits(found, place))
         sentence = f"{EXPECTED}{', '.join(parts)}." if parts else ""
-        return f"{sentence} {self._unknown_limits(self.told)}".strip()
+        unknown = self._unknown_limits(self.told)
+        return " ".join(filter(None, [sentence, unknown, found.unlike]))
 
     def _expected_limits(self, found: Prediction, place: int) -> str:
         """The chance that limits are kept, where anything tells of them; the unknown, by name."""

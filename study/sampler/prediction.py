@@ -11,6 +11,8 @@ import scipy
 from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats, Whole
 from study.sampler.calibration import (
+    COST,
+    COST_UNLIKE,
     Calibration,
     ends_of,
     reading_of,
@@ -20,6 +22,7 @@ from study.sampler.diagnostics import Present, trials_text
 from study.sampler.gp import misfit
 from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
+from study.sampler.unlike import unlike
 
 SHOWN_CANDIDATES = 10
 # How far an interval reaches beyond all that was simulated or read, in standard deviations
@@ -153,6 +156,8 @@ class Prediction:
         risks: chance that a limit is broken, by its name, [m]; NaN before worlds or
             trials have told of it, and while fewer than three trials have, none of which
             broke it.
+        unlike: in one line, that the first trials were unlike all worlds; "": they were
+            not, or nothing tells.
     """
 
     rows: Whole
@@ -162,6 +167,7 @@ class Prediction:
     success: Floats
     kept: Floats
     risks: Mapping[str, Floats]
+    unlike: str
 
     def __str__(self) -> str:
         """A line for each of the first candidates."""
@@ -178,6 +184,8 @@ class Prediction:
             )
         if (more := len(self.rows) - len(lines)) > 0:
             lines.append(f"and {more} more")
+        if self.unlike:
+            lines.append(self.unlike)
         return "\n".join(lines)
 
 
@@ -228,6 +236,7 @@ def prediction_of(
         success=unknown,
         kept=kept,
         risks=risks,
+        unlike="",
     )
     costs = model.costs
     if (
@@ -236,11 +245,10 @@ def prediction_of(
     ):
         return nothing
     mean, variance = reading_of(model, points)
-    found = (
-        Calibration.of(errors[:, 0])
-        if len(costs)
-        else Calibration.before_any_trial(model)
-    )
+    strange = unlike(model, history.done.rows, history.sign) if len(costs) else None
+    found = Calibration.before_any_trial(model)
+    if len(costs):
+        found = Calibration.of(errors[:, 0], COST_UNLIKE if strange else COST)
     is_known = tells_scale(model, points)
     least, most = ends_of(model)
     low, high = (
@@ -258,6 +266,7 @@ def prediction_of(
         low=low if history.sign > 0 else high,
         high=high if history.sign > 0 else low,
         success=success,
+        unlike="" if strange is None else str(strange),
     )
 
 

@@ -239,6 +239,13 @@ class Ensemble:
         self.parts = (own - self.mean[:, None]) * np.sqrt(worlds.weights)  # d, [m, w]
         # As `transforms.Columns` has them.
         self.columns = np.column_stack([self.parts, np.ones(len(own)), self.mean])
+        self._weights = worlds.weights
+
+    def told(self, features: Floats) -> Floats:
+        """What each world costs, [t, w], where points have these features, [t, k]."""
+        worlds, mean = len(self.names), features[:, -1]
+        parts = features[:, -2 - worlds : -2]
+        return np.asarray(mean[:, None] + parts / np.sqrt(self._weights))
 
     def standard(self, costs: Floats) -> Floats:
         """Costs in the model's units, standard deviations over the table from its mean.

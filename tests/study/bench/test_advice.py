@@ -1,12 +1,14 @@
 """What a bench says: next trials, expectations and recommendations, also where little is known."""
 
 import re
+from argparse import Namespace
 
 import numpy as np
 import pytest
 
 from storage.inputs.errors import InputError
 from study.bench.bench import Bench
+from study.commands import bench as command
 from tests.study.bench import robot
 from tests.study.bench.robot import change, tell
 from tests.study.conftest import refused
@@ -202,3 +204,22 @@ def test_steps_are_measured_from_trials_that_kept_their_limits(tmp_path):
         softer = abs(np.log(params["stiffness"] / 149.0))
         assert softer <= 0.1 * np.log(100.0) + 1e-9
         bench.context(context)  # nothing has succeeded there: steps are from the first
+
+
+def test_a_machine_unlike_all_worlds_is_called_so_on_the_sheet_and_by_status(
+    bench, capsys
+):
+    tell(bench, 60.0)
+    (trial,) = bench.next()
+    line = "Unlike all 6 worlds after 1 trial: 60 was read where they say"
+    assert line in trial.why and trial.why.count("Unlike") == 1
+    (again,) = bench.next()
+    assert again.why.count("Unlike") == 1
+    command.status(bench, Namespace())
+    assert f"warning: {line}" in capsys.readouterr().err
+    bench.undo()
+    bench.correct(0, 0.6)
+    (trial,) = bench.next()
+    assert "Unlike" not in trial.why
+    command.status(bench, Namespace())
+    assert "Unlike" not in capsys.readouterr().err

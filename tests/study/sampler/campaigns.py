@@ -8,8 +8,9 @@ machines are drawn as the worlds are. The others are structurally unlike all wor
 another optimum, and a smooth misfit that no world has. Every reading has noise.
 
 Prints how often the 95 % interval held the next reading, what was said of success and
-of limits beside what happened, and how often the recommended trial was truly better, or
-worse, than the one of the best reading.
+of limits beside what happened, how often the recommended trial was truly better, or
+worse, than the one of the best reading, and how often the machine was called unlike all
+worlds after three trials (`--trials 4` are enough for that).
 """
 
 import argparse
@@ -203,6 +204,7 @@ class Said:
         has_kept: whether all limits were kept.
         recommended: what the recommended trial truly costs less what the one of the
             best reading does; NaN where nobody asked.
+        unlike: whether the machine was called unlike all worlds.
     """
 
     kind: str
@@ -216,15 +218,18 @@ class Said:
     succeeded: bool
     has_kept: bool
     recommended: float
+    unlike: bool
 
 
-def campaign(kind: str, *, is_like: bool, seed: int) -> Iterator[Said]:
+def campaign(
+    kind: str, *, is_like: bool, seed: int, trials: int = TRIALS
+) -> Iterator[Said]:
     """Thirty trials on a machine."""
     machine = machine_of(kind, is_like=is_like, seed=seed)
     rng = np.random.default_rng([seed, 7])
     sampler = FeatureKernelSampler(machine.table, seed=seed, success=machine.success)
     asked, told = optuna.create_study(sampler=sampler), optuna.create_study()
-    for number in range(1, TRIALS + 1):
+    for number in range(1, trials + 1):
         trial = asked.ask(dict(machine.space))
         found = sampler.predict(told, [trial.params])
         u = np.array([list(trial.params.values())])
@@ -257,6 +262,7 @@ def campaign(kind: str, *, is_like: bool, seed: int) -> Iterator[Said]:
             succeeded=value <= machine.success,
             has_kept=max(limits.values()) <= 0.0,
             recommended=recommended,
+            unlike=bool(found.unlike),
         )
 
 
@@ -311,6 +317,14 @@ def tables(said: list[Said]) -> Iterator[str]:
                 f"recommend after {number}, {kind}: better {int((gaps < 0).sum())}, "
                 f"worse {int((gaps > 0).sum())}"
             )
+    for is_like in (True, False):
+        fourth = [
+            each.unlike
+            for each in said
+            if (each.trial, each.is_like, each.kind) == (4, is_like, "worlds")
+        ]
+        name = "like" if is_like else "unlike"
+        yield f"called unlike all worlds after 3 trials, {name}: {share(fourth)}"
 
 
 def said_and_happened(
@@ -332,6 +346,7 @@ def main() -> None:
     parser.add_argument("--campaigns", type=int, default=40, help="of each kind")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--trials", type=int, default=TRIALS)
     args = parser.parse_args()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     warnings.simplefilter("ignore", ExperimentalWarning)
@@ -339,7 +354,8 @@ def main() -> None:
     for kind in args.kinds.split(","):
         for place in range(args.campaigns):
             seed = 1000 * args.seed + place // 2
-            said += campaign(kind, is_like=place % 2 == 0, seed=seed)
+            is_like = place % 2 == 0
+            said += campaign(kind, is_like=is_like, seed=seed, trials=args.trials)
         print(kind, f"{time.perf_counter() - start_s:.0f} s", file=sys.stderr)
     print("\n".join(tables(said)))
 

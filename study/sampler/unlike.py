@@ -1,0 +1,126 @@
+"""Whether a machine is like none of the worlds, as far as its first trials tell.
+
+After each of its first trials the readings y_1 ... y_t are compared with what w worlds
+cost there, of mean m and covariance S:
+
+    T = (y - m)^T ((1 + 1 / w) S + e^2 I)^-1 (y - m),
+
+with e what a reading may be off anyway. Each world in turn is left out and takes the
+machine's place, with an error of its own. If the machine is one more of them, its T is
+the largest of all w + 1 in one of w + 1 cases. So it is called unlike where as few
+worlds are as far as a given share of false alarms allows; with few worlds where its T is
+above the largest by so much that this happens in that share of cases, the tail of T
+being exponential.
+
+What is caught are costs that no world has, or that go together as in no world, at the
+places that were tried: a machine that is strange elsewhere is not.
+"""
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from study.sampler.acquisition import Model
+from study.sampler.arrays import Floats, Whole
+from study.sampler.history import OFF_TABLE
+from study.sampler.worlds import Ensemble
+
+# Of machines like the worlds, the share that is called unlike after each of the first
+# trials, together about 5 % since mostly the same are. The first one tells most: the best
+# row of all worlds, which nobody has chosen by what the machine did.
+FALSE_ALARMS = (0.04, 0.01, 0.01)
+UNLIKE = "Unlike all "  # begins the line that says so
+LEAST_WORLDS = 5
+READING = 0.2  # e, in standard deviations of the table
+OFF_ROW = 0.3  # likewise, of what rows near a point off the table tell
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """What speaks against all worlds.
+
+    Attributes:
+        trials: after how many it was clear.
+        worlds: how many there are.
+        reading: of these trials the one that is farthest from the worlds.
+        low: the least cost of a world there.
+        high: the largest one.
+    """
+
+    trials: int
+    worlds: int
+    reading: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        """One line."""
+        after = "1 trial" if self.trials == 1 else f"{self.trials} trials"
+        why = f"{self.reading:.4g} was read where they say {self.low:.4g} to {self.high:.4g}"
+        if self.low <= self.reading <= self.high:
+            why = "its readings go together as in none of them"
+        return (
+            f"{UNLIKE}{self.worlds} worlds after {after}: {why}. Intervals are wider; "
+            "what rests on worlds (first proposals, risks) may not hold."
+        )
+
+
+def unlike(model: Model, rows: Whole, sign: float) -> Unlike | None:
+    """What speaks against all worlds; None where nothing does, or worlds do not tell.
+
+    Args:
+        model: after n trials.
+        rows: of the table that these were, [n]; OFF_TABLE off it.
+        sign: of costs in the study's values.
+    """
+    ensemble = model.ensemble
+    if not isinstance(ensemble, Ensemble) or not model.in_table_units:
+        return None
+    if len(ensemble.names) < LEAST_WORLDS or ensemble.is_drawn:
+        return None
+    first = slice(min(len(model.costs), len(FALSE_ALARMS)))
+    cost = model.cost(first)
+    told = ensemble.told(model.trials.features[first])  # [t, w]
+    doubt = READING**2 + np.where(rows[first] == OFF_TABLE, OFF_ROW**2, 0.0)
+    for count, share in enumerate(FALSE_ALARMS[: len(cost)], start=1):
+        some = slice(count)
+        if not _is_farther(cost[some], told[some], doubt[some], share):
+            continue
+        away = np.maximum(told.min(axis=1) - cost, cost - told.max(axis=1))[some]
+        worst = int(away.argmax())
+        ends = sign * model.in_units(told[worst])
+        return Unlike(
+            trials=count,
+            worlds=len(ensemble.names),
+            reading=float(sign * model.costs[worst]),
+            low=float(ends.min()),
+            high=float(ends.max()),
+        )
+    return None
+
+
+def _is_farther(cost: Floats, told: Floats, doubt: Floats, share: float) -> bool:
+    """Whether costs [t] are farther from worlds [t, w] than a world is in this share of cases."""
+    count = told.shape[1]
+    others = np.array([np.delete(told, world, axis=1) for world in range(count)])
+    theirs, noise = _distance(told.T, others, doubt)
+    theirs += noise  # which readings have, and worlds have not
+    own = _distance(cost[None], told[None], doubt)[0][0]
+    farther = int(share * (count + 1))  # how many of them may be as far
+    if farther:
+        return bool(own > np.sort(theirs)[-farther])
+    beyond = log(1.0 / (share * (count + 1.0)))
+    return bool(own > theirs.max() + beyond * theirs.mean())
+
+
+def _distance(costs: Floats, told: Floats, doubt: Floats) -> tuple[Floats, Floats]:
+    """T of costs [k, t], each against its own worlds [k, t, w], and the share of e in it, [k]."""
+    worlds = told.shape[2]
+    mean = told.mean(axis=2)
+    apart = told - mean[:, :, None]
+    covariance = apart @ apart.transpose(0, 2, 1) / (worlds - 1.0)
+    inverse = np.linalg.inv((1.0 + 1.0 / worlds) * covariance + np.diag(doubt))
+    away = costs - mean
+    distance = np.einsum("kt,ktu,ku->k", away, inverse, away)
+    return distance, np.einsum("ktt,t->k", inverse, doubt)
