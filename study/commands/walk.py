@@ -2,10 +2,8 @@
 
 import hashlib
 import json
-import math
 import sys
 import tempfile
-import tomllib
 from argparse import Namespace
 from collections.abc import Mapping
 from dataclasses import replace
@@ -54,7 +52,7 @@ from study.pictures.trajectory_files import (
     write_opensim,
     write_trajectory,
 )
-from study.report.people import QUANTITIES, not_human
+from study.report.people import FURTHER, QUANTITIES, not_human
 from taichi_nmm.conditions import LONGEST_TRIAL_S, SHORTEST_TRIAL_S
 from taichi_nmm.mujoco_engine import require_mujoco
 from taichi_nmm.result import (
@@ -91,7 +89,6 @@ REPORTED = (
     "phi_corrected",
     *dict(FURTHER_FIELDS),
 )
-FIGURES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 COLUMN = 14  # characters
 BEFORE, AFTER = "before", "after"  # of two gaits
 # Options that it uses.
@@ -279,37 +276,23 @@ def summary(
 ) -> str:
     """For people: how the walk of each engine ended, a line each number, and what is not human."""
     lines = [f"{name}, {by}: {ended(walk, terrain)}" for by, walk in walks.items()]
-    wide = max(len(each) for each in (*FIGURES, *(of.label for of in QUANTITIES)))
+    quantities = (*QUANTITIES, *FURTHER)
+    wide = max(len(each.label) for each in quantities)
     lines.append(
         " " * wide + "".join(name.rjust(COLUMN) for name in (*walks, "people"))
     )
     known = [
         known_numbers(walk.rows[0]) | {"mass_kg": mass_kg} for walk in walks.values()
     ]
-    for each in QUANTITIES:
+    for each in quantities:
         shown = [each.text(each.value(values)) for values in known]
         cells = (*shown, each.range_text)
         lines.append(
             each.label.ljust(wide) + "".join(cell.rjust(COLUMN) for cell in cells)
         )
-    for label, figure in FIGURES.items():
-        column, _, form = figure.partition(":")
-        shown = [figure_text(column, form, values[column]) for values in known]
-        lines.append(label.ljust(wide) + "".join(cell.rjust(COLUMN) for cell in shown))
     for by, values in zip(walks, known, strict=True):
         lines += [f"not human, {by}: {word}" for word in not_human(values)]
     return "\n".join(lines)
-
-
-def figure_text(column: str, form: str, value: float | None) -> str:
-    """A number, an angle in degrees, a fraction in percent; "-" where it is unknown."""
-    if value is None:
-        return "-"
-    if column.endswith("_rad"):
-        value = math.degrees(value)
-    if column.endswith("_fraction"):
-        value *= 100
-    return f"{value:{form}}"
 
 
 def report(

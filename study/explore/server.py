@@ -141,8 +141,13 @@ class Latest:
 SCRIPTS = Path(__file__).parent / "scripts"
 WARNING = "#B3261E"
 # Widgets are drawn for a light page: at night they are inverted, and their hues turned
-# back. Figures are no widgets: the colours of data are never changed.
-NIGHT = """@media (prefers-color-scheme: dark) {
+# back. Figures are no widgets: the colours of data are never changed. Long words of menus
+# and heads of tables are small, or go to a second line.
+NIGHT = """select.bk-input { font-size: 12px; padding-left: 8px }
+.slick-header-column {
+  height: 48px !important; font-size: 11px; line-height: 1.15; white-space: normal !important }
+@media (max-width: 500px) { .slick-header-column { height: 62px !important } }
+@media (prefers-color-scheme: dark) {
 :host { filter: invert(0.92) hue-rotate(180deg); color: #22262B } }"""
 WRAPS = (
     ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
@@ -165,6 +170,7 @@ class Message:
             text="",
             name=name,
             styles={"color": WARNING},
+            margin=(0, 5),
             disable_math=True,
             sizing_mode="stretch_width",
         )

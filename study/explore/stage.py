@@ -22,14 +22,15 @@ from study.pictures.gait_cycle import PEOPLE
 from study.pictures.scene import BELOW_GROUND_M, FORCE_WIDTH_M, VIEW_WIDTH_M
 from taichi_nmm.result import FELL, MUSCLES
 
-ASPECT = 1.6  # of a stage, width over height
+ASPECT = 1.45  # of a stage, width over height
 GHOST = "#5B4B8A"
 GHOST_ALPHA = 0.35
-STAGE_PX = 340  # the least width of a stage
+STAGE_PX = 280  # the least width of a stage: two are beside each other at 1280
 TIMELINE_PX = 110  # its height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
 GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 OVER_TIME = "over time"  # tags figures on which a tap moves the clock
+LEGEND = "muscle activation, 0 to 1; left leg in front"  # of the bar
 RIM_M = 0.008  # of a muscle, both sides together
 # As frames have them: their lines and activations are in the order of `MUSCLES`, those
 # of the left leg, then those of the right.
@@ -136,6 +137,15 @@ class Stage:
             line_dash="dotted",
         )
         plot.yaxis.visible = False
+        mapper = models.LinearColorMapper(palette=COLOURS, low=0.0, high=1.0)
+        bar = models.ColorBar(
+            color_mapper=mapper,
+            title=LEGEND,
+            height=8,
+            padding=0,
+            ticker=models.FixedTicker(ticks=[]),
+        )
+        plot.add_layout(bar, "below")
         self._draw_lines(plot, "ghost_", GHOST, GHOST_ALPHA)
         self._draw_lines(plot, "", style.NEAR_LIMB, 1.0)
         return plot

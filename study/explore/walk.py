@@ -175,6 +175,11 @@ class Walk:
     frames: Frames
     ended: str
 
+    @property
+    def mass_kg(self) -> float:
+        """Of the whole body."""
+        return float(self.experiment.body(self.run).mass_kg.sum())
+
 
 def walk(gains: NamedGains, experiment: WalkerExperiment) -> Walk:
     """Simulate on the last run of an experiment, and prepare what is drawn.

@@ -25,9 +25,9 @@ from study.explore.stage import Player
 from study.explore.strides import Cycle
 from study.explore.trials import Trials
 from study.explore.what_if import WhatIf
-from study.explore.words import in_words
+from study.report.people import FURTHER, QUANTITIES
 from taichi_nmm.parameters import DEVICE, GAINS
-from taichi_nmm.result import OUTCOME_FIELDS, SCORE_FIELDS, known_numbers
+from taichi_nmm.result import known_numbers
 from taichi_nmm.settings import ENGINES
 
 SIGNALS = "signals"
@@ -309,6 +309,7 @@ class Hands:
             models.NumericInput(
                 title=f"{gain.name} ({gain.unit})",
                 mode="float",
+                format="0.[00000]",
                 width=NUMBER_PX,
                 name=f"number-{gain.name}",
             )
@@ -360,31 +361,21 @@ class Hands:
         self._still = False
 
 
-LEFT_OUT = ("end_reason", "hip_x_m", "hip_z_m")
-FIELDS = tuple(
-    name for name, _ in (*OUTCOME_FIELDS, *SCORE_FIELDS) if name not in LEFT_OUT
-)
-
-
 def score_text(walk: walking.Walk, start: walking.Walk) -> str:
-    """The numbers of a walk beside those of another one on the same ground, in HTML."""
+    """The numbers of a walk beside those of another one, and of people, in HTML."""
     first = "start" if start is walk else start.gains.name
-    heads = ["number", first, walk.gains.name, "change"]
-    masses = [each.experiment.body(each.run).mass_kg.sum() for each in (start, walk)]
-    numbers = known_numbers(start.row), known_numbers(walk.row)
-    shown = {in_words(name)[0]: [each[name] for each in numbers] for name in FIELDS}
-    shown["mass of the whole body, which divides the energy (kg)"] = masses
+    heads = ["number", first, walk.gains.name, "change", "people"]
     lines = ["".join(f"<th scope=col>{html.escape(head)}</th>" for head in heads)]
-    for words, (before, now) in shown.items():
+    known = [
+        {**known_numbers(each.row), "mass_kg": each.mass_kg} for each in (start, walk)
+    ]
+    for each in (*QUANTITIES, *FURTHER):
+        before, now = (each.value(numbers) for numbers in known)
         change = ""
         if before is not None and now is not None and before != now:
-            change = f"{now - before:+.3g}"
-        cells = [_figure(before), _figure(now), f"<b>{change}</b>"]
-        row = "".join(f"<td align=right>{cell}" for cell in cells)
-        head = f"<th scope=row align=left>{html.escape(words)}</th>"
-        lines.append(f"<tr>{head}{row}</tr>")
-    return f"<table cellspacing=4>{''.join(lines)}</table>"
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+            sign = "+" if now > before else ""
+            change = f"<b>{sign}{each.text(now - before).lstrip('+')}</b>"
+        cells = (each.text(before), each.text(now), change, each.range_text)
+        row = "".join(f"<td align=right nowrap>{cell}" for cell in cells)
+        lines.append(f"<th scope=row align=left>{html.escape(each.label)}</th>{row}")
+    return f"<table cellspacing=4><tr>{'<tr>'.join(lines)}</table>"

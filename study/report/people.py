@@ -84,12 +84,19 @@ def _read(column: str, told: Mapping[str, Any]) -> Quantity:
     return Quantity(column, **{**told, "people": people and tuple(people)})
 
 
+def _table(name: str) -> dict[str, Any]:
+    return tomllib.loads(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+
+
 QUANTITIES = tuple(
-    _read(column, told)
-    for column, told in tomllib.loads(
-        Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
-    ).items()
+    _read(column, told) for column, told in _table("people.toml").items()
 )
+FURTHER = tuple(
+    Quantity(column, label, form)
+    for label, told in _table("walk.toml").items()
+    for column, _, form in [told.partition(":")]
+)
+"""What is shown of a walk besides, without people; "mass_kg" is no column, but the body's."""
 
 
 def not_human(known: Known) -> list[str]:

@@ -9,6 +9,7 @@ const CURVES = /^(cycle-|signals-)/ // begins the names of figures over time or 
 const OVER_TIME = "over time" // tags a figure
 const BONES = [0, 1, 3] // at which points of a leg's chain thigh, shank and foot begin
 const NEAR_M = 0.05 // of a muscle, from the pointer
+const TOUCHED = "(hover: none)" // a finger leaves at once what it has tapped
 const OWN_KEYS = /^(INPUT|SELECT|TEXTAREA|BUTTON|SUMMARY)$/ // to which the space bar means something
 let state = null
 
@@ -20,7 +21,7 @@ export default (args, changed) => {
   } else if (pointed) {
     const {x_range, y_range} = pointed.figure // from their corner: they go with the walker
     const place = changed.event_name === "mouseleave" ? [] : [changed.x - x_range.start, changed.y - y_range.start]
-    pointed.figure.setv({tags: place}, HERE)
+    if (place.length || !matchMedia(TOUCHED).matches) pointed.figure.setv({tags: place}, HERE)
   } else if (changed.event_name === "tap") {
     if (changed.origin.tags[0] === OVER_TIME) move_to(args, Math.max(0, Math.min(changed.x, args.slider.end)))
   } else if (changed !== args.play && changed !== args.ghost) { // the page is ready, or frames have come

@@ -1,6 +1,6 @@
-"""The six pictures of docs/explorer.md, of stores and comparisons in out/, which these make:
+"""The eight pictures of docs/explorer.md, of a store and comparisons in out/, which these make:
 
-    taichi-nmm precompute --config store-worlds    # and store-exo
+    taichi-nmm precompute --config quickstart-store    # and store-worlds, store-exo
     taichi-nmm compare --config risers --arms worlds --runs 1    # and exo
     python -m tests.study.explore.screenshots
 
@@ -18,7 +18,7 @@ from tests.browser import opened_page
 from tests.study.explore.serving import change, opened, show_row, walks
 
 OUT, IMG = Path("out"), Path("docs/img")  # of the checkout
-BRED_ROW = 20100  # of the store
+ROW = 1485  # of the store
 SHOWN_S = 4.4  # of each walk
 
 
@@ -34,12 +34,14 @@ def keep(page: Any, name: str, part: Any = None, columns: int = 1) -> None:
     few.save(IMG / f"explorer-{name}.png", optimize=True)
 
 
-def draw(page: Any) -> None:
-    """A study; a store by day, by night, on a phone, and two of its gaits; strides of two gaits."""
-    with opened(page, OUT / "compare" / "risers", "--study", "risers/worlds/run-000"):
-        keep(page, "study")
-    with opened(page, OUT / "store-worlds"):
-        show_row(page, BRED_ROW)
+def turn_to(page: Any, part: str) -> None:
+    page.get_by_role("button", name=part, exact=True).click()
+
+
+def draw_store(page: Any) -> None:
+    """A store by day, by night and on a phone; two of its gaits, their signals, and a what if."""
+    with opened(page, OUT / "quickstart-store"):
+        show_row(page, ROW)
         keep(page, "store")
         page.emulate_media(color_scheme="dark")
         keep(page, "dark")
@@ -49,17 +51,35 @@ def draw(page: Any) -> None:
         page.set_viewport_size({"width": 1500, "height": 1000})
         walks(page, lambda: page.get_by_text("keep it beside").click())
         walks(page, lambda: change(page, "start", "value", "published"))
-        page.get_by_text("score", exact=True).click()
+        turn_to(page, "score")
         keep(page, "gaits", page.locator(".column").last)
+        turn_to(page, "signals")
+        page.wait_for_function("named('beside-1')?.data.x.length > 1000")
+        keep(page, "signals", page.locator("details").last)
+        turn_to(page, "what if")
+        page.wait_for_function("named('lines') !== null")
+        walks(page, page.get_by_text("remove").click)
+        slider = "world.muscles.SOL_left"
+        walks(page, lambda: change(page, slider, "value", 0.5))
+        keep(page, "what-if", page.locator(".column").last)
+
+
+def draw_studies(page: Any) -> None:
+    """A study, and strides of two of the gaits of another one."""
+    page.set_viewport_size({"width": 1280, "height": 1000})
+    with opened(page, OUT / "compare" / "risers", "--study", "risers/worlds/run-000"):
+        keep(page, "study")
+    page.set_viewport_size({"width": 1500, "height": 1000})
     with opened(page, OUT / "compare" / "exo", "--study", "exo/worlds/run-000"):
         walks(page, lambda: page.get_by_text("keep it beside").click())
         walks(page, lambda: change(page, "start", "value", "reference"))
         change(page, "ghost", "active", True)
-        page.get_by_text("stride beside people").click()
+        turn_to(page, "stride beside people")
         page.wait_for_function("named('cycle-knee')?.inner_width > 100")
         keep(page, "strides", page.locator(".column").last)
 
 
 if __name__ == "__main__":
     with opened_page(1280, 1000) as page:
-        draw(page)
+        draw_store(page)
+        draw_studies(page)

@@ -20,7 +20,7 @@ from study.explore.walk import RATE_HZ, Walk, chosen_setting, recorded, walk
 from study.pictures import stick_figure
 from study.pictures.trajectory_files import own_columns
 from taichi_nmm.result import MUSCLES
-from tests.browser import opened_page
+from tests.browser import PATIENCE_MS, opened_page
 from tests.cases import ASSETS, asset, cases
 from tests.storage.fake import content
 from tests.study import fake_walker
@@ -292,8 +292,8 @@ PLACES = asset("muscles-on-the-body.toml")
 LEFT_AHEAD_S, RIGHT_AHEAD_S = 3.10, 3.64  # of the gait `reference`
 
 
-def point_at(page: Any, side: str, muscle: str) -> None:
-    """Move the mouse to where a muscle is now, by the bones that are drawn there."""
+def muscle_place(page: Any, side: str, muscle: str) -> tuple[float, float]:
+    """Where a muscle is now on the stage, m, by the bones that are drawn there."""
     place = PLACES[muscle]
     points = page.evaluate("bones_of", "near" if side == "left" else "far")
     hip, knee, ankle, *_ = np.reshape(points, (5, 2))
@@ -301,8 +301,14 @@ def point_at(page: Any, side: str, muscle: str) -> None:
     axis = (lower - upper) / np.hypot(*(lower - upper))
     front = np.array([-axis[1], axis[0]])
     x, z = upper + place["along_m"] * axis + place["ahead_m"] * front
+    return float(x), float(z)
+
+
+def point_at(page: Any, side: str, muscle: str) -> None:
+    """Move the mouse to a muscle."""
+    place = muscle_place(page, side, muscle)
     page.evaluate("painted")
-    page.mouse.move(*page.evaluate("place_of", ["stage", float(x), float(z)]))
+    page.mouse.move(*page.evaluate("place_of", ["stage", *place]))
 
 
 @pytest.fixture(scope="module")
@@ -448,6 +454,33 @@ def test_the_selection_reads_back(page: Any, store: Path) -> None:
     assert table.equals(whole.filter(speeds_of(store) <= 0.5))
     assert 0 < len(table) == page.evaluate("window.store_view.chosen") < len(whole)
     select(page, "")
+
+
+def test_a_phone_shows_the_walker_first_and_is_tapped(page: Any, store: Path) -> None:
+    """A tap on a point lets it walk, a tap on a muscle names it."""
+    context = page.context.browser.new_context(
+        viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
+    )
+    phone = context.new_page()
+    phone.set_default_timeout(PATIENCE_MS)
+    phone.add_init_script(path=ASSETS / "hands.js")
+    phone.goto(page.url)
+    phone.wait_for_function(
+        "window.store_view?.refreshed > 0 && window.walk_player?.shown > 0"
+    )
+    phone.wait_for_timeout(1000)  # it has been laid out
+    _, top, _, height = phone.evaluate("axes_of", "stage")
+    assert top > 0 and top + height < 844
+    change(phone, "play", "active", False)
+    phone.wait_for_function("stopped_at", arg=LEFT_AHEAD_S)
+    phone.wait_for_timeout(300)
+    x, y = phone.evaluate("place_of", ["stage", *muscle_place(phone, "left", "VAS")])
+    phone.touchscreen.tap(x, y)
+    phone.wait_for_function("named('stage').title.text.includes('left VAS, ')")
+    phone.evaluate("view_of('cloud').el.scrollIntoView()")
+    walks(phone, lambda: phone.touchscreen.tap(*phone.evaluate("point_of", 40)))
+    assert phone.evaluate("named('row').value") is not None
+    context.close()
 
 
 def test_a_tab_that_is_closed_leaves_others_alone(page: Any, store: Path) -> None:

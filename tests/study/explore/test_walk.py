@@ -1,5 +1,6 @@
 """A gait that walks for the page: its setting, its frames, why it fell, and files to take away."""
 
+import html
 import json
 import re
 from dataclasses import replace
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from storage.inputs.config import read_toml
+from study.commands.walk import summary
 from study.experiment.gains import gains_of_source, named_gains
 from study.experiment.walker import WalkerExperiment, as_written, read_experiment
 from study.explore import walk as walking
@@ -18,7 +20,7 @@ from study.explore.walk import Walk, chosen_setting, walk
 from study.explore.walk_view import score_text
 from study.options import config_path
 from taichi_nmm import GAIN_NAMES, InputError
-from taichi_nmm.result import FELL, OF_MUSCLES
+from taichi_nmm.result import FELL, OF_MUSCLES, Result
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import flat
 from tests.study import synthetic_gait
@@ -185,14 +187,26 @@ def test_an_axis_that_is_cut_says_so() -> None:
     assert "cut" not in knee.title.text
 
 
-def test_numbers_of_a_walk_that_made_no_step_are_unknown() -> None:
+def test_the_score_has_the_numbers_and_the_words_of_the_command() -> None:
+    """By their labels; of a walk that made no step most are unknown."""
     level = chosen_setting(**LEVEL | {"duration_s": 2.0})
     weak = gains_of_source("reference").as_document() | {"K_VAS": 0.0}
     fallen = walk(named_gains("weak", weak), level)
     assert fallen.row["step_count"] == 0 and fallen.row["end_reason"] == FELL
-    text = score_text(fallen, walk(gains_of_source("reference"), level))
-    number = r"align=left>([^<]*)</th><td align=right>[^<]*<td align=right>([^<]*)"
-    cells = dict(re.findall(number, text))
-    assert cells["M1 (knee flexion) mean"] == "-"
-    assert cells["score phi (as printed)"] == "0"
-    assert float(cells["mass of the whole body, which divides the energy (kg)"]) == 80.0
+    lasts = walk(gains_of_source("reference"), chosen_setting(**LEVEL))
+    row = r"align=left>([^<]*)</th><td align=right nowrap>([^<]*)<td align=right nowrap>([^<]*)"
+    shown = {
+        html.unescape(label): (before, now)
+        for label, before, now in re.findall(row, score_text(fallen, lasts))
+    }
+    results = {
+        name: Result(np.array([each.row]), (each.trajectory,))
+        for name, each in (("lasts", lasts), ("weak", fallen))
+    }
+    said = summary("gait", results, flat(), lasts.mass_kg).splitlines()
+    for label, cells in shown.items():
+        (line,) = [each for each in said if each.startswith(label)]
+        assert tuple(line.removeprefix(label).split()[:2]) == cells, label
+    assert len(shown) > 20 and shown["scored steps"][1] == "0"
+    assert "-" in [now for _, now in shown.values()]
+    assert f"<b>{-lasts.row['step_count']}</b>" in score_text(fallen, lasts)
