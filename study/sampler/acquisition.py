@@ -38,6 +38,9 @@ LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
 CACHED_CONSTANTS = 8
+# Trials, from which on smooth costs are in units of the trials. From 3 on, a robot like
+# the worlds lost what they tell of it; from 8 on none did, and others gained as much.
+FAMILIAR = 8
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
 REFITS = ((32, 1), (128, 4), (np.inf, 16))
@@ -163,7 +166,12 @@ class Model:
         """The inverse of `cost`, [m]."""
         if self._in_costs is not None:
             return self._in_costs.costs(cost)
-        return of_log_excess(cost, self.costs) if self.kernel.by_order else cost
+        if not self.kernel.by_order:
+            return cost
+        found = of_log_excess(cost, self.costs)
+        if isinstance(self.ensemble, Ensemble) and self.ensemble.in_costs:
+            return np.maximum(found, self.ensemble.floor)
+        return found
 
     def expected(self, points: Points, cost: Floats) -> Floats:
         """The mean over the worlds at points, [m], in the unit of these costs; 0 without worlds."""
@@ -184,7 +192,14 @@ class Model:
 
     @property
     def in_table_units(self) -> bool:
-        """Whether costs are those of a table's worlds, and infinity is beyond these."""
+        """Whether the process sees costs in units of the table, of all its rows in all worlds.
+
+        It does where walkers fall: the table has seen how far a fall is from a walk. Of
+        smooth costs a table knows the form, and `FAMILIAR` trials tell how far this
+        robot's lie apart: then they count by `log_excess`, in their own standard
+        deviations. That tells costs near the best apart, where a robot unlike all
+        worlds differs from them most.
+        """
         return self._in_costs is not None
 
     @cached_property
@@ -196,9 +211,19 @@ class Model:
 
     @property
     def _in_costs(self) -> Ensemble | None:
-        """Worlds whose outcomes are in the unit of the study's values."""
+        """Worlds in whose units the process sees costs: see `in_table_units`."""
         found = self.ensemble
-        return found if isinstance(found, Ensemble) and found.in_costs else None
+        if not isinstance(found, Ensemble) or not found.in_costs or self._is_familiar:
+            return None
+        return found
+
+    @cached_property
+    def _is_familiar(self) -> bool:
+        """Whether the worlds' costs are smooth, and trials tell how far this robot's lie apart."""
+        found = self.ensemble
+        if not isinstance(found, Ensemble) or not found.in_costs:
+            return False
+        return len(self.costs) >= FAMILIAR and found.is_smooth
 
     def _after(
         self, points: Points, y: Callable[[slice], Floats], *, standardised: bool = True
@@ -207,7 +232,11 @@ class Model:
         seen = self.visible(points)
         x, columns = seen.matrix, self._columns(seen)
         covariance = new_covariance(
-            self.kernel, columns, self.parameters, standardised=standardised
+            self.kernel,
+            columns,
+            self.parameters,
+            standardised=standardised,
+            is_smooth=self._is_familiar,
         )
         every = next(every for most, every in self.refits if len(x) <= most)
         first = len(x) - len(x) % every

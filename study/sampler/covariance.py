@@ -316,7 +316,12 @@ class Covariance:
 
 
 def new_covariance(
-    kernel: Kernel, columns: Columns, parameters: int, *, standardised: bool = True
+    kernel: Kernel,
+    columns: Columns,
+    parameters: int,
+    *,
+    standardised: bool = True,
+    is_smooth: bool = False,
 ) -> Covariance:
     """The covariance of rows with these columns.
 
@@ -325,12 +330,16 @@ def new_covariance(
         columns: of the rows.
         parameters: d, their number; its prior length scales grow with it.
         standardised: see `Covariance`.
+        is_smooth: whether the worlds' costs are, so that no single trial can turn their
+            ranking round: it is then as free to fit the trials as that of one world.
     """
     if kernel.related and not kernel.of_parameters:
         return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
     terms = []
     if kernel.related:
         ranking = max(1.0 / len(columns.worlds), LEAST_RANKING)
+        if is_smooth:
+            ranking = 1.0
         slope = Constant(log(ranking), RANKING_SD, SLOPE_BOUNDS)
         terms = [Term(columns.worlds, WORLD), Term(columns.mean, slope)]
         if not standardised:

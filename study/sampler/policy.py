@@ -1,10 +1,9 @@
 """The common part of proposals from a table and from a space.
 
 The first trials come before there is a model. With worlds they are the best rows by
-their mean, `RANKED` of them; where outcomes are costs of several worlds, until a trial
-succeeds, and one where none can. With features they are the `ENDS` of their first
-principal component, where candidates are extreme by most of them at once, so that one
-end is good where several predict the cost; else `RANDOM` ones.
+their mean, `RANKED` of them or fewer (`ranking_goes_on`). With features they are the
+`ENDS` of their first principal component, where candidates are extreme by most of them
+at once, so that one end is good where several predict the cost; else `RANDOM` ones.
 """
 
 import warnings
@@ -41,7 +40,7 @@ from study.sampler.history import (
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points, is_doubtful
-from study.sampler.worlds import matrix_of
+from study.sampler.worlds import Ensemble, matrix_of
 
 Features = Callable[[Floats], Floats]
 """Features [n, k] of points [n, d], by a function of the user's."""
@@ -243,6 +242,16 @@ class Policy:
         if kind not in self._said:
             self._said.add(kind)
             warnings.warn(message, UserWarning, stacklevel=2)
+
+
+def ranking_goes_on(ensemble: Ensemble, *, has_failed: bool) -> bool:
+    """Whether the second and third trials still follow the ranking by mean costs in worlds.
+
+    Of smooth costs, or of one world, they do: they tell how far the robot is from all
+    worlds. Of others the first trial tells enough. But if it failed where a success is
+    to be had, they do, too: two falls do not yet tell which worlds a robot is like.
+    """
+    return has_failed or len(ensemble.names) == 1 or ensemble.is_smooth
 
 
 def call_features(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.between import Between, chosen_guess
+from study.sampler.between import Between
 from study.sampler.goals import Goals
 from study.sampler.similarity import Alike, Relation
 from study.sampler.space import Number, Space, first_not_taken, standing_for
@@ -125,21 +125,22 @@ class Rows:
         assert worlds is not None
         costs = partial(worlds.of_rows, self.numbers, signs, goals)
         if goals is not None:
-            return Ensemble(worlds, costs(), is_drawn=True)
-        return once(self, ("ensemble", *signs), lambda: Ensemble(worlds, costs()))
+            return Ensemble(worlds, costs())
+        return once(
+            self, ("ensemble", *signs), lambda: Ensemble(worlds, costs(), self.unit)
+        )
 
     def between(self, ensemble: Relation | None = None) -> Between:
         """What rows that may be proposed tell of points between them; made once.
 
-        Beside worlds by kriging, if they are smooth. An ensemble that was drawn for one
-        trial is not asked: that would take longer than the trial's proposal.
+        Beside worlds by kriging, if they are smooth.
         """
 
         def made() -> Between:
-            if not isinstance(ensemble, Ensemble) or ensemble.is_drawn:
+            if not isinstance(ensemble, Ensemble):
                 return Between(self.unit)
-            guess = chosen_guess(self.unit, ensemble.mean)
-            return Between(self.unit, guess, beside=ensemble.columns.shape[1])
+            beside = ensemble.columns.shape[1]
+            return Between(self.unit, ensemble.guess, beside=beside)
 
         return once(ensemble or self, "between", made)
 

@@ -57,6 +57,7 @@ from study.sampler.policy import (
     call_features,
     features_of,
     one_thread,
+    ranking_goes_on,
     set_attributes,
     take_back,
 )
@@ -67,6 +68,7 @@ from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among, not_near
 from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
+from study.sampler.worlds import Ensemble
 
 CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
@@ -104,9 +106,7 @@ class TablePolicy(Policy):
         # Costs in worlds are a model before any trial. What only ranks tells no cost.
         self._in_costs = worlds is not None and worlds.better is None
         if worlds is not None:
-            # Of one world nothing tells how far a robot is from it: its ranking goes on.
-            is_model = self._in_costs and len(worlds.names) > 1
-            self.first_trials = 1 if is_model and options.success is None else RANKED
+            self.first_trials = RANKED
 
     @cached_property
     def own_rows(self) -> Rows:
@@ -306,8 +306,9 @@ class TablePolicy(Policy):
             offered = certificate.offered
             if not offered.any() and not is_near:
                 raise certificate.refusal()
-        if self._begins(history) and offered.any():
-            return self._first_row(offered, own_turn, self._ensemble(history))
+        ensemble = self._ensemble(history)
+        if offered.any() and self._begins(history, ensemble):
+            return self._first_row(offered, own_turn, ensemble)
         found = self._best_candidate(history, offered, own_turn, certificate)
         if found is NOTHING and certificate is not None:
             raise certificate.refusal()
@@ -325,15 +326,16 @@ class TablePolicy(Policy):
             partial(by_trials, model, points, partial(self.errors, model)),
         )
 
-    def _begins(self, history: History) -> bool:
-        """Whether this is one of the first trials; with costs in worlds, none of them succeeded.
-
-        Two falls do not yet tell which worlds a robot is like.
-        """
-        is_early = len(history.cost) < self.first_trials
-        if not self._in_costs or (success := self.options.success) is None:
-            return is_early
-        return is_early and bool((history.cost > history.sign * success).all())
+    def _begins(self, history: History, ensemble: Relation | None) -> bool:
+        """Whether this trial comes before the model."""
+        count, success = len(history.cost), self.options.success
+        if count >= self.first_trials:
+            return False
+        if not self._in_costs or count == 0:
+            return True
+        assert isinstance(ensemble, Ensemble)
+        has_failed = success is not None and history.cost.min() > history.sign * success
+        return ranking_goes_on(ensemble, has_failed=has_failed)
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows, compared = self.rows, self.compared(study)

@@ -75,12 +75,12 @@ def unlike(model: Model, rows: Whole, sign: float) -> Unlike | None:
         sign: of costs in the study's values.
     """
     ensemble = model.ensemble
-    if not isinstance(ensemble, Ensemble) or not model.in_table_units:
+    if not isinstance(ensemble, Ensemble) or not ensemble.in_costs:
         return None
     if len(ensemble.names) < LEAST_WORLDS or ensemble.is_drawn:
         return None
     first = slice(min(len(model.costs), len(FALSE_ALARMS)))
-    cost = model.cost(first)
+    cost = ensemble.standard(model.costs[first])
     told = ensemble.told(model.trials.features[first])  # [t, w]
     doubt = READING**2 + np.where(rows[first] == OFF_TABLE, OFF_ROW**2, 0.0)
     for count, share in enumerate(FALSE_ALARMS[: len(cost)], start=1):
@@ -89,7 +89,7 @@ def unlike(model: Model, rows: Whole, sign: float) -> Unlike | None:
             continue
         away = np.maximum(told.min(axis=1) - cost, cost - told.max(axis=1))[some]
         worst = int(away.argmax())
-        ends = sign * model.in_units(told[worst])
+        ends = sign * ensemble.costs(told[worst])
         return Unlike(
             trials=count,
             worlds=len(ensemble.names),

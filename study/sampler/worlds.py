@@ -16,6 +16,9 @@ point off the table has the m and d that rows near it let expect
 (`study.sampler.between`). Outcomes in other
 units than the study's values (shares survived, scores) tell which rows are better, not
 what they cost: there is no shift then.
+
+Where costs are smooth functions of the parameters, and some trials are done, a trial's
+cost counts by the logarithm of its excess over the best one (`Model.in_table_units`).
 """
 
 from collections.abc import Callable, Mapping
@@ -29,6 +32,7 @@ from numpy.typing import ArrayLike
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats, Mask, Whole
+from study.sampler.between import Guess, chosen_guess, nearest_mean
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
     MOST,
@@ -213,12 +217,19 @@ class Ensemble:
     """The worlds' costs of m rows as a Gaussian process takes them."""
 
     def __init__(
-        self, worlds: Worlds, costs: Floats, *, is_drawn: bool = False
+        self, worlds: Worlds, costs: Floats, unit: Floats | None = None
     ) -> None:
-        """Take the costs [m, w] of rows, as `Worlds.of_rows` has them."""
+        """Take the costs [m, w] of rows, as `Worlds.of_rows` has them.
+
+        Args:
+            worlds: whose costs they are.
+            costs: see above.
+            unit: the rows in the unit cube, [m, e], to guess points between them;
+                None: of goals that were drawn for one trial, whose proposal would take
+                longer for it.
+        """
         self.names = worlds.names
-        # Whether its costs are of goals that were drawn for one trial.
-        self.is_drawn = is_drawn
+        self._places = unit
         # How many worlds of one weight tell as much, less one: of one world nothing is
         # known of how far others are from it.
         self.freedom = 1.0 / float((worlds.weights**2).sum()) - 1.0
@@ -246,6 +257,28 @@ class Ensemble:
         worlds, mean = len(self.names), features[:, -1]
         parts = features[:, -2 - worlds : -2]
         return np.asarray(mean[:, None] + parts / np.sqrt(self._weights))
+
+    @property
+    def floor(self) -> float:
+        """What no cost is below: of positive ones a small share of the table's least."""
+        return LEAST_SHARE * self._least if self._least > 0.0 else -np.inf
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether its costs are of goals that were drawn for one trial."""
+        return self._places is None
+
+    @cached_property
+    def guess(self) -> Guess:
+        """What the rows tell of points between them; learned once."""
+        if self._places is None:
+            return nearest_mean
+        return chosen_guess(self._places, self.mean)
+
+    @property
+    def is_smooth(self) -> bool:
+        """Whether the mean cost is a smooth function of the parameters near the best rows."""
+        return self.guess is not nearest_mean
 
     def standard(self, costs: Floats) -> Floats:
         """Costs in the model's units, standard deviations over the table from its mean.

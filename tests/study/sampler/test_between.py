@@ -11,6 +11,7 @@ from study import FeatureTable
 from study.sampler import between, gp
 from study.sampler.covariance import EUCLIDEAN, new_covariance
 from study.sampler.transforms import new_columns
+from study.sampler.worlds import Ensemble
 
 D = 3
 RNG = np.random.default_rng(0)
@@ -129,6 +130,6 @@ def test_a_table_decides_once_and_not_for_goals_that_are_drawn():
     chosen = rows.between(ensemble)
     assert isinstance(chosen.guess, partial) and rows.between(ensemble) is chosen
     assert rows.between().guess is between.nearest_mean
-    ensemble.is_drawn = True
-    ensemble.kept.clear()
-    assert rows.between(ensemble).guess is between.nearest_mean
+    drawn = Ensemble(rows.worlds, costs)
+    assert rows.between(drawn).guess is between.nearest_mean
+    assert ensemble.is_smooth and not drawn.is_smooth

@@ -6,6 +6,7 @@ import pytest
 from optuna.distributions import FloatDistribution
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import FAMILIAR
 from study.sampler.calibration import COST, COST_UNLIKE
 from study.sampler.unlike import FALSE_ALARMS, LEAST_WORLDS
 from tests.study.sampler.campaigns import machine_of
@@ -37,6 +38,8 @@ def test_a_machine_beyond_all_worlds_is_called_so_after_one_trial():
     assert f"say {least:.4g} to {most:.4g}." in found.unlike
     assert str(found).endswith(found.unlike) and "\n" not in found.unlike
     assert said([2.0, 0.4, 0.35, 0.31, 0.3]).unlike == found.unlike
+    many = [2.0, *np.linspace(0.5, 0.3, FAMILIAR)]
+    assert said(many).unlike == found.unlike  # costs in units of the trials by now
 
 
 def test_a_machine_that_is_one_of_the_worlds_is_not():

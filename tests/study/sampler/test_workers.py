@@ -14,6 +14,7 @@ from optuna.trial import TrialState
 from storage.databases.studies import open_studies
 from study import DoGSampler, FeatureKernelSampler, FeatureTable
 from study.sampler.gp import Posterior
+from study.sampler.history import is_own
 from tests.study.sampler.studies import summed
 
 pytestmark = pytest.mark.slow
@@ -81,10 +82,10 @@ def test_of_two_that_want_one_row_the_later_gives_way():
     study = optuna.create_study(sampler=DoGSampler(table, seed=0))
     first, second = study.ask(), study.ask()
     first.set_user_attr("row", 7)
-    is_own = study.sampler._policy._is_own
-    assert is_own(study, study.trials[first.number], 7)
+    rows = table.rows
+    assert is_own(rows, study, study.trials[first.number], 7)
     second.set_user_attr("row", 7)
-    assert not is_own(study, study.trials[second.number], 7)
+    assert not is_own(rows, study, study.trials[second.number], 7)
 
 
 def test_threads_share_a_sampler():
