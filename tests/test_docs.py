@@ -5,6 +5,7 @@ import runpy
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import optuna
@@ -141,14 +142,22 @@ def test_walks_of_the_readme_and_the_start_page_print_what_is_promised(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("page", "block"), [(README, 0), (DOCS / "store.md", 0)])
-def test_examples_run_on_a_store(
-    page: Path, block: int, tmp_path: Path, example: Example
-) -> None:
+def test_the_oven_of_the_readme_does_what_is_said_of_it() -> None:
+    names: dict[str, Any] = {}
+    exec(code_blocks(README)[0], names)
+    costs = [trial.value for trial in names["study"].trials]
+    best = names["cost"](names["kp"], names["ki"], strength=0.016, lag_s=25.0).min()
+    assert min(costs) == pytest.approx(best)
+    said = re.findall(r"it costs ([\d.]+)\.\s", README.read_text())
+    assert said == [f"{costs[0]:.3f}", f"{best:.3f}"]
+
+
+@pytest.mark.slow
+def test_the_example_of_stores_runs_on_one(tmp_path: Path, example: Example) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "store").symlink_to(ROOT / "tests" / "assets" / "store-v1")
     fake_walker.write_store(tmp_path / "out" / "store-worlds")
-    example(page, block)
+    example(DOCS / "store.md")
 
 
 @pytest.mark.slow

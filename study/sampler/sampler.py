@@ -60,10 +60,10 @@ class FeatureKernelSampler(BaseSampler):
         w ~ N(0, v I),  f ~ GP(0, s^2 exp(-sum_j (phi_j - phi'_j)^2 / 2 l_j^2)),
         g ~ GP(0, t^2 exp(-|u - u'|^2 / 2 L^2))
 
-    On a table with outcomes in worlds, costs are in the table's units, and the mean and
-    covariance of the rows over the worlds are a part of the model
-    (`study.sampler.worlds`). On a pool of which a similarity is known, that alone is
-    the model (`study.sampler.similarity`).
+    On a table with outcomes in worlds, costs are in the table's units, but for smooth
+    ones, which soon are in those of the trials; and the mean and covariance of the rows
+    over the worlds are a part of the model (`study.sampler.worlds`). On a pool of which
+    a similarity is known, that alone is the model (`study.sampler.similarity`).
 
     v, s, t, the length scales and the noise are learned (`study.sampler.covariance`,
     `study.sampler.gp`). Once no

@@ -306,9 +306,8 @@ class TablePolicy(Policy):
             offered = certificate.offered
             if not offered.any() and not is_near:
                 raise certificate.refusal()
-        ensemble = self._ensemble(history)
-        if offered.any() and self._begins(history, ensemble):
-            return self._first_row(offered, own_turn, ensemble)
+        if offered.any() and self._begins(history):
+            return self._first_row(offered, own_turn, self._ensemble(history))
         found = self._best_candidate(history, offered, own_turn, certificate)
         if found is NOTHING and certificate is not None:
             raise certificate.refusal()
@@ -326,13 +325,14 @@ class TablePolicy(Policy):
             partial(by_trials, model, points, partial(self.errors, model)),
         )
 
-    def _begins(self, history: History, ensemble: Relation | None) -> bool:
+    def _begins(self, history: History) -> bool:
         """Whether this trial comes before the model."""
         count, success = len(history.cost), self.options.success
         if count >= self.first_trials:
             return False
         if not self._in_costs or count == 0:
             return True
+        ensemble = self._ensemble(history)
         assert isinstance(ensemble, Ensemble)
         has_failed = success is not None and history.cost.min() > history.sign * success
         return ranking_goes_on(ensemble, has_failed=has_failed)

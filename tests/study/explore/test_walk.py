@@ -157,10 +157,7 @@ def test_what_is_taken_walks_the_same_to_the_bit(
 
 @pytest.mark.slow
 def test_recordings_and_pictures_are_those_of_the_command(
-    fell: Walk,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    fell: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     pytest.importorskip("ezc3d", reason="no ezc3d: pip install 'taichi-nmm[c3d]'")
@@ -169,7 +166,6 @@ def test_recordings_and_pictures_are_those_of_the_command(
     for name in walking.RECORDINGS:
         words += ["--trajectory", name]
     assert run_tool(monkeypatch, "walk", *words, "--out", ".") == 0
-    capsys.readouterr()
     for wanted in (*walking.RECORDINGS, *walking.PICTURES):
         name, content = walking.file_of_walk(fell, wanted)
         assert name == wanted and Path(wanted).read_bytes() == content, wanted
