@@ -27,7 +27,7 @@ def page() -> str:
 
 
 def chapter(name: str) -> Iterator[str]:
-    """A command: its first sentence, the rest of its description as it is printed, its options."""
+    """A command: its first sentence, the rest of its description, its own options."""
     parser = parser_of(name)
     first, _, rest = (parser.description or "").strip().partition("\n")
     yield from (f"## {name}", first, "", "```text", rest.strip("\n"), "```", "")
@@ -35,7 +35,9 @@ def chapter(name: str) -> Iterator[str]:
     for action in parser._actions:
         if not isinstance(action, argparse._HelpAction):
             meaning = (action.help or "") % vars(action)
-            yield f"| `{words(action)}` | {cell(meaning)} |"
+            row = f"| `{words(action)}` | {cell(meaning)} |"
+            if row not in INTRODUCTION:
+                yield row
     yield ""
 
 
