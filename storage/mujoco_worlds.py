@@ -1,8 +1,7 @@
 """What the numbers of a world change in a MuJoCo model, and which models they cannot change.
 
 A number means the same on any model, or `reason_against` says why it has no meaning on
-this one. docs/robots.md has the table; `tools/try_models.py` measures it on models of
-others.
+this one. docs/robots.md has the table; `tests/storage/test_odd_models.py` measures it.
 """
 
 import copy

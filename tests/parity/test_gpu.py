@@ -1,4 +1,4 @@
-"""The kernel on a GPU against the same on the processor; skipped where there is no GPU.
+"""The kernel on a GPU: against the same on the processor, and against itself; skipped without one.
 
 All walkers start with tendons that are slack to the last bit, and rounding decides
 whether one pulls. So the two are compared from a state that the processor has walked
@@ -19,6 +19,8 @@ from taichi_nmm.parameters import LOW_LEVEL_NAMES
 from taichi_nmm.queue import Queue
 from taichi_nmm.walkers import Batch
 from tests.parity.test_compiler import walking_batch
+from tests.taichi_nmm.test_determinism import WALKERS as MANY
+from tests.taichi_nmm.test_determinism import rows
 
 Array = NDArray[np.float64]
 
@@ -60,11 +62,32 @@ def on_gpu(batch: Batch, ticks: tuple[int, ...]) -> list[Array]:
     return found
 
 
-def test_a_gpu_walks_as_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(autouse=True)
+def gpu() -> Settings:
+    """Settings that walk on it."""
+    settings = Settings(arch="cuda")
     try:
-        backend.start(Settings(arch="cuda"))
+        backend.start(settings)
     except InputError:
         pytest.skip("no GPU")
+    return settings
+
+
+def test_no_bit_depends_on_order_company_or_launches(
+    gpu: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    every = np.arange(MANY)
+    whole = rows(every, gpu)
+    order = np.random.default_rng(1).permutation(MANY)
+    assert rows(order, gpu).tobytes() == whole[order].tobytes()
+    assert rows(np.tile(every, 30), gpu).tobytes() == np.tile(whole, 30).tobytes()
+    assert rows(every[7:8], gpu).tobytes() == whole[7:8].tobytes()
+    monkeypatch.setattr(queue, "LAUNCH_TICKS", 130)
+    monkeypatch.setattr(simulator, "LAUNCH_TICKS", 130)
+    assert rows(every, gpu).tobytes() == whole.tobytes()
+
+
+def test_a_gpu_walks_as_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     batch = walking_batch(WALKERS)
     (start,) = on_processor(batch, (0, START_TICK))
     start[:, WalkerRows.sums :] = 0.0

@@ -18,10 +18,9 @@ from storage.mujoco_simulator import COLUMNS, WORLDS, MujocoSimulator, SensedSta
 from storage.points import sobol_points
 from storage.simulator import find_simulator, run_points
 from study.options import CONFIGS
-from tests.cases import ASSETS, cases
+from tests.cases import ASSETS
 from tests.storage import rail
 from tests.storage.rail import XML, Rail, made, swing
-from tests.tools.running import load_tool
 
 HARD = {
     "mass": [0.8, 1.3],
@@ -195,23 +194,6 @@ def test_strength_scales_the_force_of_muscles_and_not_their_range() -> None:
     for parameters in ("actuator_gainprm", "actuator_biasprm"):
         ratio = getattr(weak, parameters)[0, :9] / getattr(plain, parameters)[0, :9]
         assert ratio.tolist() == [1.0, 1.0, 0.5, 0.5, *[1.0] * 5]
-
-
-@cases("odd-models.toml", "xml", "refused", "nothing")
-def test_a_number_means_the_same_on_any_model(
-    xml: str, refused: list[str], nothing: list[str], tmp_path: Path
-) -> None:
-    file = tmp_path / "odd.xml"
-    file.write_text(xml)
-    found = load_tool("try_models").measured(file)
-    words = {number: word for number, (word, _) in found.items()}
-    assert {
-        number: why for number, (word, why) in found.items() if word == "WRONG"
-    } == {}
-    assert {number for number, word in words.items() if word == "refused"} == {*refused}
-    assert {number for number, word in words.items() if word == "-"} - {"pose"} == {
-        *nothing
-    }
 
 
 def test_energy_and_weight_are_what_the_robot_has() -> None:
