@@ -5,6 +5,7 @@ import os
 import pickle
 import re
 import sys
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 
@@ -47,17 +48,42 @@ def test_it_loads_the_one_sampler_there_is_which_unpickles_without_the_hub(optun
     assert type(pickle.loads(data)) is study.FeatureKernelSampler
 
 
-def test_the_readmes_example_runs(optunahub, monkeypatch, capsys):
-    """With the local registry in the place of the one on the net."""
+@pytest.fixture
+def examples(optunahub, monkeypatch):
+    """The README's programs, with the local registry in the place of the one on the net."""
     text = (FOLDER / "README.md").read_text()
-    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     monkeypatch.setattr(optunahub, "load_module", lambda name: load(optunahub))
+    found = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    return [compile(code, "README.md", "exec") for code in found]
+
+
+def test_the_readmes_example_runs(examples, capsys):
     names: dict[str, object] = {}
-    exec(compile(code, "README.md", "exec"), names)
+    exec(examples[0], names)
     found = names["study"]
     assert isinstance(found, optuna.Study)
     assert abs(found.best_params["x"] - 1.0) < 0.5
     assert str(found.best_params) in capsys.readouterr().out
+
+
+def test_the_readmes_measured_example_runs(examples, capsys, monkeypatch, tmp_path):
+    """On made-up yields of three pairs: the base decides, and the third pair likes another."""
+    _, example = examples
+    names = ("Electrophile", "Nucleophile", "Ligand", "Base", "Solvent")
+    lines = [",".join([*(f"{name}_SMILES" for name in names), "yield"])]
+    bases = {"A": (90, 10, 20, 30), "B": (80, 20, 30, 10), "C": (10, 20, 30, 80)}
+    for pair, base, ligand, solvent in product(bases, range(4), "PQ", "uv"):
+        reached = bases[pair][base] + (ligand == "P")
+        lines.append(f"{pair},N,{ligand},b{base},{solvent},{reached}")
+    (tmp_path / "experiment_index.csv").write_text("\n".join(lines))
+    monkeypatch.chdir(tmp_path)
+    exec(example, {})
+    said = re.search(r"ours (\S+) %, the ranking (\S+) %", capsys.readouterr().out)
+    assert said is not None
+    ours, ranking = map(float, said.groups())
+    # of C the ranking tries b0 four times and b2 once: 31 % in place of 81 %
+    assert ranking == pytest.approx((81 - 31) / 3, abs=0.06)
+    assert 0.0 <= ours <= ranking
 
 
 def test_without_taichi_nmm_the_error_says_what_to_install(optunahub, monkeypatch):
