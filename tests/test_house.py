@@ -25,8 +25,8 @@ COMMANDS = ("tools", "study.commands")
 # No measure may be larger. A node is one of the syntax tree: neither width nor
 # docstrings nor comments change their number.
 BOUNDS = {
-    "nodes of the product": 297_062,
-    "nodes of the tests": 286_300,
+    "nodes of the product": 300_389,
+    "nodes of the tests": 288_007,
     "characters a line of the product": 46.5,
     "characters a line of the tests": 48.0,
     "lines of 90 and more columns, %": 7.0,

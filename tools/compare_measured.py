@@ -14,28 +14,26 @@ from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 from checkout import guarded_imports, run_command
 
 with guarded_imports():
     import numpy as np
-    import scipy
 
     from storage.inputs.errors import InputError
     from study.pictures import style
     from study.report.figures import trial_axis
     from tools import measured
-    from tools.measured import ARMS, FAMILIES, MeasuredRun, Target
+    from tools.measured import FAMILIES, Target
+    from tools.measured_arms import ARMS, MeasuredRun
     from tools.page import write_page
-    from tools.runs import Floats, RunOptions, chosen, execute, runnable
+    from tools.runs import Floats, RunOptions, Versus, chosen, execute, runnable
 
 NAME, TITLE = "sampler-measured", "Samplers on measured worlds"
 GUIDE = "docs/measured.md"
 CHECKPOINTS = (1, 3, 5, 10, 20)  # trials
 OURS = ("ours", "ours-scores")
 SHOWN_AT = 10  # trials, of the table of targets
-BEHIND_P = 0.05
 
 
 def main() -> None:
@@ -91,36 +89,6 @@ def parse() -> Namespace:
     arms = chosen("arms", found.arms or ",".join(ARMS), [*ARMS])
     found.arms = runnable(arms, ARMS)
     return found
-
-
-class Versus(NamedTuple):
-    """One arm against another, target by target.
-
-    A target is won if the first arm has a lower cost on more of its seeds than a higher.
-
-    Attributes:
-        won: targets.
-        lost: targets.
-        p: of the sign test over these targets, two-sided, not corrected for the number
-            of tests.
-    """
-
-    won: int
-    lost: int
-    p: float
-
-    @classmethod
-    def of(cls, leads: Sequence[int]) -> "Versus":
-        """Of seeds won less seeds lost, one a target."""
-        won, lost = sum(lead > 0 for lead in leads), sum(lead < 0 for lead in leads)
-        p = scipy.stats.binomtest(won, won + lost).pvalue if won + lost else 1.0
-        return cls(won, lost, float(p))
-
-    def cells(self) -> str:
-        """Two cells of a table; p is bold where the first arm is behind."""
-        is_behind = self.lost > self.won and self.p < BEHIND_P
-        p = f"**{self.p:.2g}**" if is_behind else f"{self.p:.2g}"
-        return f"{self.won}:{self.lost} | {p}"
 
 
 class Comparison:

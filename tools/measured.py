@@ -1,4 +1,4 @@
-"""Worlds that somebody measured, with no simulator in between, and arms that know them.
+"""Worlds that somebody measured, with no simulator in between.
 
 A *family* is one thing that was measured on several machines: the run times of a GPU
 kernel on GPUs, the yields of a reaction with substrates. Each machine in turn is the
@@ -10,7 +10,6 @@ them.
 import math
 import re
 import sys
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -18,24 +17,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 from optuna.distributions import (
     BaseDistribution,
     CategoricalDistribution,
     FloatDistribution,
     IntDistribution,
 )
-from optuna.samplers import BaseSampler
 
 from storage.foreign_tables import ForeignTable
 from storage.inputs.errors import InputError
 from storage.inputs.reading import is_folder, json_document, reading
-from study.experiment import samplers
-from study.sampler.sampler import FeatureKernelSampler
-from study.sampler.table import FeatureTable
-from study.sampler.worlds import Better
-from tools.page import ROOT
-from tools.runs import Arm, Batches, Columns, Floats, Pool, Run, study_costs
+from tools.runs import Columns, Floats, Pool
 
 Candidate = tuple[float | int | str, ...]  # values of the parameters
 ByMachine = Mapping[str, Mapping[Candidate, float]]
@@ -236,11 +228,18 @@ EDBO = (
     "https://github.com/b-shields/edbo, folder experiments/data"
     " (DOI 10.1038/s41586-021-03213-y)"
 )
-TIMES = ("run time, ms", "slower than the best, %", True, HUB)
+OLDER = HUB.replace(" (", "/KernelTuner data of currently_unused (")
+TIMES = ("run time, ms", "slower than the best, %", True)
 YIELDS = ("yield that is missing, %", "yield below the best, %", False, EDBO)
 FAMILIES = {
-    "convolution": Family("kernels/convolution_milo", read_kernel, *TIMES),
-    "dedispersion": Family("kernels/dedispersion_milo", read_kernel, *TIMES),
+    "convolution": Family("kernels/convolution_milo", read_kernel, *TIMES, HUB),
+    "dedispersion": Family("kernels/dedispersion_milo", read_kernel, *TIMES, HUB),
+    **{
+        f"rtx_{kernel}": Family(
+            f"kernels/KernelTuner data/{kernel}", read_kernel, *TIMES, OLDER
+        )
+        for kernel in ("convolution", "gemm", "pnpoly")
+    },
     "amination": Family("reactions/aryl_amination", read_amination, *YIELDS),
     "coupling": Family("reactions/suzuki", read_coupling, *YIELDS),
 }
@@ -290,11 +289,16 @@ class Target(Pool):
 
     BY_ROW = ("cost", "outcomes")
 
+    @property
+    def is_time(self) -> bool:
+        """Whether a cost is a time, of which factors matter."""
+        return FAMILIES[self.family].is_time
+
     def regret(self, costs: Floats) -> Floats:
         """How far costs are above the least of the pool, in % of it or of the full yield."""
         least = self.cost.min()
-        is_time = FAMILIES[self.family].is_time
-        return np.asarray(100.0 * (costs / least - 1.0) if is_time else costs - least)
+        slower = 100.0 * (costs / least - 1.0)
+        return np.asarray(slower if self.is_time else costs - least)
 
 
 def names_of(data: Path, family: str) -> list[str]:
@@ -337,90 +341,3 @@ def _space(column: Any) -> BaseDistribution:
     if len(steps) > 1 and steps == values[:-1]:
         return IntDistribution(low, high, log=True)
     return IntDistribution(low, high, step=math.gcd(*steps))
-
-
-def of_worlds(better: Better | None = None) -> Callable[..., Floats]:
-    """Of our sampler over a table of the worlds, with its defaults.
-
-    Nothing was measured but the candidates: no point off the table is proposed.
-    """
-
-    def costs(target: Target, seed: int, batches: Batches) -> Floats:
-        table = FeatureTable.from_arrays(
-            target.columns, outcomes=target.outcomes, space=target.space, better=better
-        )
-        sampler = FeatureKernelSampler(table, seed=seed, off_grid=0)
-        return study_costs(target, sampler, batches)
-
-    return costs
-
-
-def of_ranking(
-    made: Callable[..., BaseSampler], by_rank: bool = False, **options: Any
-) -> Callable[..., Floats]:
-    """Of a sampler over the mean of the worlds, or over the mean of a candidate's ranks in them."""
-
-    def costs(target: Target, seed: int, batches: Batches) -> Floats:
-        worlds = scipy.stats.rankdata(target.outcomes, axis=0) if by_rank else None
-        score = -(target.outcomes if worlds is None else worlds).mean(axis=1)
-        with warnings.catch_warnings(action="ignore", category=UserWarning):
-            table = FeatureTable.from_arrays(target.columns, score, space=target.space)
-        return study_costs(target, made(table, seed, **options), batches)
-
-    return costs
-
-
-LIKE_WORLDS, COSTS, MEAN = "the worlds, as scores", "the worlds, as costs", "their mean"
-ARMS = {
-    "ours": Arm("ours", of_worlds(), ours=True, sees=COSTS),
-    "ours-scores": Arm(
-        'ours, better="lower"', of_worlds("lower"), ours=True, sees=LIKE_WORLDS
-    ),
-    "ranking-mean": Arm(
-        "ranking by mean", of_ranking(samplers.RankedSampler), sees=MEAN
-    ),
-    "ranking-rank": Arm(
-        "ranking by mean rank",
-        of_ranking(samplers.RankedSampler, by_rank=True),
-        sees="their mean rank",
-    ),
-    "hill": Arm("hill climber after 3", of_ranking(samplers.hill_ranking), sees=MEAN),
-    "residual": Arm(
-        "residual process",
-        of_ranking(samplers.residual, off_grid=0),
-        ours=True,
-        sees=MEAN,
-    ),
-    "tpe": Arm("TPESampler after 3", of_ranking(samplers.tpe_ranking), sees=MEAN),
-    "gp": Arm(
-        "GPSampler after 3", of_ranking(samplers.gp_ranking), sees=MEAN, needs="torch"
-    ),
-}
-
-
-@dataclass(frozen=True)
-class MeasuredRun(Run):
-    """One study on a target.
-
-    Attributes:
-        folder: of all data.
-    """
-
-    folder: Path
-
-    SOURCES = (Path(__file__), ROOT / "study" / "experiment" / "samplers.py")
-
-    @property
-    def pool(self) -> Target:
-        """The target of that name."""
-        return target(self.folder, self.problem)
-
-    @property
-    def way(self) -> Arm[Target]:
-        """The arm of that name."""
-        return ARMS[self.arm]
-
-    @property
-    def data(self) -> tuple[Path, ...]:
-        """The files of the target's family."""
-        return measurements(self.folder, self.pool.family).files

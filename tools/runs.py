@@ -24,6 +24,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 import optuna
+import scipy
 from numpy.typing import ArrayLike, NDArray
 from optuna.distributions import (
     BaseDistribution,
@@ -46,6 +47,7 @@ Columns = dict[str, NDArray[Any]]
 Settings = Mapping[str, float | int | str]  # one candidate: its parameters by name
 
 MOST_SEEDS, MOST_TRIALS = 10_000, 100_000
+BEHIND_P = 0.05  # below it an arm that is behind is said to be so
 # packages, for every arm
 DECIDING = ("numpy", "scipy", "scikit-learn", "optuna", "cmaes")
 
@@ -94,14 +96,15 @@ class Pool:
         else would have to change.
         """
         point = self._coordinates({name: [settings[name]] for name in self.space})
-        return int(np.argmin(((self._points - point) ** 2).sum(axis=1)))
+        return int(np.argmin(((self.points - point) ** 2).sum(axis=1)))
 
     def cost_at(self, settings: Settings) -> float:
         """The cost of the candidate nearest to any point of the space."""
         return float(self.cost[self.row_nearest_to(settings)])
 
     @cached_property
-    def _points(self) -> Floats:
+    def points(self) -> Floats:
+        """The candidates in the unit cube, [n, coordinates]."""
         return self._coordinates(self.columns)
 
     def _coordinates(self, columns: Mapping[str, ArrayLike]) -> Floats:
@@ -168,6 +171,7 @@ class Arm(NamedTuple, Generic[P]):
         ours: whether its sampler is this project's.
         sees: its information beside the costs.
         needs: a package that this project does not install; "": none.
+        lacks: what else is missing on this machine, in words; "": nothing.
     """
 
     label: str
@@ -175,11 +179,14 @@ class Arm(NamedTuple, Generic[P]):
     ours: bool = False
     sees: str = ""
     needs: str = ""
+    lacks: Callable[[], str] = str
 
     @property
-    def runs(self) -> bool:
-        """Whether this machine has what it needs."""
-        return not self.needs or bool(installed(self.needs))
+    def lacking(self) -> str:
+        """What is missing on this machine, in words; "": nothing."""
+        if self.needs and not installed(self.needs):
+            return f"it needs {self.needs} (pip install {self.needs})"
+        return self.lacks()
 
 
 @dataclass(frozen=True)
@@ -225,7 +232,9 @@ class Run(ABC):
     @property
     def code(self) -> str:
         """Fingerprint of all that decides its costs: data, packages and sources."""
-        sources = (Path(__file__), *self.SOURCES)
+        own = sys.modules[self.way.costs.__module__].__file__
+        assert own is not None  # an arm is defined in a file
+        sources = (Path(__file__), Path(own), *self.SOURCES)
         if self.way.ours:
             sources += (*sorted((ROOT / "study" / "sampler").glob("*.py")),)
         needed = (self.way.needs,) if self.way.needs else ()
@@ -240,7 +249,7 @@ class Run(ABC):
             return None
 
     def seconds(self, cache: Path) -> float:
-        """The time that it took; its costs are in the cache."""
+        """The processor's time that it took; its costs are in the cache."""
         return float(json.loads(self.file(cache).read_text())["seconds"])
 
     def execute(self, cache: Path) -> list[float]:
@@ -248,12 +257,12 @@ class Run(ABC):
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         warnings.simplefilter("ignore", ExperimentalWarning)
         half = self.pool.drawn(self.seed)
-        started = time.perf_counter()
+        started = time.process_time()
         costs = self.way.costs(half, self.seed, self.trials).tolist()
         known = {"code": self.code, "costs": costs}
         self.file(cache).parent.mkdir(parents=True, exist_ok=True)
         commit_json(
-            self.file(cache), known | {"seconds": time.perf_counter() - started}
+            self.file(cache), known | {"seconds": time.process_time() - started}
         )
         return list(costs)
 
@@ -286,6 +295,34 @@ def execute(runs: Sequence[Run], cache: Path, processes: int) -> tuple[Floats, F
         np.array([found[run] for run in runs]),
         np.array([run.seconds(cache) for run in runs]),
     )
+
+
+class Versus(NamedTuple):
+    """One arm against another, case by case.
+
+    Attributes:
+        won: cases.
+        lost: cases.
+        p: of the sign test over these cases, two-sided, not corrected for the number of
+            tests.
+    """
+
+    won: int
+    lost: int
+    p: float
+
+    @classmethod
+    def of(cls, leads: Sequence[float]) -> "Versus":
+        """Of seeds won less seeds lost, one a case."""
+        won, lost = sum(lead > 0 for lead in leads), sum(lead < 0 for lead in leads)
+        p = scipy.stats.binomtest(won, won + lost).pvalue if won + lost else 1.0
+        return cls(won, lost, float(p))
+
+    def cells(self) -> str:
+        """Two cells of a table; p is bold where the first arm is behind."""
+        is_behind = self.lost > self.won and self.p < BEHIND_P
+        p = f"**{self.p:.2g}**" if is_behind else f"{self.p:.2g}"
+        return f"{self.won}:{self.lost} | {p}"
 
 
 class RunOptions(Options):
@@ -327,12 +364,13 @@ def chosen(field: str, listed: str, known: Sequence[str]) -> list[str]:
 
 
 def runnable(names: list[str], arms: Mapping[str, Arm[Any]]) -> list[str]:
-    """The arms whose package is there; a line says which are left out."""
-    for arm in (arms[name] for name in names if not arms[name].runs):
-        print(
-            f"{arm.label} is left out: it needs {arm.needs} (pip install {arm.needs})",
-            file=sys.stderr,
-        )
-    if found := [name for name in names if arms[name].runs]:
+    """The arms that have what they need; a line says of each other what it lacks."""
+    found = []
+    for name in names:
+        if lacking := arms[name].lacking:
+            print(f"{arms[name].label} is left out: {lacking}", file=sys.stderr)
+        else:
+            found.append(name)
+    if found:
         return found
     raise InputError("arms", ",".join(names), "an arm whose package is installed")

@@ -24,6 +24,8 @@ PARTS = {
     "time_walks_worker",
     "checkout",
     "measured",
+    "measured_arms",
+    "peers",
     "outside",
     "page",
     "runs",

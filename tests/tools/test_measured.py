@@ -19,8 +19,9 @@ from optuna.distributions import (
 from storage.inputs.errors import InputError
 from tests.tools.conftest import Tool
 from tests.tools.running import load_tool
-from tools import measured, runs
-from tools.measured import ARMS, MeasuredRun, Target
+from tools import measured, peers, runs
+from tools.measured import Target
+from tools.measured_arms import ARMS, MeasuredRun
 from tools.runs import Batches
 
 TOOL = load_tool("compare_measured")
@@ -236,8 +237,13 @@ def test_missing_families_are_left_out_with_a_line(
     ):
         targets = ("--data", data, "--targets", target)
         assert tool("compare_measured", *words, *targets) == 2
-        left_out, error = tool.err.splitlines()
+        left_out, *others, error = tool.err.splitlines()
         assert left_out.startswith("dedispersion is left out: no kernels/dedispersion")
+        folders = ("convolution", "gemm", "pnpoly")
+        assert [line.partition(";")[0] for line in others] == [
+            f"rtx_{each} is left out: no kernels/KernelTuner data/{each}"
+            for each in folders
+        ]
         assert re.match(f"error: {message}", error)
     assert not (tmp_path / "new").exists()
 
@@ -261,6 +267,66 @@ def test_arms_begin_with_their_rows(data: Path) -> None:
     for arm in ("ours", "ours-scores"):
         # no candidate is tried twice, and the last is the one that fails everywhere
         assert sorted(run_on(found, arm, 18)) == sorted(found.cost)
+
+
+def test_peers_are_told_the_best_rows_of_each_world(
+    data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And some others; a failure is as bad as the worst, and times are logarithms."""
+    monkeypatch.setattr(peers, "BEST", 4)
+    monkeypatch.setattr(peers, "DRAWN", 2)
+    found = measured.target(data, "convolution-fast")
+    known = peers.told(found, 3)
+    assert known.rows.shape == known.values.shape == (2, 6)
+    for world, rows, values in zip(
+        found.outcomes.T, known.rows, known.values, strict=True
+    ):
+        assert rows[:4].tolist() == np.argsort(world, kind="stable")[:4].tolist()
+        assert len(set(rows.tolist())) == 6
+        ran = np.isfinite(world[rows])
+        np.testing.assert_allclose(values[ran], -np.log(world[rows[ran]]))
+    told = known.value(np.array([2.0, np.inf, 8.0]))
+    np.testing.assert_allclose(told, [-np.log(2.0), -np.log(8.0), -np.log(8.0)])
+    assert peers.told(found, 3).rows.tolist() == known.rows.tolist()
+    yields = measured.target(data, "coupling-2")
+    known = peers.told(yields, 3)
+    np.testing.assert_array_equal(known.values[0], -yields.outcomes[known.rows[0], 0])
+
+
+@pytest.mark.parametrize("size", [1, 4])
+def test_a_peer_proposes_after_the_ranking(
+    data: Path, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(peers, "BEST", 4)
+    monkeypatch.setattr(peers, "DRAWN", 2)
+    found = measured.target(data, "convolution-fast")
+    seen = []
+
+    def last(_: Any, left: Any, tried: Any, values: Any, wanted: int) -> Any:
+        """Its candidates from the end."""
+        assert not set(left) & set(tried) and len(values) == len(tried)
+        seen.append((len(tried), wanted))
+        return left[::-1][:wanted]
+
+    costs = peers.after_ranking(lambda seed: last)(found, 1, Batches(6, size))
+    first = np.argsort(found.outcomes.mean(axis=1), kind="stable")[:3]
+    ends = [row for row in range(17, -1, -1) if row not in first][:3]
+    assert costs.tolist() == found.cost[[*first, *ends]].tolist()
+    assert seen == {1: [(3, 1), (4, 1), (5, 1)], 4: [(3, 1), (4, 2)]}[size]
+
+
+def test_a_peer_that_cannot_be_loaded_is_left_out_with_a_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def offline() -> None:
+        raise OSError("no network")
+
+    monkeypatch.setattr(peers, "hub_module", offline)
+    assert runs.runnable(["ours", "meta-tpe"], ARMS) == ["ours"]
+    said = (
+        "MetaLearnTPE after 3 is left out: OptunaHub's samplers/meta_learn_tpe cannot"
+    )
+    assert capsys.readouterr().err.startswith(said)
 
 
 @pytest.mark.slow
