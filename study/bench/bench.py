@@ -540,7 +540,7 @@ class Bench:
         return found
 
     def shown(self) -> optuna.Study:
-        """The study that the dashboard shows."""
+        """The study in the database, for the explorer and Optuna's own tools."""
         return optuna.load_study(
             study_name=self.plan.name, storage=self._journal.storage
         )

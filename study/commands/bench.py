@@ -206,9 +206,7 @@ def recommend(bench: Bench, args: Namespace) -> None:
 
 
 def compare_to_simulator(bench: Bench, args: Namespace) -> None:
-    """Print, draw and note what was simulated beside what was seen."""
-    from optuna_dashboard import save_note
-
+    """Print and draw what was simulated beside what was seen."""
     from study.pictures import style
     from study.sampler.diagnostics import RankCorrelation
 
@@ -233,7 +231,6 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
     axes.set_ylabel(f"seen: {bench.plan.goal.value}")
     figure.tight_layout()
     print(f"picture: {style.save_png(figure, path)}")
-    save_note(bench.shown(), "\n".join(["```text", *lines, "```"]))
 
 
 def export(bench: Bench, args: Namespace) -> None:

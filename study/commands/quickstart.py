@@ -8,10 +8,9 @@ import optuna
 
 from storage.commit import require_folder
 from storage.databases.studies import read_studies, require_lockable
-from study.commands.study import command_line, dashboard_command, film_command
+from study.commands.study import command_line, film_command
 from study.experiment.arms import find_arm
 from study.experiment.experiment import study_name
-from study.experiment.folder import live_artifacts
 from study.experiment.trials import study_line
 from study.experiment.walker import read_experiment
 from study.options import config_path, parser_of
@@ -35,7 +34,8 @@ def main(args: Namespace) -> None:
     out: Path = args.out
     require_folder(out)
     experiment, store = read_experiment(config_path(CONFIG)), out / "store"
-    url = f"sqlite:///{out / 'studies.db'}"
+    database = out / "studies.db"
+    url = f"sqlite:///{database}"
     names = [study_name(experiment.name, arm, RUN) for arm in ARMS]
     # those that cannot be resumed are refused before the store is made
     for name in names:
@@ -62,13 +62,10 @@ def main(args: Namespace) -> None:
         studies = [
             optuna.load_study(study_name=name, storage=storage) for name in names
         ]
-        costs = [study.best_value for study in studies]
+        best = min(studies, key=lambda study: study.best_value).study_name
         told = [study_line(experiment, study) for study in studies]
-    best = ARMS[costs.index(min(costs))]
-    found, drawn = (
-        out / f"{best}-run-{RUN:03d}-best.json",
-        ("--movie-seconds", 0, "--out"),
-    )
+    found = out / f"{ARMS[names.index(best)]}-run-{RUN:03d}-best.json"
+    drawn = ("--movie-seconds", 0, "--out")
     run("walk", "--gains", found, "--config", CONFIG, *drawn, out / "found")
     run("walk", "--gains", "reference", "--duration", 30, *drawn, out / "reference")
     print(
@@ -78,6 +75,6 @@ def main(args: Namespace) -> None:
         f"Pictures: {out / 'found'}, {out / 'reference'}",
         f"A film of it: {film_command(found, config_path(CONFIG), RUN)}",
         f"Its store, and its gaits walking: {command_line('explore', str(store))}",
-        f"All trials in a browser: {dashboard_command(url, live_artifacts(url, out))}",
+        f"Its trials: {command_line('explore', str(database), '--study', best)}",
         sep="\n",
     )
