@@ -19,7 +19,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no
 .PHONY: quickstart compare sweep-limp results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
 
 quickstart: .venv/installed
-	$(BIN)/taichi-nmm quickstart
+	$(BIN)/python tools/quickstart.py
 
 STORES := store store-worlds
 PAPER := rough8-smooth rough6-walking rough8-walking risers ramp-up ramp-up-gentle ramp-down stairs-down
@@ -30,10 +30,10 @@ MUJOCO := $(foreach ground,level rough8 risers ramp-up ramp-down,$(foreach conta
 
 # Each store and each comparison has a target. `make compare-risers` first makes the stores that it needs. All targets resume.
 $(STORES) store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis: .venv/installed
-	$(BIN)/taichi-nmm precompute --config $@
+	$(BIN)/python tools/precompute.py --config $@
 
 compare-%: $(STORES)
-	$(BIN)/taichi-nmm compare --config $*
+	$(BIN)/python tools/compare.py --config $*
 
 $(addprefix compare-,$(STAIRS)): store-stairs
 $(addprefix compare-,$(SPEED)): store-speed
@@ -43,14 +43,14 @@ compare-exo-effort: store-exo-effort
 compare-prosthesis-known: store-prosthesis
 
 sweep-limp: $(STORES)
-	$(BIN)/taichi-nmm sweep --config outside-limp --over world.muscles.SOL_left=1:0:-0.1 --runs 10 --trials 30
+	$(BIN)/python tools/sweep.py --config outside-limp --over world.muscles.SOL_left=1:0:-0.1 --runs 10 --trials 30
 
 compare: $(STORES)
-	$(BIN)/taichi-nmm compare --config rough8-smooth
-	$(BIN)/taichi-nmm report out/compare/rough8-smooth
+	$(BIN)/python tools/compare.py --config rough8-smooth
+	$(BIN)/python tools/report.py out/compare/rough8-smooth
 
 results: $(addprefix compare-,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) sweep-limp
-	$(BIN)/taichi-nmm report $(addprefix out/compare/,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
+	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
 
 test: .venv/test-compiled
 	$(BIN)/python -m pytest $(PARALLEL) --durations=25
@@ -106,7 +106,7 @@ hooks: .venv/lint-installed
 
 # Tests start hundreds of processes. Each of them compiles all that it imports where PYTHONDONTWRITEBYTECODE is set, as in many
 # containers: half of its time. So this is done once.
-COMPILED := bokeh.server.server, cma, distributed, gymnasium, matplotlib.pyplot, mujoco, pandas, pyarrow.parquet, \
+COMPILED := bokeh.server.server, cma, distributed, gymnasium, matplotlib.pyplot, mujoco, optuna_dashboard, pandas, pyarrow.parquet, \
 	ribs.emitters, scipy.stats, sklearn.gaussian_process, storage.search, study.experiment.robots, taichi_nmm.simulator
 .venv/test-compiled: .venv/test-installed
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -c 'import $(COMPILED)'

@@ -194,7 +194,7 @@ class Manifest:
         """
         path = folder / MANIFEST_NAME
         allowed = (
-            "a finished store, which has an undamaged manifest: run precompute again"
+            "a finished store, which has an undamaged manifest: run precompute.py again"
         )
         document = json_document("store", path, allowed)
         with reading("store", path, allowed):

@@ -46,10 +46,6 @@ Declared = Mapping[str, Any]
 
 DECLARED = tomllib.loads(HERE.joinpath("options.toml").read_text(encoding="utf-8"))
 COMMANDS: dict[str, Declared] = DECLARED["commands"]
-GONE = {
-    "dashboard": "explore; or Optuna's own: pip install optuna-dashboard, and "
-    "optuna-dashboard sqlite:///DIR/studies.db"
-}
 
 
 def looked_up(place: str) -> Any:
@@ -207,7 +203,7 @@ def parser_of(name: str) -> Options:
         InputError: no such command; the line lists all.
     """
     if name not in COMMANDS:
-        raise InputError("command", name, GONE.get(name, listed(COMMANDS, name)))
+        raise InputError("command", name, listed(COMMANDS, name))
     command = COMMANDS[name]
     parser = Options(file_of(name), f"{PROGRAM} {name}", command["about"])
     parser.takes_others = command.get("others", False)

@@ -263,12 +263,11 @@ def million() -> None:
 
 def store(config: str, arch: str, limit_s: float, *words: str) -> None:
     """A store of a configuration: seconds, or how far it came."""
+    tool = ROOT / "tools" / "precompute.py"
     out = f"{config}-{arch}"
     command = [
         sys.executable,
-        "-m",
-        "taichi_nmm",
-        "precompute",
+        str(tool),
         "--config",
         config,
         "--out",
@@ -280,11 +279,7 @@ def store(config: str, arch: str, limit_s: float, *words: str) -> None:
     with Path(f"{out}.txt").open("w+", encoding="utf-8") as said:
         with suppress(subprocess.TimeoutExpired):
             subprocess.run(
-                [*command, *words],
-                env={**os.environ, "PYTHONPATH": str(ROOT)},
-                stdout=said,
-                stderr=said,
-                timeout=limit_s,
+                [*command, *words], stdout=said, stderr=said, timeout=limit_s
             )
         seconds = time.perf_counter() - began_s
         said.seek(0)

@@ -62,6 +62,13 @@ def trial_counts(storage: RDBStorage) -> dict[str, int]:
         return _pairs(connection, query.group_by(studies.study_name))
 
 
+def study_ids(storage: RDBStorage) -> dict[str, int]:
+    """The number of each study in the database, and in addresses of its dashboard, by name."""
+    studies = known_tables(storage)["studies"]
+    with storage.engine.connect() as connection:
+        return _pairs(connection, sql.select(studies.c.study_name, studies.c.study_id))
+
+
 def study_attributes(storage: RDBStorage, key: str) -> dict[str, Any]:
     """The value of a user attribute in each study that has it, by the study's name."""
     tables = known_tables(storage)
@@ -92,6 +99,37 @@ def write_studies(storage: RDBStorage, studies: Iterable[FinishedStudy]) -> int:
         with storage.engine.begin() as connection:
             added += _write(connection, tables, batch)
     return added
+
+
+def attach(storage: RDBStorage, study: str, number: int, key: str, value: Any) -> None:
+    """Add a system attribute to a finished trial, which Optuna itself does not let anyone do.
+
+    The trial is of a study of this name, the value a plain one. An attribute that the
+    trial has already is left as it is.
+
+    Raises:
+        InputError: a database of another Optuna version.
+        KeyError: a trial that is not there.
+    """
+    tables = known_tables(storage)
+    studies, trials = tables["studies"].c, tables["trials"].c
+    known = tables["trial_system_attributes"].c
+    with storage.engine.begin() as connection:
+        _lock(connection, tables["studies"], [study])
+        query = sql.select(trials.trial_id).where(
+            trials.study_id == studies.study_id,
+            studies.study_name == study,
+            trials.number == number,
+        )
+        trial_id = connection.execute(query).scalar()
+        if trial_id is None:
+            raise KeyError(study, number)
+        there = sql.select(known.key).where(
+            known.trial_id == trial_id, known.key == key
+        )
+        if connection.execute(there).first() is None:
+            row = {"trial_id": trial_id, **_attributes({key: value})[0]}
+            _insert(connection, tables, {"trial_system_attributes": [row]})
 
 
 def _batches(studies: Iterable[FinishedStudy]) -> Iterator[list[FinishedStudy]]:

@@ -540,7 +540,7 @@ class Bench:
         return found
 
     def shown(self) -> optuna.Study:
-        """The study in the database, for the explorer and Optuna's own tools."""
+        """The study that the dashboard shows."""
         return optuna.load_study(
             study_name=self.plan.name, storage=self._journal.storage
         )

@@ -1,8 +1,8 @@
 """The bench as a page with forms, for a phone beside the machine.
 
 A page of HTML without a script, made anew for each request. On the loopback it answers
-this machine alone; on any other address only a browser that has opened the link with
-the token, which is printed once. Requests take turns. Candidates
+this machine alone, as the dashboard does; on any other address only a browser that has
+opened the link with the token, which is printed once. Requests take turns. Candidates
 are filmed in their simulator when a film is first asked for, to look at before the
 machine tries them.
 """
@@ -29,7 +29,7 @@ from study.bench.journal import Trial
 from study.bench.words import MOST_DIGITS, number_of, shown, times
 from study.experiment.gains import named_gains, recorded_walk
 from study.experiment.walker import experiment_of
-from study.loopback import HOST, LOOPBACK, Application
+from study.loopback import HOST, Application, guarded
 from study.pictures.movie import encoded, filmable, filmed
 from study.pictures.scene import SMALL, frames
 
@@ -141,7 +141,7 @@ def application(
     app.get("/film/<trial:int>", callback=pages.film)
     app.post("/operator", callback=pages.name_operator)
     app.post("/<action>", callback=pages.enter)
-    return app, pages.token
+    return (app if pages.token else guarded(app, None)), pages.token
 
 
 def error_page(error: Any) -> str:
@@ -179,10 +179,8 @@ class Pages:
         self.token = "" if address == HOST else secrets.token_urlsafe(16)
 
     def require_token(self) -> None:
-        """Refuse who has not opened the link, or is not here, and what other pages send."""
+        """Refuse who has not opened the link, and what pages of other sites send."""
         request = bottle.request
-        if not self.token and not LOOPBACK.match(request.get_header("Host", "")):
-            bottle.abort(403, "only 127.0.0.1 and localhost are served here")
         given = request.get_cookie(self._cookie)
         if not given and request.path == "/":
             given = request.query.token

@@ -1,4 +1,4 @@
-"""The trials of a bench as studies of Optuna: the one in the database, and those to learn.
+"""The trials of a bench as studies of Optuna: the one that the dashboard shows, and those to learn.
 
 What is shown follows from the entries alone. It is made anew whenever it does not, also
 after a command that was killed between an entry and what it shows.
@@ -59,7 +59,7 @@ def require_shown(storage: RDBStorage, plan: Plan) -> None:
 
 
 def show(storage: RDBStorage, plan: Plan, space: Space, state: State) -> None:
-    """Bring the study in the database up to date; its trials are those of the bench."""
+    """Bring the study that the dashboard shows up to date; its trials are those of the bench."""
     study = optuna.create_study(
         storage=storage,
         study_name=plan.name,

@@ -206,7 +206,9 @@ def recommend(bench: Bench, args: Namespace) -> None:
 
 
 def compare_to_simulator(bench: Bench, args: Namespace) -> None:
-    """Print and draw what was simulated beside what was seen."""
+    """Print, draw and note what was simulated beside what was seen."""
+    from optuna_dashboard import save_note
+
     from study.pictures import style
     from study.sampler.diagnostics import RankCorrelation
 
@@ -231,6 +233,7 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
     axes.set_ylabel(f"seen: {bench.plan.goal.value}")
     figure.tight_layout()
     print(f"picture: {style.save_png(figure, path)}")
+    save_note(bench.shown(), "\n".join(["```text", *lines, "```"]))
 
 
 def export(bench: Bench, args: Namespace) -> None:

@@ -16,7 +16,7 @@ from study.experiment.arms import with_store
 from study.experiment.compare import Outcome, Progress, Request, compare
 from study.experiment.experiment import Experiment
 from study.experiment.robots import able_arms, read_any, unable_arms
-from study.report.markdown import arms_documents, arms_text
+from study.report.markdown import arms_documents, arms_text, dashboard_summary
 from study.report.numbers import numbers
 from study.report.runs import read_facts, read_results
 
@@ -50,7 +50,7 @@ def main(args: Namespace) -> None:
             walkers = f"{progress.walkers} of {progress.studies} studies with a walker"
             bar.move("trial", progress.trials, progress.total, walkers)
 
-        outcome = compare(experiment, request, show)
+        outcome = compare(experiment, request, show, dashboard_summary)
     if args.json:
         print(json.dumps(report(experiment, outcome, out)))
     else:

@@ -8,9 +8,10 @@ import optuna
 
 from storage.commit import require_folder
 from storage.databases.studies import read_studies, require_lockable
-from study.commands.study import command_line, film_command
+from study.commands.study import command_line, dashboard_command, film_command
 from study.experiment.arms import find_arm
 from study.experiment.experiment import study_name
+from study.experiment.folder import live_artifacts
 from study.experiment.trials import study_line
 from study.experiment.walker import read_experiment
 from study.options import config_path, parser_of
@@ -34,8 +35,7 @@ def main(args: Namespace) -> None:
     out: Path = args.out
     require_folder(out)
     experiment, store = read_experiment(config_path(CONFIG)), out / "store"
-    database = out / "studies.db"
-    url = f"sqlite:///{database}"
+    url = f"sqlite:///{out / 'studies.db'}"
     names = [study_name(experiment.name, arm, RUN) for arm in ARMS]
     # those that cannot be resumed are refused before the store is made
     for name in names:
@@ -62,10 +62,13 @@ def main(args: Namespace) -> None:
         studies = [
             optuna.load_study(study_name=name, storage=storage) for name in names
         ]
-        best = min(studies, key=lambda study: study.best_value).study_name
+        costs = [study.best_value for study in studies]
         told = [study_line(experiment, study) for study in studies]
-    found = out / f"{ARMS[names.index(best)]}-run-{RUN:03d}-best.json"
-    drawn = ("--movie-seconds", 0, "--out")
+    best = ARMS[costs.index(min(costs))]
+    found, drawn = (
+        out / f"{best}-run-{RUN:03d}-best.json",
+        ("--movie-seconds", 0, "--out"),
+    )
     run("walk", "--gains", found, "--config", CONFIG, *drawn, out / "found")
     run("walk", "--gains", "reference", "--duration", 30, *drawn, out / "reference")
     print(
@@ -75,6 +78,6 @@ def main(args: Namespace) -> None:
         f"Pictures: {out / 'found'}, {out / 'reference'}",
         f"A film of it: {film_command(found, config_path(CONFIG), RUN)}",
         f"Its store, and its gaits walking: {command_line('explore', str(store))}",
-        f"Its trials: {command_line('explore', str(database), '--study', best)}",
+        f"All trials in a browser: {dashboard_command(url, live_artifacts(url, out))}",
         sep="\n",
     )

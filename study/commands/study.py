@@ -5,6 +5,7 @@ import os
 import shlex
 import sys
 from argparse import Namespace
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from storage.databases.studies import only_run, open_studies, storage_errors
 from storage.databases.urls import is_postgresql, public_url
 from study.experiment.arms import check_arms, with_store
 from study.experiment.experiment import study_name
+from study.experiment.folder import live_artifacts
 from study.experiment.live_study import check_study, run_study
 from study.experiment.robots import read_any
 from study.experiment.trials import best_trial, progress_line, study_facts, study_line
@@ -48,19 +50,26 @@ def main(args: Namespace) -> None:
     # process.
     shared = is_postgresql(args.storage) and not arm.replayed
     taken = Crew.joined(args.storage, name) if shared else only_run(args.storage, name)
+    commands = {}
     with taken as crew, storage_errors(args.storage):
         study = run_study(experiment, arm, args.run, trials, storage, report, crew)
         best = best_trial(experiment.objective, study)
         keep_best({**experiment.fixed_by_name, **best.params}, gains)
-        found = {"gains": str(gains), "storage": public_url(args.storage)}
         if isinstance(experiment, WalkerExperiment):
-            found["film"] = film_command(gains, args.config, args.run, args.seed)
+            from study.experiment.artifacts import draw_best  # Matplotlib: a second
+
+            with crew.turn() if crew else nullcontext():
+                draw_best(experiment, args.run, study, args.storage, folder)
+            commands["film"] = film_command(gains, args.config, args.run, args.seed)
+        pictures = live_artifacts(args.storage, folder)
+        commands["dashboard"] = dashboard_command(args.storage, pictures)
+        files = {"gains": str(gains), "storage": public_url(args.storage)}
         if args.json:
-            print(json.dumps(study_facts(experiment, study) | found))
+            print(json.dumps(study_facts(experiment, study) | files | commands))
             return
         print(study_line(experiment, study))
-        for name, value in found.items():
-            print(f"{name + ':':<10} {value}")
+        database = {"database": files["storage"]}
+        print(lines({"gains": gains, **database, **commands}))
 
 
 def keep_best(params: dict[str, Any], file: Path) -> None:
@@ -68,6 +77,11 @@ def keep_best(params: dict[str, Any], file: Path) -> None:
     with writable(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)
     commit_json(file, params)
+
+
+def lines(known: dict[str, Any]) -> str:
+    """For people, a line each."""
+    return "\n".join(f"{name + ':':<10} {value}" for name, value in known.items())
 
 
 def film_command(
@@ -80,6 +94,14 @@ def film_command(
         words += ["--run", str(run)]
     if seed is not None:
         words += ["--seed", str(seed)]
+    return command_line(*words)
+
+
+def dashboard_command(url: str, artifacts: Path) -> str:
+    """A command line: opens the studies of a database, and their pictures, in a browser."""
+    words = ["dashboard", "--storage", public_url(url)]
+    if is_postgresql(url):
+        words += ["--artifacts", str(artifacts)]
     return command_line(*words)
 
 

@@ -23,7 +23,7 @@ from study.experiment.sweep import Swept, Tuned, points_of, read_swept, sweep
 from study.experiment.walker import WalkerExperiment, row_text
 from study.pictures import strip
 from study.report.figures import REPORT_NAME
-from study.report.markdown import count_text
+from study.report.markdown import count_text, dashboard_summary
 from study.report.sweep import Walks, write_sweep
 
 COLUMN = 12  # characters
@@ -61,7 +61,7 @@ def main(args: Namespace) -> None:
             walkers = f"{progress.walkers} of {progress.studies} robots walk"
             bar.move("trial", progress.trials, progress.total, walkers)
 
-        tuned = list(sweep(points, arm, request, show))
+        tuned = list(sweep(points, arm, request, show, dashboard_summary))
     trials = args.trials or plain.trials
     found = write_sweep(out / REPORT_NAME, swept, arm, trials, tuned, walks_of(tuned))
     if args.json:

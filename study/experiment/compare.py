@@ -16,7 +16,7 @@ from storage.databases.urls import file_url
 from storage.pool import Cluster, Pool
 from study.experiment.arms import check_arms
 from study.experiment.block import Advanced, Block, advance
-from study.experiment.database import check_database, export
+from study.experiment.database import Summarise, check_database, export, note_worths
 from study.experiment.experiment import Experiment, store_path
 from study.experiment.folder import (
     DATABASE_NAME,
@@ -176,10 +176,12 @@ def compare(
     experiment: Experiment,
     request: Request,
     report: Callable[[Progress], None],
+    summarise: Summarise | None = None,
 ) -> Outcome:
     """Run an experiment, or what is missing of it, and write its tables.
 
-    `report` is called whenever a stretch of trials is finished.
+    `report` is called whenever a stretch of trials is finished. Without `summarise` the
+    database has no summary study.
 
     Raises:
         InputError: before anything is written: see `check_arms`,
@@ -192,7 +194,7 @@ def compare(
     identity = document(experiment, arms)
     url = request.storage or file_url(request.out / DATABASE_NAME)
     ExperimentFolder.check(request.out, identity)
-    check_database(experiment, url)
+    check_database(experiment, url, arms, runs)
     read = sorted({arm.store for arm in arms if arm.store})
     opened = (
         nullcontext(request.pool)
@@ -235,14 +237,15 @@ def compare(
             finished.commit()
             note_session()
             if goes_on and time.monotonic() - exported_s >= EXPORT_S:
-                export(experiment, finished.results(), url)
+                export(experiment, finished.results(), url, summarise, final=False)
                 exported_s = time.monotonic()
 
         report(finished.progress(trials))
         _go_on(experiment, finished, trials, pool, report, commit)
         results = folder.write_results()
-        export(experiment, results, url)
+        export(experiment, results, url, summarise, final=True)
         computed = finished.count - before
+        note_worths(experiment, arms, runs, url, renew=computed > 0)
         note_session()
         return Outcome(results, url, computed, time.monotonic() - began_s)
 

@@ -32,6 +32,8 @@ from study.sampler.table import FeatureTable
 NAME_PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]*"
 NAME_WORDS = "letters, digits, '.', '_' and '-', first a letter or digit"
 MOST_RUNS = 10_000
+# end of a study's name that has no trials and compares other studies
+SUMMARY = "/summary"
 MOST_TRIALS = 100_000
 WALKED = "walked"  # column and attribute: whether a trial succeeded
 

@@ -31,6 +31,8 @@ import numpy as np
 import pyarrow as pa
 
 from storage.commit import TEMPORARY_SUFFIX, commit_json, writable
+from storage.databases.studies import studies_path
+from storage.databases.urls import is_postgresql
 from storage.folder import Folder, remove
 from storage.inputs.errors import InputError
 from storage.inputs.reading import json_document
@@ -56,6 +58,7 @@ TIMES_NAME = "proposal_times.parquet"
 RUN_NAME = "run.json"
 ARMS_NAME = "arms"
 DATABASE_NAME = "studies.db"
+ARTIFACTS_NAME = "artifacts"
 
 Key = tuple[str, int]  # arm, run: a study of an experiment
 
@@ -172,6 +175,15 @@ def table_files(folder: Path) -> list[Path]:
         *folder.glob(RESULTS_NAME),
         *sorted((folder / ARMS_NAME).glob("[!.]*.parquet")),
     ]
+
+
+def live_artifacts(url: str, out: Path) -> Path:
+    """The folder of pictures of live studies: beside their database's file, or else in `out`.
+
+    Raises:
+        InputError: the URL names no study database.
+    """
+    return (out if is_postgresql(url) else studies_path(url).parent) / ARTIFACTS_NAME
 
 
 FINGERPRINT_LENGTH = 16

@@ -4,10 +4,11 @@ Each trial is in the database as soon as it is finished. Its trials are those th
 comparison of the same experiment has for this arm and run.
 """
 
+import re
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from copy import copy
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ from study.experiment.one_study import (
     FELL_ATTRIBUTE,
     SHOWN_ATTRIBUTE,
     LiveStudy,
+    note_worth,
 )
 from study.experiment.walker import END_REASON
 from study.sampler.history import FEATURES_ATTRIBUTE, FIXED_ATTRIBUTE, SCORE_ATTRIBUTE
@@ -61,6 +63,9 @@ def run_study(
     crew: Crew | None = None,
 ) -> optuna.Study:
     """Run the study until it has `trials` finished trials, and return it.
+
+    At the end its note in the dashboard says what the arm's features were worth, if it
+    has any.
 
     Finished means COMPLETE. Trials found running are taken for dead (the caller sees to
     it that no other process runs this study: `storage.databases.studies.only_run`);
@@ -85,6 +90,8 @@ def run_study(
         _repeat(experiment, one.study, running(one.study))
         while one.trials < trials and not _ended(experiment, one):
             report(one.study, _run_trial(experiment, one))
+    with crew.turn() if crew else nullcontext():
+        note_worth(experiment, arm, run, one.study)
     return one.study
 
 
@@ -203,6 +210,7 @@ def _check_study(
         )
         raise InputError(f"study {name}: {field}", ours, allowed)
     require_written(study, experiment)
+    require_notes(name, storage)
     return name, identity
 
 
@@ -274,6 +282,10 @@ OF_OPTUNA: Form = {  # of the system
     "retry_history": checks.each(checks.whole(0)),
 }
 
+# The keys that optuna-dashboard keeps a note under, of a study or of a trial: a
+# version, and parts.
+NOTE = re.compile(r"(dashboard:(?:\d+:)?note_)(ver|str:(\d+))")
+
 
 def require_written(study: optuna.Study, experiment: Experiment) -> None:
     """Refuse a study whose trials nobody could go on with.
@@ -325,3 +337,26 @@ def _require_finished(trial: FrozenTrial, experiment: Experiment, prefix: str) -
             raise InputError(f"{prefix}: {name}", "missing", "the outcome of the walk")
         check = NO_NUMBERS.get(name, _number)
         check(f"{prefix}: {name}", trial.user_attrs[name])
+
+
+def require_notes(study: str, storage: BaseStorage) -> None:
+    """Refuse notes that the dashboard could not read: they are renewed when the work has ended.
+
+    Raises:
+        InputError: naming the study.
+    """
+    attributes = storage.get_study_system_attrs(storage.get_study_id_from_name(study))
+    parts: dict[str, set[int]] = {}
+    for key, value in attributes.items():
+        if (found := NOTE.fullmatch(key)) is None:
+            continue
+        if found[3] is None:
+            checks.whole(0)(f"study {study}: note", value)
+        else:
+            checks.text(f"study {study}: note", value)
+            parts.setdefault(found[1], set()).add(int(found[3]))
+    for numbers in parts.values():
+        if numbers != set(range(len(numbers))):
+            raise InputError(
+                f"study {study}: note", sorted(numbers), "parts without a gap"
+            )

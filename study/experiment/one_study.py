@@ -18,7 +18,9 @@ from storage.inputs.errors import InputError
 from study.experiment.arms import Arm
 from study.experiment.experiment import Experiment, Floats
 from study.experiment.samplers import Task
+from study.sampler.diagnostics import TITLE, WORLDS_TITLE, Likeness, Worth
 from study.sampler.policy import one_thread
+from study.sampler.sampler import FeatureKernelSampler
 
 FELL_ATTRIBUTE = "fell"  # of a trial: whether it did not last
 COST_ATTRIBUTE = "cost"  # of a trial that was told with noise: its cost without
@@ -239,3 +241,33 @@ class LiveStudy(OneStudy):
             attributes = self._twin.noted() | attributes  # such as the row
             self._twin.tell(values, {})
         return super().tell(values, attributes)
+
+
+def worth_of_study(
+    experiment: Experiment, arm: Arm, run: int, study: optuna.Study
+) -> Worth | Likeness | None:
+    """The worth of the arm's feature or worlds in the trials of its study; None: it has none.
+
+    Of several goals there is none: the dashboard draws their front by itself.
+    """
+    if experiment.objective.goals or arm.kind != "ours":
+        return None
+    sampler = new_sampler(experiment, arm, run) if arm.store else None
+    if not isinstance(sampler, FeatureKernelSampler) or not sampler.has_features:
+        return None
+    return sampler.worth(study)
+
+
+def note_worth(experiment: Experiment, arm: Arm, run: int, study: optuna.Study) -> None:
+    """Show the worth with the study, in place of an earlier one; a note of the user's stays."""
+    worth = worth_of_study(experiment, arm, run, study)
+    if worth is None:
+        return
+    # a second, which other studies need not spend
+    from optuna_dashboard import get_note, save_note
+
+    known, note = get_note(study), worth.markdown()
+    if note != known and (
+        not known or known.startswith((f"## {TITLE}", f"## {WORLDS_TITLE}"))
+    ):
+        save_note(study, note)

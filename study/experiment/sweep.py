@@ -23,6 +23,7 @@ from storage.pool import local_pool
 from storage.tables import document_hash
 from study.experiment.arms import check_arms
 from study.experiment.compare import Progress, Request, compare
+from study.experiment.database import Summarise
 from study.experiment.experiment import Experiment, Floats, Rows
 from study.experiment.folder import ExperimentFolder, by_study, document
 
@@ -184,6 +185,7 @@ def sweep(
     arm: str,
     request: Request,
     report: Callable[[Progress], None],
+    summarise: Summarise,
 ) -> Iterator[Tuned]:
     """Tune at each value, or what is missing of it.
 
@@ -192,6 +194,7 @@ def sweep(
         arm: its name.
         request: as of a comparison; its folder, arms and storage are not looked at.
         report: called whenever trials are finished, with those of all values.
+        summarise: as of a comparison.
 
     Raises:
         InputError: before anything is computed: as `compare`, of any of the values;
@@ -221,7 +224,7 @@ def sweep(
             asked = replace(
                 request, out=point.out, arms=(arm,), storage=None, pool=pool
             )
-            outcome = compare(point.experiment, asked, show)
+            outcome = compare(point.experiment, asked, show, summarise)
             runs = request.runs or point.experiment.runs
             yield _tuned(point, _asked_for(outcome.trials, arm, runs, trials))
 

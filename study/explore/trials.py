@@ -29,7 +29,7 @@ from taichi_nmm.parameters import GAIN_NAMES
 
 TRIAL, STATE, VALUE = "trial", "state", "value"  # the first columns
 SETTING = {"seed", "simulation", "body", "ground"}  # of a walker's experiment
-OTHERWISE = "a store or a study database; for others: taichi-nmm report or bench serve"
+OTHERWISE = "a store or a study database; for others: taichi-nmm report, dashboard or bench serve"
 STORE_START = b"PAR1"  # of a Parquet file
 MOST_LISTED = 8  # studies; of more, the runs are not told apart
 

@@ -1,4 +1,4 @@
-"""All words about results: reports, an overview, a table of `compare`."""
+"""All words about results: reports, an overview, a table of `compare`, a note of the dashboard."""
 
 import html
 import tomllib
@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from study.experiment.arms import ARMS, OUR_ARM, PAPER_ARM, Kind, saw
+from study.experiment.experiment import study_name
 from study.experiment.objective import FRONT
 from study.report.numbers import (
     COMPARED_AFTER,
@@ -22,7 +24,7 @@ from study.report.numbers import (
     label_of,
     plain,
 )
-from study.report.runs import Results
+from study.report.runs import ArmRuns, Results, runs_of
 
 ABSENT = "-"
 UNKNOWN = "not recorded"
@@ -328,3 +330,59 @@ def arms_documents(
         }
         for arm in sorted(numbers.arms, key=lambda arm: arm.arm)
     ]
+
+
+DASHBOARD = "/dashboard"  # where optuna-dashboard serves its pages
+
+
+def dashboard_summary(
+    name: str, trials: pa.Table, final: bool, studies: Mapping[str, int]
+) -> str:
+    """The note of an experiment's summary study, as `study.experiment.database.Summarise`.
+
+    Of each arm those rows of the results table count that all its runs have. The note
+    is renewed once a minute while the experiment runs: medians only, no resampling. Its
+    second table links to the studies, of which the dashboard lists hundreds.
+    """
+    arms = list(runs_of(trials).values())
+    state = (
+        "all trials" if final else "so far; the experiment is running or was stopped"
+    )
+    heads, rows = (
+        ["arm", "runs", "walked", "walked, %", "first walker", "best cost"],
+        [],
+    )
+    for arm in arms:
+        first = count_text(float(np.median(arm.first_walker)), arm.trials)
+        percent, best = 100 * arm.walkers / len(arm.runs), np.median(arm.best[:, -1])
+        counts = str(len(arm.runs)), str(arm.walkers), f"{percent:.0f}"
+        rows.append([arm.arm, *counts, first, f"{best:.4g}"])
+    tables = {"table": table(heads, rows), "links": _links(name, arms, studies)}
+    return str(
+        WORDS["note"].format(name=name, trials=len(trials), state=state, **tables)
+    )
+
+
+def _links(experiment: str, arms: Sequence[ArmRuns], studies: Mapping[str, int]) -> str:
+    """A row a run and a column an arm: best costs, linked to the studies that are in `studies`."""
+    rows = []
+    for run in sorted({int(run) for arm in arms for run in arm.runs}):
+        names = [study_name(experiment, arm.arm, run) for arm in arms]
+        known = [str(studies[name]) for name in names if name in studies]
+        cells = [
+            _cell(arm, run, studies.get(name))
+            for arm, name in zip(arms, names, strict=True)
+        ]
+        together = f"[compare]({DASHBOARD}/compare-studies?ids={','.join(known)})"
+        rows.append([str(run), *cells, together if len(known) > 1 else ""])
+    return table(["run", *(arm.arm for arm in arms), "all arms"], rows)
+
+
+def _cell(arm: ArmRuns, run: int, number: int | None) -> str:
+    """The best cost of an arm in a run."""
+    place = np.flatnonzero(arm.runs == run)
+    if not len(place):
+        return ""
+    cost = f"{arm.best[place[0], -1]:.4g}"
+    cost = f"**{cost}**" if np.isfinite(arm.first_walker[place[0]]) else cost
+    return cost if number is None else f"[{cost}]({DASHBOARD}/studies/{number})"

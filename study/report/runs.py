@@ -178,6 +178,19 @@ def read_results(folder: str | Path) -> Results:
     )
 
 
+def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
+    """The runs of each arm of a table in memory (of `trials.parquet`), in the order of their names.
+
+    Raises:
+        InputError: a run lacks a trial between others, or has one twice.
+    """
+    arms = _by_arm(trials.select(COLUMNS))
+    return {
+        arm: _arm_runs("trials", arm, rows, None, len(rows))
+        for arm, rows in arms.items()
+    }
+
+
 def _by_arm(table: pa.Table) -> dict[str, pa.Table]:
     """The rows of each arm, in the order of the arms' names, runs and trials."""
     ordered = in_order([table])

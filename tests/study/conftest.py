@@ -96,7 +96,7 @@ class Comparisons:
 @pytest.fixture
 def no_database(monkeypatch: pytest.MonkeyPatch) -> None:
     """It has tests of its own; with comparisons it would take most of the time."""
-    for name in ("check_database", "export"):
+    for name in ("check_database", "export", "note_worths"):
         monkeypatch.setattr(comparing, name, lambda *_, **__: None)
 
 

@@ -67,14 +67,6 @@ def test_an_unknown_command_is_one_line_that_lists_them(
     assert capsys.readouterr().err == line
 
 
-def test_a_command_that_went_has_a_line_on_what_takes_its_place(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with pytest.raises(SystemExit, check=lambda end: end.code == 2):
-        main(["dashboard", "out/compare/rough8-smooth"])
-    assert "optuna-dashboard sqlite:///DIR/studies.db\n" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("word", ["a\nb", "\x1b[31m", "\udcff", "a\u2028b", "x" * 9999])
 def test_an_unknown_option_is_one_safe_line(word, capsys):
     with pytest.raises(SystemExit, check=lambda end: end.code == 2):

@@ -103,7 +103,7 @@ def test_a_name_too_long_for_a_lock_is_refused_at_once(toy, tmp_path):
 
 def compared(toy, out, arm):
     request = Request(out, arms=(arm,), runs=1, trials=2)
-    compare(toy, request, lambda progress: None)
+    compare(toy, request, lambda progress: None, summarise=lambda *_: "")
 
 
 @pytest.fixture
@@ -122,9 +122,13 @@ def refuses_before_it_works(toy, made, tmp_path):
     return refuses
 
 
-@cases("damaged-comparisons.toml", "command")
-def test_no_table_after_a_refusal(refuses_before_it_works, command):
-    refuses_before_it_works("random", lambda url: edit(url, command), "^storage: ")
+OF_SUMMARY = r"^(storage|study toy/summary: note): "
+
+
+@cases("damaged-comparisons.toml", "arm", "command")
+def test_no_table_after_a_refusal(refuses_before_it_works, arm, command):
+    message = {"dog": OF_DOG, "random": OF_SUMMARY}[arm]
+    refuses_before_it_works(arm, lambda url: edit(url, command), message)
 
 
 def test_a_damaged_page_is_refused_before_the_work(

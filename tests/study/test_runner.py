@@ -20,7 +20,7 @@ from optuna.trial import TrialState
 
 import taichi_nmm
 from storage.databases.studies import open_studies
-from study.commands.study import film_command
+from study.commands.study import dashboard_command, film_command
 from study.experiment import live_study
 from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
@@ -318,11 +318,15 @@ def test_live_studies_and_comparisons_leave_each_other(toy, tmp_path):
 
 
 def test_the_lines_to_look_at_it_name_what_is_not_the_default():
-    gains = Path("out/a best.json")
+    gains, out = Path("out/a best.json"), Path("out")
     words = "-m taichi_nmm walk --gains 'out/a best.json' --config my.toml"
     assert film_command(gains, Path("my.toml")).endswith(words)
     shipped = film_command(gains, config_path("rough8"), 7, 3)
     assert shipped.endswith("--config rough8 --run 7 --seed 3")
+    line = dashboard_command("sqlite:///x.db", out)
+    assert line.endswith("-m taichi_nmm dashboard --storage sqlite:///x.db")
+    line = dashboard_command("postgresql+psycopg://me:secret@host/walker", out)
+    assert line.endswith("--artifacts out") and "secret" not in line
 
 
 def test_the_lines_name_the_python_in_use(tmp_path, monkeypatch):

@@ -12,9 +12,9 @@ from taichi_nmm.kernel_cache import (
     PREFIX,
     require_kernel_cache,
 )
-from tests.processes import python
+from tests.processes import ROOT, python
 
-WALK = ("-m", "taichi_nmm", "walk")
+WALK = ROOT / "tools" / "walk.py"
 SIMULATE = (
     "import taichi_nmm; taichi_nmm.simulate(taichi_nmm.PUBLISHED_GAINS, duration_s=0.1)"
 )
@@ -53,7 +53,7 @@ def test_a_cache_must_be_writable(
 def test_without_a_home_a_command_and_a_simulation_say_one_line(tmp_path: Path) -> None:
     homeless = {name: value for name, value in os.environ.items() if name != "HOME"}
     out = tmp_path / "out"
-    done = python(*WALK, "--out", out, env=homeless)
+    done = python(WALK, "--out", out, env=homeless)
     assert (
         done.stderr.startswith("error: HOME: 'unset'") and done.stderr.count("\n") == 1
     )

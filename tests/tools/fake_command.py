@@ -11,6 +11,8 @@ module, and so have the same simulator.
 import os
 import sys
 from pathlib import Path
+from types import ModuleType
+from unittest.mock import Mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -20,6 +22,15 @@ from study.experiment import compare
 from tests.study import fake_walker
 
 vars(taichi_nmm)["simulate"] = fake_walker.simulate
+
+# Pictures and notes have tests of their own. What they need takes longer to load than
+# all else in a command.
+for name, functions in {
+    "study.experiment.artifacts": ("draw_best",),
+    "optuna_dashboard": ("get_note", "save_note"),
+}.items():
+    sys.modules[name] = ModuleType(name)
+    vars(sys.modules[name]).update(dict.fromkeys(functions, Mock(return_value="")))
 
 if stretch := os.environ.get("FAKE_STRETCH"):
     compare.CHECKPOINT_S = 0.0

@@ -19,6 +19,7 @@ import json
 import multiprocessing
 import os
 import random
+import re
 import shutil
 import signal
 import sys
@@ -218,6 +219,11 @@ class Theatre:
 OF_THE_DATABASE = (".db-wal", ".db-shm")  # read with it
 # of a trial that was cut short
 OF_REPEATS = {"failed_trial", "retry_history", "fixed_params"}
+VERSION = re.compile("note_ver")  # counts how often a note was written
+# by the trial's identity, in the order of writing
+TRIAL_NOTE = re.compile(r"dashboard:(\d+):")
+# of study and trial, in the order of writing
+IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -251,7 +257,15 @@ def content(file: Path) -> bytes:
 def of_study(study: optuna.Study) -> dict[str, Any]:
     """Attributes and finished trials of a study, less numbers that count trials cut short."""
     finished = study.get_trials(states=(TrialState.COMPLETE,))
+    places = {trial._trial_id: place for place, trial in enumerate(finished)}
+
+    def renamed(key: str) -> str:
+        return TRIAL_NOTE.sub(lambda found: f"trial {places.get(int(found[1]))}:", key)
+
     system = study._storage.get_study_system_attrs(study._study_id)
+    kept = {
+        renamed(key): text for key, text in system.items() if not VERSION.search(key)
+    }
     trials = [
         {
             "params": trial.params,
@@ -263,7 +277,8 @@ def of_study(study: optuna.Study) -> dict[str, Any]:
         }
         for trial in finished
     ]
-    return {"user": study.user_attrs, "system": system, "trials": trials}
+    text = json.dumps({"user": study.user_attrs, "system": kept})
+    return json.loads(IDENTITIES.sub("/artifacts/", text)) | {"trials": trials}
 
 
 def kill(
@@ -306,7 +321,8 @@ def main() -> None:
     compare.STRETCH_TRIALS = 2
     for name in COMMANDS:  # so that no process has to
         import_module(f"study.commands.{name.replace('-', '_')}")
-    import_module("ribs.archives")
+    for late in ("ribs.archives", "optuna_dashboard"):
+        import_module(late)
     # TemporaryDirectory's would go with the first process
     folder = Path(tempfile.mkdtemp())
     try:

@@ -2,10 +2,12 @@
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from study.options import COMMANDS
 from taichi_nmm.kernel_cache import COMPILER
 from tests.processes import ROOT, python
 from tests.tools import running
@@ -14,17 +16,16 @@ from tests.tools.running import INTERRUPTED, run_with_accident
 pytestmark = pytest.mark.slow
 
 WALK = ("walk", "--duration", 1, "--movie-seconds", 0)
-# The tools, and one command: all commands begin in study/cli.py.
-BEGUN = {
-    "walk": ("-m", "taichi_nmm", "walk"),
-    **{tool: (ROOT / "tools" / f"{tool}.py",) for tool in running.TOOLS},
-}
-FIRST = dict.fromkeys(BEGUN, "numpy") | {"time_walks": "taichi_nmm.settings"}
+# The tools beside the commands, and one command: all commands begin in study/cli.py.
+TOOLS = ["walk", *(tool for tool in running.TOOLS if tool not in COMMANDS)]
+FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
 
 
-@pytest.mark.parametrize("tool", BEGUN)
+@pytest.mark.parametrize("tool", TOOLS)
 def test_ctrl_c_during_imports_is_one_line(tool: str, tmp_path: Path) -> None:
-    done = run_with_accident(tmp_path, BEGUN[tool], interrupted=FIRST[tool])
+    done = run_with_accident(
+        tmp_path, [ROOT / "tools" / f"{tool}.py"], interrupted=FIRST[tool]
+    )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{INTERRUPTED}\n")
 
 
@@ -47,6 +48,7 @@ def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -
         (("walk",), COMPILER),
         (WALK, "matplotlib"),
         (("walk",), "imageio_ffmpeg"),
+        (("dashboard",), "optuna_dashboard"),
     ],
 )
 def test_a_missing_package_is_said(
@@ -57,12 +59,15 @@ def test_a_missing_package_is_said(
     assert line.startswith("error: ") and package in line.replace("-", "_")
 
 
-@pytest.mark.parametrize("words", [("-m", "taichi_nmm"), *BEGUN.values()])
+@pytest.mark.parametrize(
+    "words", [("-m", "taichi_nmm"), ("-m", "taichi_nmm", "walk"), *TOOLS]
+)
 def test_a_system_without_posix_is_one_line(
-    words: tuple[object, ...], tmp_path: Path
+    words: Sequence[str] | str, tmp_path: Path
 ) -> None:
     """As Windows, where files are locked otherwise."""
-    done = run_with_accident(tmp_path, words, missing=("fcntl", "resource"))
+    called = [ROOT / "tools" / f"{words}.py"] if isinstance(words, str) else words
+    done = run_with_accident(tmp_path, called, missing=("fcntl", "resource"))
     line = f"error: machine: {sys.platform!r} cannot be used; allowed: Linux; on Windows, its WSL\n"
     assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
 
@@ -94,7 +99,7 @@ def test_a_file_that_hides_a_package_of_ours_is_named(
     said = f"another name, or working directory: it hides {name} of taichi-nmm"
     line = f"error: {name}: '{file}' cannot be used; allowed: {said}\n"
     assert last_line(done, 2) == done.stderr == line
-    tool = ROOT / "tools" / "time_walks.py"  # from a script it hides nothing
+    tool = ROOT / "tools" / "walk.py"  # from a script it hides nothing
     assert python(tool, "--help", cwd=tmp_path).returncode == 0
 
 

@@ -15,7 +15,7 @@ import pytest
 from optuna.trial import TrialState
 
 from tests.study import fake_walker
-from tests.tools.running import WAIT_S, Done, finish, start
+from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
@@ -112,8 +112,9 @@ def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) 
 
 
 def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
-    command = ("-m", "taichi_nmm")
-    done = run(STUDY, 'ulimit -v 400000; exec "$@"', program=command)
+    tool = ROOT / "tools" / "study.py"
+    words = STUDY.removeprefix("study ")
+    done = run(words, 'ulimit -v 400000; exec "$@"', program=[tool])
     line = "error: ulimit -v: 400000 cannot be used; allowed: 4194304 or more, or unlimited\n"
     assert done == Done(2, "", line)
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]

@@ -33,10 +33,11 @@ def lines(folder: Path) -> list[str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.chdir(ROOT)
         patch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
-        for name in ("write_strip", "write_gait_cycle"):
+        # First where a name is imported to: else it would keep the fake.
+        strips = "experiment.artifacts.write_strip", "pictures.write_strip"
+        for name in (*strips, "pictures.write_gait_cycle"):
             patch.setattr(
-                f"study.pictures.{name}",
-                lambda path, *_: path.write_bytes(b"drawn") and path,
+                f"study.{name}", lambda path, *_: path.write_bytes(b"drawn") and path
             )
         for _ in range(2):
             assert run_tool(patch, "quickstart", "--out", folder) == 0
@@ -45,8 +46,7 @@ def lines(folder: Path) -> list[str]:
 
 def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -> None:
     assert lines[-2].endswith(f" explore {folder / 'store'}")
-    shown = f" explore {folder / 'studies.db'} --study rough8/"
-    assert shown in lines[-1] and lines[-1].endswith("/run-000")
+    assert lines[-1].endswith(f"dashboard --storage sqlite:///{folder / 'studies.db'}")
     for place, arm in ((-8, "worlds"), (-7, "dog"), (-6, "random")):
         assert lines[place].startswith(f"rough8/{arm}/run-000: ")
     with read_studies(f"sqlite:///{folder / 'studies.db'}") as storage:

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 import optuna
 import pytest
+from optuna.artifacts import get_all_artifact_meta
 from optuna.trial import TrialState
+from optuna_dashboard import get_note
 
 from storage.databases.studies import only_run
 from study.experiment.walker import read_experiment
@@ -21,7 +23,7 @@ from taichi_nmm import GAIN_NAMES, Result, load_gains
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_all_gains
 from tests.study import fake_walker, synthetic_gait
 from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import ROOT
+from tests.tools.running import ROOT, load_command
 
 ROUGH8 = ROOT / "configs" / "rough8.toml"
 NAME = "rough8/dog/run-000"
@@ -63,15 +65,45 @@ def test_json_is_one_object(command: Study) -> None:
     assert "rough8/random/run-000: " in command.tool.out
 
 
-def recorded(gains: Any, record: Sequence[int] = (), **options: Any) -> Result:
-    """Walks that can be drawn."""
+@pytest.fixture
+def walks(simulator: Simulator) -> list[int]:
+    """Walks that can be drawn, and how many were recorded in each call."""
+    recorded: list[int] = []
     glimpse = synthetic_gait.walk(0.3, 50.0)
-    made = fake_walker.simulate(gains, **options)
-    return replace(made, trajectories=(glimpse,) * len(record))
+
+    def simulate(gains: Any, record: Sequence[int] = (), **options: Any) -> Result:
+        made = fake_walker.simulate(gains, **options)
+        recorded.extend([len(record)] if record else [])
+        return replace(made, trajectories=(glimpse,) * len(record))
+
+    simulator(simulate)
+    return recorded
+
+
+def test_the_best_trial_has_its_picture_in_the_dashboard(
+    command: Study, walks: list[int]
+) -> None:
+    """Beside the database, where our dashboard looks; and once."""
+    best = command.json()["best_trial"]
+    study = command.study()
+    artifacts = [
+        get_all_artifact_meta(each, storage=study._storage) for each in study.trials
+    ]
+    (picture,) = artifacts.pop(best)
+    assert artifacts == [[]] * 3
+    file = command.folder / "artifacts" / picture.artifact_id
+    assert (picture.filename, picture.mimetype) == ("strip.png", "image/png")
+    assert file.read_bytes().startswith(b"\x89PNG")
+    note = get_note(optuna.Trial(study, study.trials[best]._trial_id))
+    assert note.startswith("rough8, run 0: ") and picture.artifact_id in note
+    assert command.run() == 0 and walks == [1]
+    assert get_note(command.study()).startswith("## ")  # what the features were worth
+    find_artifacts = load_command("dashboard").find_artifacts
+    assert find_artifacts(None, command.url, None) == file.parent
 
 
 @pytest.mark.slow
-def test_fixed_gains_stand_beside_the_best(command: Study) -> None:
+def test_fixed_gains_stand_beside_the_best(command: Study, walks: list[int]) -> None:
     top = 'fixed_gains = "published"\nsearched = ["exo_torque"]'
     config = fake_walker.write_config(command.folder, top)
     found = command.json(config=config, store="", arm="random")
@@ -80,15 +112,15 @@ def test_fixed_gains_stand_beside_the_best(command: Study) -> None:
 
 
 @pytest.mark.slow
-def test_the_line_of_the_film_is_taken(
-    command: Study, simulator: Simulator, monkeypatch: pytest.MonkeyPatch
+def test_lines_are_taken(
+    command: Study, walks: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As a user pastes it."""
+    """Film and dashboard, as a user pastes them."""
     config = fake_walker.write_config(command.folder)
     found = command.json(config=config, store="", arm="random", run=2, seed=7)
-    film = shlex.split(found["film"])
+    film, dashboard = (shlex.split(found[name]) for name in ("film", "dashboard"))
     assert film[1:4] == ["-m", "taichi_nmm", "walk"]
-    simulator(recorded)
+    assert dashboard[1:4] == ["-m", "taichi_nmm", "dashboard"]
     films: list[Any] = []
 
     def write_movies(path: Path, *shown: Any) -> Path:
@@ -103,6 +135,12 @@ def test_the_line_of_the_film_is_taken(
     assert path == command.folder / "film" / "movie.mp4"
     terrain = read_experiment(config, None, 7).terrain(2)
     np.testing.assert_array_equal(ground.height_m, terrain.height_m)
+    served: list[None] = []
+    monkeypatch.setattr(
+        "socketserver.BaseServer.serve_forever", lambda *_: served.append(None)
+    )
+    assert command.tool(*dashboard[3:], "--port", 0) == 0
+    assert served and "artifacts" in command.tool.out
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 
 from study import FeatureKernelSampler, FeatureTable
 from study.commands.validate import Figure, show
-from study.options import documentation
+from study.options import COMMANDS, documentation, parser_of
 from tests.processes import printed
 from tests.tools.running import ROOT, TOOLS, load_tool
 
@@ -31,7 +31,7 @@ def test_a_tool_explains_itself(
     monkeypatch.setattr(sys, "path", [str(file.parent), *sys.path])
     with pytest.raises(SystemExit, check=lambda end: not end.code):
         runpy.run_path(str(file), run_name="__main__")
-    text = documentation(file)
+    text = parser_of(tool).description if tool in COMMANDS else documentation(file)
     assert text and text in capsys.readouterr().out
 
 

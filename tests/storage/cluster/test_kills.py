@@ -26,7 +26,7 @@ def started(
 ) -> subprocess.Popen[bytes]:
     """A command on the configuration of its own name."""
     words = ["--config", f"{tool}.toml", "--out", out, *options]
-    words = [sys.executable, "-m", "taichi_nmm", tool, *words]
+    words = [sys.executable, str(ROOT / "tools" / f"{tool}.py"), *words]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     return subprocess.Popen(words, cwd=folder, env=environment, **quiet)

@@ -22,7 +22,7 @@ from optuna.distributions import (
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from storage.databases import bulk
-from storage.databases.bulk import FinishedStudy, trial_counts, write_studies
+from storage.databases.bulk import FinishedStudy, attach, trial_counts, write_studies
 from storage.databases.studies import open_studies
 from storage.inputs.errors import InputError
 
@@ -154,6 +154,22 @@ def test_many_trials_take_several_transactions(
     for study in studies:
         found = [trial.params for trial in load(storage, study.name).trials]
         assert found == [trial.params for trial in TRIALS]
+
+
+def test_a_finished_trial_gets_attributes_once(storage) -> None:
+    write_studies(storage, [STUDY, replace(STUDY, name="other")])
+    attach(storage, "other", 0, "artifacts:2", {"a": [1]})
+    for key, value in (
+        ("artifacts:1", "{}"),
+        ("artifacts:1", "another"),
+        ("artifacts:3", "new"),
+    ):
+        attach(storage, STUDY.name, 2, key, value)
+    attributes = load(storage, STUDY.name).trials[2].system_attrs
+    assert attributes == {"claims": [2, "x"], "artifacts:1": "{}", "artifacts:3": "new"}
+    assert load(storage, "other").trials[0].system_attrs["artifacts:2"] == {"a": [1]}
+    with pytest.raises(KeyError):
+        attach(storage, STUDY.name, 99, "artifacts:1", "{}")
 
 
 def test_another_schema_is_refused_in_one_line(tmp_path: Path, sqlite) -> None:

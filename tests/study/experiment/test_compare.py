@@ -169,13 +169,13 @@ def test_studies_are_cut_into_blocks_for_all_slots() -> None:
 def test_checkpoints_and_the_database_are_written_on_the_way(
     comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    exports: list[int] = []
+    exports: list[tuple[int, bool]] = []
 
-    def export(of: WalkerExperiment, trials: pa.Table, url: str) -> None:
+    def export(of: WalkerExperiment, trials: pa.Table, *_: object, final: bool) -> None:
         assert trials.schema.remove_metadata().equals(
             results_of(STATE_SCHEMA.empty_table()).schema
         )
-        exports.append(len(trials))
+        exports.append((len(trials), final))
 
     monkeypatch.setattr(comparing, "export", export)
     monkeypatch.setattr(comparing, "CHECKPOINT_S", 0.0)
@@ -193,9 +193,9 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
     compare(comparisons.experiment, request, watch)
     assert seen == [0, 0, 2, 4, 6]  # reported before the checkpoint of its stretch
     assert told == [(done, 8, 2) for done in (0, 2, 4, 6, 8)]
-    assert exports == [2, 4, 6, 8, 8]
+    assert exports == [(2, False), (4, False), (6, False), (8, False), (8, True)]
     comparisons.run("out", arms=("tpe",), runs=1, trials=2)
-    assert exports[-1] == 10  # all arms of the folder
+    assert exports[-1] == (10, True)  # all arms of the folder
 
 
 def test_sessions_say_what_they_did(comparisons: Comparisons) -> None:

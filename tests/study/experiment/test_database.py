@@ -1,4 +1,4 @@
-"""Results of an experiment as studies that Optuna reads."""
+"""Results of an experiment as studies that Optuna and its dashboard read."""
 
 from pathlib import Path
 from typing import Any
@@ -7,13 +7,15 @@ import numpy as np
 import optuna
 import pyarrow as pa
 import pytest
+from optuna_dashboard import get_note
 
-from storage.databases.bulk import trial_counts
+from storage.databases.bulk import study_ids, trial_counts
 from storage.databases.studies import open_studies
 from study.experiment.database import check_database, export
-from study.experiment.folder import fingerprint
+from study.experiment.folder import as_if_gone_on, fingerprint
 from study.experiment.objective import Objective
 from study.experiment.walker import WalkerExperiment
+from study.report.markdown import dashboard_summary
 from taichi_nmm.body import Build
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import Settings
@@ -36,17 +38,22 @@ def url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path}/studies.db"
 
 
-def put(url: str, table: pa.Table, of: WalkerExperiment = TINY) -> None:
-    export(of, table, url)
+def put(
+    url: str, table: pa.Table, final: bool = True, of: WalkerExperiment = TINY
+) -> None:
+    export(of, table, url, dashboard_summary, final=final)
 
 
 def load(url: str, name: str) -> optuna.Study:
     return optuna.load_study(study_name=name, storage=open_studies(url))
 
 
-def test_every_arm_and_run_is_a_study(url: str) -> None:
+def test_every_arm_and_run_is_a_study(url: str, tmp_path: Path) -> None:
     put(url, results(TINY))
-    assert trial_counts(open_studies(url)) == dict.fromkeys(SIX, 3)
+    assert trial_counts(open_studies(url)) == {
+        **dict.fromkeys(SIX, 3),
+        "tiny/summary": 0,
+    }
     study = load(url, "tiny/dog/run-001")
     assert study.direction.name == "MINIMIZE"
     assert study.user_attrs == {
@@ -55,17 +62,25 @@ def test_every_arm_and_run_is_a_study(url: str) -> None:
         "run": 1,
         "experiment_config": fingerprint(TINY),
     }
+    without = f"sqlite:///{tmp_path}/without.db"
+    export(TINY, results(TINY), without, None, final=True)
+    assert trial_counts(open_studies(without)) == dict.fromkeys(SIX, 3)
 
 
 @pytest.mark.slow
-def test_studies_say_what_their_objective_is_called(url: str) -> None:
+def test_studies_say_what_their_objective_is_called(url: str, tmp_path: Path) -> None:
     """A name of the user's stays."""
-    put(url, results(TINY))
-    assert [load(url, name).metric_names for name in SIX] == [["smooth_cost"]] * 4
+    put(url, results(TINY), final=False)
+    names = (*SIX, "tiny/summary")
+    assert [load(url, name).metric_names for name in names] == [["smooth_cost"]] * len(
+        names
+    )
     load(url, SIX[1]).set_metric_names(["mine"])
     put(url, results(TINY))
     assert load(url, SIX[1]).metric_names == ["mine"]
-    assert load(url, SIX[0]).metric_names == ["smooth_cost"]
+    assert [load(url, n).metric_names for n in names if n != SIX[1]] == [
+        ["smooth_cost"]
+    ] * 4
 
 
 @pytest.mark.parametrize("searched", [(), ("theta_ref",)])
@@ -97,17 +112,21 @@ def test_trials_are_the_rows(url: str, searched: tuple[str, ...]) -> None:
 
 @pytest.mark.slow
 def test_later_exports_add_what_is_new(url: str) -> None:
-    put(url, results(TINY, runs=1, trials=2, arms=("dog",)))
+    put(url, results(TINY, runs=1, trials=2, arms=("dog",)), final=False)
     before = load(url, SIX[0]).trials
-    put(url, results(TINY, runs=1))
+    put(url, results(TINY, runs=1), final=False)
     put(url, results(TINY).take(pa.array(np.random.default_rng(0).permutation(12))))
     put(url, results(TINY, trials=1))  # fewer than there are: nothing to do
-    assert trial_counts(open_studies(url)) == dict.fromkeys(SIX, 3)
+    assert trial_counts(open_studies(url)) == {
+        **dict.fromkeys(SIX, 3),
+        "tiny/summary": 0,
+    }
     assert load(url, SIX[0]).trials[:2] == before
     assert [trial.value for trial in load(url, SIX[0]).trials] == [300.0, 90.0, 280.0]
 
 
 def test_studies_that_ended_with_a_walker(url: str) -> None:
+    """The database has the trials that were; the summary compares the arms as if all went on."""
     table = results(TINY)
     rows = [
         row
@@ -116,13 +135,16 @@ def test_studies_that_ended_with_a_walker(url: str) -> None:
     ]
     ended = pa.Table.from_pylist(rows, schema=table.schema)
     put(url, ended, of=experiment(until_walker=True))
-    counts = dict.fromkeys(SIX, 3) | {"tiny/dog/run-000": 2}
+    counts = dict.fromkeys(SIX, 3) | {"tiny/dog/run-000": 2, "tiny/summary": 0}
     assert trial_counts(open_studies(url)) == counts
+    ids = study_ids(open_studies(url))
+    wanted = dashboard_summary("tiny", as_if_gone_on(ended), True, ids)
+    assert get_note(load(url, "tiny/summary")) == wanted
 
 
 @pytest.mark.slow
 def test_another_configuration_is_refused_and_nothing_written(url: str) -> None:
-    put(url, results(TINY, trials=1))
+    put(url, results(TINY, trials=1), final=False)
     changes: tuple[dict[str, Any], ...] = (
         {"seed": 8},
         {"objective": Objective("walking")},

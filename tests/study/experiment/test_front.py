@@ -16,6 +16,7 @@ from study.experiment.live_study import run_study
 from study.experiment.trials import best_trial, progress_line, study_facts, study_line
 from study.experiment.walker import WalkerExperiment, read_experiment
 from study.report.figures import write_report
+from study.report.markdown import dashboard_summary
 from study.report.runs import read_results
 from tests.study import fake_walker
 from tests.study.conftest import Comparisons, refused
@@ -87,9 +88,12 @@ def test_a_live_study_is_a_compared_one(
     for trials in (2, 4):
         live = run_study(experiment, find_arm(arm), 0, trials, open_studies(urls[0]))
     request = Request(tmp_path / "out", urls[1], (arm,), runs=1, trials=4)
-    compare(experiment, request, lambda progress: None)
-    compared = optuna.load_study(study_name=live.study_name, storage=urls[1])
-    for study in (live, compared):
+    compare(experiment, request, lambda progress: None, dashboard_summary)
+    compared, summary = (
+        optuna.load_study(study_name=name, storage=urls[1])
+        for name in (live.study_name, "toy/summary")
+    )
+    for study in (live, compared, summary):
         assert study.metric_names == ["effort", "slow"]
         assert [direction.name for direction in study.directions] == ["MINIMIZE"] * 2
     values = np.array([trial.values for trial in live.trials])

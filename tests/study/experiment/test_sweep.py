@@ -63,7 +63,7 @@ class Sweep:
         request = Request(self.out, runs=runs, trials=trials)
         self.shown.clear()
         points = self.points(word)
-        return [*sweep(points, "ranking", request, self.shown.append)]
+        return [*sweep(points, "ranking", request, self.shown.append, lambda *_: "")]
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 
 from storage.inputs.errors import InputError
 from study.experiment.experiment import store_digest
-from study.report.runs import Results, known_stores, read_results
+from study.report.runs import Results, known_stores, read_results, runs_of
 from tests.cases import asset
 from tests.study.report import synthetic
 
@@ -62,12 +62,15 @@ def test_the_order_of_the_rows_does_not_matter(folder: Path, table: pa.Table) ->
     known = read_results(folder).arms
     shuffled = table.take(np.random.default_rng(0).permutation(len(table)))
     rewrite(folder, shuffled)
-    found = read_results(folder).arms
-    assert list(found) == list(known)
-    for arm, theirs in known.items():
-        np.testing.assert_array_equal(found[arm].best, theirs.best)
-        assert found[arm].walkers == theirs.walkers
-        assert found[arm].found == theirs.found
+    # of the file, and in memory
+    for found in (read_results(folder).arms, runs_of(shuffled)):
+        assert list(found) == list(known)
+        for arm, theirs in known.items():
+            np.testing.assert_array_equal(found[arm].best, theirs.best)
+            assert (found[arm].walkers, found[arm].found) == (
+                theirs.walkers,
+                theirs.found,
+            )
 
 
 def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> None:
@@ -130,6 +133,8 @@ def test_no_trials_one_less_or_one_more(
     (folder / "trials.parquet").write_bytes(b"PAR1 and no more")
     message = refusal(folder)
     assert message.startswith("trials.parquet: ") and "readable" in message
+    with pytest.raises(InputError, match="trials: 'arm dog'"):
+        runs_of(table.slice(1))
     for broken in (table.slice(1), pa.concat_tables([table, table.slice(3, 1)])):
         rewrite(folder, broken)
         assert "arm dog" in refusal(folder)

@@ -1,0 +1,6 @@
+"""`taichi-nmm dashboard`, from a checkout."""
+
+from checkout import run
+
+if __name__ == "__main__":
+    run("dashboard")
