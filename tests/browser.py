@@ -2,10 +2,8 @@
 
 import os
 import shutil
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -27,7 +25,7 @@ SCREENSHOTS = "NMM_SCREENSHOTS"  # names the folder where they are kept, if it i
 
 
 @contextmanager
-def opened_page(width: int, height: int) -> Iterator[Any]:
+def opened_page(width, height):
     """A page of a browser without a window, which fails on errors of the page's scripts."""
     playwright = pytest.importorskip(
         "playwright.sync_api", reason="no playwright: pip install 'taichi-nmm[test]'"
@@ -42,14 +40,14 @@ def opened_page(width: int, height: int) -> Iterator[Any]:
         page = browser.new_page(viewport={"width": width, "height": height})
         page.set_default_timeout(PATIENCE_MS)
         page.add_init_script(path=ASSETS / "hands.js")
-        broken: list[str] = []
+        broken = []
         page.on("pageerror", lambda error: broken.append(str(error)))
         yield page
         browser.close()
         assert broken == []
 
 
-def save(page: Any, name: str) -> None:
+def save(page, name):
     """Keep a screenshot, where one is wanted."""
     if os.environ.get(SCREENSHOTS):
         page.screenshot(path=Path(os.environ[SCREENSHOTS]) / f"{name}.png")

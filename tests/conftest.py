@@ -11,10 +11,8 @@ a minute at a time.
 
 import os
 import signal
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -42,12 +40,12 @@ MOST_TESTS = (
 )
 
 
-def compile_kernel(settings: str) -> None:
+def compile_kernel(settings):
     """In a process of its own, which writes to the cache; errors show in the tests."""
     python("-c", SIMULATE.format(settings))
 
 
-def pytest_sessionstart(session: pytest.Session) -> None:
+def pytest_sessionstart(session):
     """Compile kernels before the workers of a parallel run are started, unless some are there.
 
     Where tests are run, processes that they start find the checkout, and what they do
@@ -65,7 +63,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 
 @pytest.fixture(scope="module")
-def page() -> Iterator[Any]:
+def page():
     """A page of a browser without a window, which fails on errors of the page's scripts."""
     with opened_page(1200, 1240) as page:
         yield page

@@ -14,10 +14,8 @@ import ast
 import json
 import shutil
 import subprocess
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -43,12 +41,10 @@ EXCHANGED = (
 REPLACED = "FloorDiv/Mult Mod/Mult"
 PAIRS = [pair.split("/") for pair in f"{EXCHANGED} {REPLACED}".split()]
 PAIRS += [pair.split("/")[::-1] for pair in EXCHANGED.split()]
-OTHER: dict[type[ast.AST], Any] = {
-    getattr(ast, operator): getattr(ast, other) for operator, other in PAIRS
-}
+OTHER = {getattr(ast, operator): getattr(ast, other) for operator, other in PAIRS}
 
 
-def places(tree: ast.AST) -> Iterator[ast.expr]:
+def places(tree):
     """Expressions in which one operator, constant or condition can be changed."""
     for field, value in ast.iter_fields(tree):
         if field in ("annotation", "returns"):
@@ -62,7 +58,7 @@ def places(tree: ast.AST) -> Iterator[ast.expr]:
                 yield from places(node)
 
 
-def faulty(node: ast.expr) -> ast.expr | None:
+def faulty(node):
     """The expression with its fault, or None for one that is left as it is."""
     if (
         isinstance(node, ast.Compare)
@@ -85,7 +81,7 @@ def faulty(node: ast.expr) -> ast.expr | None:
     return None
 
 
-def drawn(count: int, seed: int) -> list[tuple[str, int]]:
+def drawn(count, seed):
     """Files, and numbers of places in them; every place of the product is as likely."""
     paths = [
         path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))
@@ -101,7 +97,7 @@ def drawn(count: int, seed: int) -> list[tuple[str, int]]:
     return [every[index] for index in chosen]
 
 
-def changed(source: str, number: int) -> tuple[str, str]:
+def changed(source, number):
     """The source with the fault at a place, and the fault in words; all other bytes are kept."""
     node = list(places(ast.parse(source)))[number]
     new = faulty(node)
@@ -116,7 +112,7 @@ def changed(source: str, number: int) -> tuple[str, str]:
     return b"".join(lines).decode(), words
 
 
-def tests_of(file: str) -> list[list[str]]:
+def tests_of(file):
     """The tests to run one after another: the folder's, of kernels also parity; and all."""
     folder = Path("tests", file).parent
     near = folder if (ROOT / folder).is_dir() else folder.parent
@@ -125,7 +121,7 @@ def tests_of(file: str) -> list[list[str]]:
     return [[*first, near.as_posix()], ["tests"]]
 
 
-def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]:
+def tried(file, number, copy, near_only):
     """Whether the tests notice a fault, in a copy of the checkout."""
     source = (ROOT / file).read_text()
     text, words = changed(source, number)
@@ -145,7 +141,7 @@ def tried(file: str, number: int, copy: Path, near_only: bool) -> dict[str, Any]
     return {"file": file, "number": number, "fault": words, "noticed": noticed}
 
 
-def main() -> None:
+def main():
     """Try the faults, and list those that the tests did not notice."""
     options = Options(__file__)
     options.whole("--count", 1, 10_000, default=80, help="faults; %(default)s")
@@ -165,7 +161,7 @@ def main() -> None:
     open_places = [place for place in drawn(args.count, args.seed) if place not in done]
     bar = tqdm(total=args.count, initial=len(known))
 
-    def work(worker: int) -> None:
+    def work(worker):
         copy = ROOT / "out" / f"faults-copy-{worker}"
         shutil.rmtree(copy, ignore_errors=True)
         shutil.copytree(

@@ -4,17 +4,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
 
 ROOT = Path(__file__).resolve().parents[1]
 WAIT_S = 120.0
 
 
-def python(*words: object, **options: Any) -> "subprocess.CompletedProcess[str]":
+def python(*words, **options):
     """Run it on these words, in the root unless `cwd` is given, and keep what it prints."""
     command = [sys.executable, *map(str, words)]
     return subprocess.run(
@@ -22,7 +20,7 @@ def python(*words: object, **options: Any) -> "subprocess.CompletedProcess[str]"
     )
 
 
-def printed(*words: object, **options: Any) -> str:
+def printed(*words, **options):
     """What `python` prints on these words, which must end well."""
     done = python(*words, **options)
     assert done.returncode == 0, done.stderr
@@ -30,7 +28,7 @@ def printed(*words: object, **options: Any) -> str:
 
 
 @contextmanager
-def serving(*words: object, **options: Any) -> Iterator[IO[str]]:
+def serving(*words, **options):
     """Python on these words as a server: what it prints; Ctrl-C ends it, and must end it well."""
     command = [sys.executable, *map(str, words)]
     with subprocess.Popen(
@@ -44,7 +42,7 @@ def serving(*words: object, **options: Any) -> Iterator[IO[str]]:
     assert process.returncode == 0
 
 
-def until(true: Callable[[], object], wait_s: float = WAIT_S) -> None:
+def until(true, wait_s=WAIT_S):
     """Wait for something to be true, which must be so in time."""
     deadline_s = time.monotonic() + wait_s
     while not true():
@@ -52,7 +50,7 @@ def until(true: Callable[[], object], wait_s: float = WAIT_S) -> None:
         time.sleep(0.02)
 
 
-def children(pid: int) -> list[int]:
+def children(pid):
     """Processes that a process has spawned, in any generation."""
     found = []
     for file in Path(f"/proc/{pid}/task").glob("*/children"):
@@ -62,7 +60,7 @@ def children(pid: int) -> list[int]:
     return found
 
 
-def read_schema_once() -> None:
+def read_schema_once():
     """Have Optuna read the version of its schema from ten files once, not whenever a
     database is opened: that takes half the time, and there are hundreds."""
     from alembic.script import ScriptDirectory  # slow to load

@@ -6,7 +6,6 @@ those under `if TYPE_CHECKING` do not.
 
 import ast
 import re
-from collections.abc import Iterable, Iterator
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from itertools import pairwise
@@ -71,19 +70,19 @@ ALLOWED = {
 }
 
 
-def name_of(file: Path) -> str:
+def name_of(file):
     parts = file.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 @cache
-def modules() -> dict[str, Path]:
+def modules():
     """Files of the packages and of tools/ by the names of their modules; not the hub's package."""
     files = [file for package in OURS for file in (ROOT / package).rglob("*.py")]
     return {name_of(file): file for file in sorted(files) if HUB not in file.parents}
 
 
-def statements(node: ast.AST) -> Iterator[ast.AST]:
+def statements(node):
     """All that is run, now or in a call."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.If) and ast.unparse(child.test).endswith(
@@ -97,7 +96,7 @@ def statements(node: ast.AST) -> Iterator[ast.AST]:
             yield from statements(child)
 
 
-def named_by(node: ast.AST, package: str) -> list[str]:
+def named_by(node, package):
     """What an import statement in a package names, in full."""
     if isinstance(node, ast.Import):
         return [alias.name for alias in node.names]
@@ -112,7 +111,7 @@ def named_by(node: ast.AST, package: str) -> list[str]:
     return [f"{base}.{alias.name}" for alias in node.names]
 
 
-def module_in(name: str) -> str | None:
+def module_in(name):
     """The module that a full name is, or is a name of; None for other projects'."""
     while name and name not in modules():
         name = name.rpartition(".")[0]
@@ -120,7 +119,7 @@ def module_in(name: str) -> str | None:
 
 
 @cache
-def imported_by(module: str) -> frozenset[str]:
+def imported_by(module):
     """Modules of this project that a module imports."""
     file = modules()[module]
     package = module if file.name == "__init__.py" else module.rpartition(".")[0]
@@ -130,21 +129,21 @@ def imported_by(module: str) -> frozenset[str]:
     return frozenset(name for name in found if name is not None and name != module)
 
 
-def imports() -> list[tuple[str, str]]:
+def imports():
     return [(name, other) for name in modules() for other in sorted(imported_by(name))]
 
 
-def within(name: str, part: str) -> bool:
+def within(name, part):
     return name == part or name.startswith(f"{part}.")
 
 
-def test_the_source_is_found() -> None:
+def test_the_source_is_found():
     assert "study.sampler.space" in imported_by("study.sampler.columns")
     assert "storage.store" in imported_by("study.sampler.columns")  # in a function
     assert "study.experiment.features" not in imported_by("study")  # for types only
 
 
-def test_no_imports_run_in_a_circle() -> None:
+def test_no_imports_run_in_a_circle():
     try:
         TopologicalSorter({name: imported_by(name) for name in modules()}).prepare()
     except CycleError as error:
@@ -152,7 +151,7 @@ def test_no_imports_run_in_a_circle() -> None:
 
 
 @pytest.mark.parametrize("part", ALLOWED)
-def test_arrows_run_one_way(part: str) -> None:
+def test_arrows_run_one_way(part):
     wrong = [
         f"{name} imports {other}"
         for name, other in imports()
@@ -162,7 +161,7 @@ def test_arrows_run_one_way(part: str) -> None:
     assert not wrong, "; ".join(wrong)
 
 
-def test_commands_are_imported_by_nobody() -> None:
+def test_commands_are_imported_by_nobody():
     wrong = [
         f"{name} imports {other}"
         for name, other in imports()
@@ -175,12 +174,12 @@ def test_commands_are_imported_by_nobody() -> None:
 class Source:
     """A Python file of ours, parsed once."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text):
         self.text = text
         self.lines = text.splitlines()
         self.nodes = list(ast.walk(ast.parse(text)))
 
-    def size(self) -> int:
+    def size(self):
         """Nodes without those of docstrings: the statement, and its string."""
         owners = ast.Module | ast.ClassDef | ast.FunctionDef
         told = [
@@ -191,7 +190,7 @@ class Source:
         ]
         return len(self.nodes) - 2 * len(told)
 
-    def longest_function(self) -> int:
+    def longest_function(self):
         lines = [
             (node.end_lineno or 0) - node.lineno + 1
             for node in self.nodes
@@ -199,7 +198,7 @@ class Source:
         ]
         return max(lines, default=0)
 
-    def long_constructions(self) -> int:
+    def long_constructions(self):
         """Calls of a class with six and more things that only their places name."""
         return sum(
             isinstance(node, ast.Call)
@@ -208,7 +207,7 @@ class Source:
             for node in self.nodes
         )
 
-    def fields(self) -> dict[str, bool]:
+    def fields(self):
         """Public fields of public dataclasses and named tuples: whether each is documented.
 
         It is where its name stands under `Attributes:` of the class, or a string below
@@ -230,14 +229,14 @@ class Source:
         return found
 
 
-def attributes_of(docstring: str) -> list[str]:
+def attributes_of(docstring):
     """The names under `Attributes:`, up to the next section."""
     section = docstring.partition("\nAttributes:\n")[2]
     own = re.split(r"^\S", section, flags=re.MULTILINE)[0]
     return re.findall(r"^ {4}(\w+): \S", own, flags=re.MULTILINE)
 
 
-def sources(folders: Iterable[str]) -> dict[str, Source]:
+def sources(folders):
     """All files of some folders; but what pip has left in the hub's."""
     files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
     return {
@@ -247,12 +246,12 @@ def sources(folders: Iterable[str]) -> dict[str, Source]:
     }
 
 
-def widths(files: Iterable[Source]) -> list[int]:
+def widths(files):
     """Of the lines that are not blank."""
     return [len(line) for file in files for line in file.lines if line.strip()]
 
 
-def fields() -> dict[str, bool]:
+def fields():
     """All public fields of the product: whether each is documented."""
     return {
         f"{name}: {field}": is_told
@@ -261,12 +260,12 @@ def fields() -> dict[str, bool]:
     }
 
 
-def percent(truths: list[bool]) -> float:
+def percent(truths):
     return 100.0 * fmean(truths)
 
 
 @cache
-def measures() -> dict[str, float]:
+def measures():
     """What `BOUNDS` bounds. The hub's package is product; its tests are tests."""
     product, tests = sources((*OURS, "docs")).values(), sources(["tests"]).values()
     every = [*product, *tests]
@@ -295,18 +294,18 @@ def measures() -> dict[str, float]:
 
 
 @pytest.mark.parametrize(("measure", "bound"), BOUNDS.items())
-def test_the_house_keeps_its_bounds(measure: str, bound: float) -> None:
+def test_the_house_keeps_its_bounds(measure, bound):
     assert measures()[measure] <= bound
 
 
-def test_all_of_the_house_is_measured() -> None:
+def test_all_of_the_house_is_measured():
     assert measures().keys() == BOUNDS.keys()
     assert measures()["nodes of the product"] > 100_000
     assert measures()["nodes of the tests"] > 100_000
     assert len(fields()) > 500
 
 
-def test_docstrings_and_comments_are_free() -> None:
+def test_docstrings_and_comments_are_free():
     bare = Source("def f(a):\n    return a\n")
     told = Source(
         '"""A file."""\n\n\ndef f(a):\n    """A function."""\n    return a  # why\n'
@@ -315,7 +314,7 @@ def test_docstrings_and_comments_are_free() -> None:
     assert (bare.longest_function(), told.longest_function()) == (2, 3)
 
 
-def test_only_a_class_is_constructed() -> None:
+def test_only_a_class_is_constructed():
     code = "{}(1, 2, 3, 4, 5, 6)\n"
     for call, count in (("Model", 1), ("policy.Model", 1), ("model", 0), ("M.of", 0)):
         assert Source(code.format(call)).long_constructions() == count
@@ -355,7 +354,7 @@ class Other:
 '''
 
 
-def test_a_field_without_words_is_found() -> None:
+def test_a_field_without_words_is_found():
     assert Source(HELD).fields() == {
         "Walk.time_s": True,
         "Walk.load_n": True,

@@ -5,7 +5,7 @@ not tried.
 """
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,7 +60,7 @@ HOOKS = (BaseSampler, Simulator)  # whose members Optuna and stores call
 BOX = {"x": FloatDistribution(0, 1)}
 
 
-def wrong_values() -> list[Any]:
+def wrong_values():
     rng = np.random.default_rng(14)
     shapes = [tuple(rng.integers(0, 4, size)) for size in (0, 1, 2, 3, 3)]
     return [
@@ -114,7 +114,7 @@ def wrong_values() -> list[Any]:
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def store(tmp_path_factory):
     path = tmp_path_factory.mktemp("doors") / "store"
     families = {
         name: fake.family(kind="flat") for name in ("rough", "blocks", "up", "down")
@@ -125,9 +125,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def door(
-    call: Callable[..., Any], use: Callable[[Any], Any] | None = None, /, **given: Any
-) -> Door:
+def door(call, use=None, /, **given):
     """A call that succeeds: on `given`, and on the defaults of all other arguments.
 
     `use` goes on with what the call returns, where only this looks at the arguments.
@@ -135,14 +133,14 @@ def door(
     parameters = inspect.signature(call).parameters.values()
     defaults = {p.name: p.default for p in parameters if p.default is not p.empty}
 
-    def run(**arguments: Any) -> Any:
+    def run(**arguments):
         made = call(**arguments)
         return made if use is None else use(made)
 
     return Door(call.__qualname__, run, defaults | given)
 
 
-def walker_doors() -> list[Door]:
+def walker_doors():
     cpu = taichi_nmm.Settings(arch="cpu")
     rows = np.zeros(2, RESULT_DTYPE)
     bodies, worlds = taichi_nmm.Bodies.nominal(2), taichi_nmm.Worlds.nominal(2)
@@ -161,14 +159,14 @@ def walker_doors() -> list[Door]:
     sensed = taichi_nmm.Observation(**observation)
     walk = {"gains": PUBLISHED_GAINS, "duration_s": 0.002, "settings": cpu}
 
-    def controller() -> taichi_nmm.Controller:
+    def controller():
         return taichi_nmm.Controller(PUBLISHED_GAINS, settings=cpu)
 
-    def step(sensed: taichi_nmm.Observation) -> Any:
+    def step(sensed):
         stepping = controller()
         return stepping.step(sensed), stepping.muscles
 
-    def switched(switch: taichi_nmm.Switch) -> Any:
+    def switched(switch):
         return taichi_nmm.simulate(**walk, switches=[switch])
 
     return [
@@ -216,7 +214,7 @@ def walker_doors() -> list[Door]:
     ]
 
 
-def ground_doors(folder: Path) -> list[Door]:
+def ground_doors(folder):
     (folder / "hill.csv").write_text("0,0\n1,1\n")
     return [
         door(terrain.from_file, path=folder / "hill.csv"),
@@ -227,7 +225,7 @@ def ground_doors(folder: Path) -> list[Door]:
     ]
 
 
-def store_doors(store: Path, folder: Path) -> list[Door]:
+def store_doors(store, folder):
     opened = storage.open_store(store)
     return [
         door(
@@ -262,7 +260,7 @@ def store_doors(store: Path, folder: Path) -> list[Door]:
     ]
 
 
-def robot_doors() -> list[Door]:
+def robot_doors():
     robots = {
         "model": ASSETS / "cart.xml",
         "controller": still,
@@ -272,10 +270,10 @@ def robot_doors() -> list[Door]:
     herd = storage.MujocoSimulator(**robots)
 
     # How long a run lasts is the caller's to choose, be it for ever.
-    def states(point: Any, world: Any) -> Any:
+    def states(point, world):
         return herd.states(point, world, 0.01)
 
-    def trial(point: Any, world: Any) -> Any:
+    def trial(point, world):
         return herd.trial(point, world, 0.01)
 
     one_run = {"point": {"x": 0.5}, "world": {}}
@@ -287,17 +285,15 @@ def robot_doors() -> list[Door]:
     ]
 
 
-def still(point: Any, sensed: Any, memory: Any) -> Any:
+def still(point, sensed, memory):
     return np.zeros((len(sensed.x_m), 1))
 
 
-def never(sensed: Any) -> Any:
+def never(sensed):
     return np.zeros(len(sensed.x_m), dtype=bool)
 
 
-def parameter(
-    name: Any, low: Any, high: Any, log: Any = False, step: Any = 0.5
-) -> None:
+def parameter(name, low, high, log=False, step=0.5):
     """A store checks the parameters of a simulator before it draws any."""
 
     class Cart(toy.Cart):
@@ -306,7 +302,7 @@ def parameter(
     check_simulator(Cart())
 
 
-def bench_doors(folder: Path) -> list[Door]:
+def bench_doors(folder):
     path = bench_robot.write(folder)
     bench = study.Bench.new(path, "me")
     params = {"stiffness": 100.0, "damping": 1.0}
@@ -314,7 +310,7 @@ def bench_doors(folder: Path) -> list[Door]:
     pending = bench.next()[0].number
     told = {"value": 1.0, "columns": {"torque": 1.0}}
 
-    def undone(entry: None) -> None:
+    def undone(entry):
         """The trial is pending again, for the next call."""
         bench.undo()
 
@@ -341,7 +337,7 @@ def bench_doors(folder: Path) -> list[Door]:
     ]
 
 
-def table_doors(folder: Path) -> list[Door]:
+def table_doors(folder):
     frame = pd.DataFrame({"x": [0.0, 1.0], "f": [1.0, 2.0]})
     frame.to_parquet(folder / "frame.parquet")
     named = {"parameters": ["x"], "features": ["f"], "bounds": {"x": (0, 1)}}
@@ -370,10 +366,10 @@ def table_doors(folder: Path) -> list[Door]:
     ]
 
 
-def sampler_doors() -> list[Door]:
+def sampler_doors():
     sampler = study.FeatureKernelSampler(table(), seed=1)
     finished = tried(sampler)
-    options: dict[str, Any] = {
+    options = {
         "seed": 1,
         "kernel": "rbf",
         "feature_function": np.sin,
@@ -395,19 +391,19 @@ def sampler_doors() -> list[Door]:
     ]
 
 
-def table() -> study.FeatureTable:
+def table():
     column = np.linspace(0, 1, 20)
     return study.FeatureTable.from_arrays({"x": column}, column)
 
 
-def tried(sampler: BaseSampler) -> optuna.Study:
+def tried(sampler):
     """Trials of a sampler: options that make one must pass them."""
     found = optuna.create_study(sampler=sampler)
     found.optimize(lambda trial: trial.suggest_float("x", 0, 1), n_trials=4)
     return found
 
 
-def public_names() -> Iterator[str]:
+def public_names():
     """Public functions and classes, and what their users call of the classes."""
     for package in PACKAGES:
         for name in package.__all__:
@@ -430,9 +426,7 @@ def public_names() -> Iterator[str]:
                     yield f"{name}.{member}"
 
 
-def test_one_line_or_success(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_line_or_success(store, tmp_path, monkeypatch):
     optuna.logging.set_verbosity(optuna.logging.CRITICAL)
     doors = [
         *walker_doors(),

@@ -5,10 +5,7 @@ import json
 import os
 import posixpath
 import re
-from collections.abc import Iterator
 from html.parser import HTMLParser
-from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
@@ -38,14 +35,14 @@ LOADED |= {"object": "data", "link": "href"}
 class Html(HTMLParser):
     """The addresses that a page loads and links to, and its anchors."""
 
-    def __init__(self, page: Path) -> None:
+    def __init__(self, page):
         super().__init__()
         self.loads: list[str] = []
         self.links: list[str] = []
         self.anchors: set[str] = set()
         self.feed(page.read_text())
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         given = {name: value or "" for name, value in attrs}
         if LOADED.get(tag) in given:
             self.loads.append(given[LOADED[tag]])
@@ -55,7 +52,7 @@ class Html(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """The folder of the site, which is built without a warning."""
     folder = tmp_path_factory.mktemp("site")
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
@@ -68,14 +65,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def pages(site: Path) -> dict[str, Html]:
+def pages(site):
     """All pages by their place in the site."""
     return {
         page.relative_to(site).as_posix(): Html(page) for page in site.rglob("*.html")
     }
 
 
-def public_paths() -> Iterator[str]:
+def public_paths():
     """Full names of what the packages offer: functions, classes and their members, constants."""
     owners = {name: package for package in PACKAGES for name in package.__all__}
     for package in (*PACKAGES, pictures):
@@ -96,7 +93,7 @@ def public_paths() -> Iterator[str]:
             yield f"{terrain.__name__}.{name}"
 
 
-def test_every_public_name_has_its_entry(site: Path) -> None:
+def test_every_public_name_has_its_entry(site):
     with (site / "objects.inv").open("rb") as file:
         entries = mkdocstrings.Inventory.parse_sphinx(file)
     names = set(public_paths())
@@ -109,7 +106,7 @@ def test_every_public_name_has_its_entry(site: Path) -> None:
     assert names - set(entries) == set()
 
 
-def test_links_lead_somewhere(site: Path, pages: dict[str, Html]) -> None:
+def test_links_lead_somewhere(site, pages):
     """Those of docstrings and of the theme, too."""
     links = [(place, link) for place, page in pages.items() for link in page.links]
     wrong = []
@@ -128,7 +125,7 @@ def test_links_lead_somewhere(site: Path, pages: dict[str, Html]) -> None:
     assert wrong == [] and len(links) > 1000
 
 
-def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[str, Html]) -> None:
+def test_nothing_is_loaded_from_elsewhere(site, pages):
     loads = [
         (place, address) for place, page in pages.items() for address in page.loads
     ]
@@ -149,9 +146,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path, pages: dict[str, Html]) ->
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_shows_its_output(
-    notebook: Path, site: Path, pages: dict[str, Html]
-) -> None:
+def test_a_notebook_shows_its_output(notebook, site, pages):
     known = json.loads(notebook.read_text())["cells"]
     cells = [cell for cell in known if "outputs" in cell]
     for cell in cells:
@@ -168,9 +163,9 @@ def test_a_notebook_shows_its_output(
     assert "Traceback" not in text
 
 
-def test_it_is_searched_as_a_file(site: Path, page: Any) -> None:
+def test_it_is_searched_as_a_file(site, page):
     """As `make docs` leaves it: no server, no network."""
-    asked: list[str] = []
+    asked = []
     page.on("request", lambda request: asked.append(request.url))
     page.goto((site / "notebooks" / "first_walk.html").as_uri())
     page.locator("input.md-search__input").click()

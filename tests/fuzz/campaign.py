@@ -23,7 +23,7 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, as_completed
 from contextlib import ExitStack, chdir, contextmanager
 from dataclasses import asdict, dataclass
@@ -43,7 +43,7 @@ from study.cli import EXIT_BAD_INPUT, main, run_command
 from study.options import LARGEST_SEED, Options
 from taichi_nmm.kernel_cache import CACHE_VARIABLE
 from tests.fuzz.cases import Case, make_case
-from tests.fuzz.world import Words, make_world
+from tests.fuzz.world import make_world
 from tests.processes import read_schema_once
 
 ACCEPTED, REFUSED = 0, EXIT_BAD_INPUT
@@ -73,7 +73,7 @@ class Verdict:
     said: str  # on standard error
 
 
-def judge(case: Case) -> Verdict:
+def judge(case):
     """Run `taichi-nmm` with the case's words from within its folder; see `files_for_output`."""
     before = content(case.folder)
     code, error = run(case.words, case.folder)
@@ -81,7 +81,7 @@ def judge(case: Case) -> Verdict:
     return Verdict(code, error or wrong(code, said, before, case.folder), said)
 
 
-def run(words: Words, folder: Path) -> tuple[int | None, str]:
+def run(words, folder):
     """Exit code of a command; or what it raised, and where."""
     try:
         with (
@@ -103,7 +103,7 @@ def run(words: Words, folder: Path) -> tuple[int | None, str]:
     return ACCEPTED, ""
 
 
-def wrong(code: int | None, said: str, before: Content, folder: Path) -> str:
+def wrong(code, said, before, folder):
     """The rule that an exit code, a message or the folder's new content breaks."""
     if "Traceback" in said:
         return "a traceback"
@@ -127,10 +127,10 @@ def wrong(code: int | None, said: str, before: Content, folder: Path) -> str:
     return f"changed: {', '.join(changed)}" if changed else ""
 
 
-def content(folder: Path) -> Content:
+def content(folder):
     """SHA-256 of every file below a folder; folders too."""
 
-    def digest(path: Path) -> str:
+    def digest(path):
         sound = path.is_file() and not path.is_symlink()
         return hashlib.sha256(path.read_bytes()).hexdigest() if sound else "no file"
 
@@ -141,7 +141,7 @@ def content(folder: Path) -> Content:
 
 
 @contextmanager
-def doors() -> Iterator[None]:
+def doors():
     """Where the work would begin, `Reached` is raised; and what no input decides takes no time."""
     from bokeh.document import Document
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -152,14 +152,14 @@ def doors() -> Iterator[None]:
     from study import loopback
     from study.explore import server
 
-    def reached(*_: object, **__: object) -> None:
+    def reached(*_, **__):
         raise Reached
 
-    def fill(page: Callable[[Document], None], _: int) -> None:
+    def fill(page, _):
         page(Document())
         raise Reached
 
-    def savefig(_: object, path: Path, **__: object) -> None:
+    def savefig(_, path, **__):
         Path(path).write_bytes(PICTURE)
 
     with ExitStack() as stack:
@@ -178,7 +178,7 @@ def doors() -> Iterator[None]:
         yield
 
 
-def files_for_output(folder: Path) -> None:
+def files_for_output(folder):
     """From now on standard output and error are files: C++ writes there too, past Python."""
     for number, name in ((1, "stdout"), (2, "stderr")):
         file = os.open(folder / name, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND)
@@ -186,7 +186,7 @@ def files_for_output(folder: Path) -> None:
         os.close(file)
 
 
-def take_output() -> str:
+def take_output():
     """The content of standard error; both outputs are emptied."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
@@ -212,9 +212,6 @@ class Outcome:
     took_s: float
 
 
-Note = Callable[[Outcome], object]
-
-
 @dataclass(frozen=True)
 class Plan:
     """All that processes need: the cases' seed, sound files, a folder of theirs, how to judge."""
@@ -225,14 +222,12 @@ class Plan:
     limit_s: float = LIMIT_S
     judge: Callable[[Case], Verdict] = judge
 
-    def trace(self, number: int) -> Path:
+    def trace(self, number):
         """The file that says what ended the process of a case."""
         return self.scratch / f"trace-{number}"
 
 
-def run_cases(
-    plan: Plan, numbers: Iterable[int], workers: int, note: Note = id
-) -> list[Outcome]:
+def run_cases(plan, numbers, workers, note=id):
     """The outcomes of cases; `note` is called with each as it comes."""
     outcomes = []
     with Processes(workers) as pool:
@@ -246,7 +241,7 @@ def run_cases(
     return outcomes
 
 
-def ended(plan: Plan, number: int) -> Outcome:
+def ended(plan, number):
     """Of a case that ended its process: by an abort, or by taking too long."""
     trace = plan.trace(number).read_text(errors="replace")
     what = f"longer than {plan.limit_s:g} s" if "Timeout" in trace else "abort"
@@ -255,7 +250,7 @@ def ended(plan: Plan, number: int) -> Outcome:
 
 
 @cache
-def begin(scratch: Path) -> Path:
+def begin(scratch):
     """Once in a process, its folder: no output is shown, and it cannot take all memory."""
     place = scratch / f"process-{os.getpid()}"
     (place / "cache").mkdir(parents=True)
@@ -268,7 +263,7 @@ def begin(scratch: Path) -> Path:
     return place
 
 
-def judge_case(plan: Plan, number: int) -> Outcome:
+def judge_case(plan, number):
     """In a process: the outcome of one case."""
     place = begin(plan.scratch)
     with plan.trace(number).open("w") as trace:
@@ -284,7 +279,7 @@ def judge_case(plan: Plan, number: int) -> Outcome:
     return Outcome(case, verdict, took_s)
 
 
-def keep(plan: Plan, outcome: Outcome, folder: Path) -> None:
+def keep(plan, outcome, folder):
     """Make a failed case's files once more, to be looked at, with its verdict."""
     make_case(plan.seed, outcome.case.number, plan.world, folder)
     words = outcome.case.words
@@ -293,7 +288,7 @@ def keep(plan: Plan, outcome: Outcome, folder: Path) -> None:
     (folder / "case.json").write_text(json.dumps(document, indent=2) + "\n")
 
 
-def table(outcomes: Sequence[Outcome]) -> str:
+def table(outcomes):
     """Markdown: a line a format, and one of all."""
     lines = [
         "| format | cases | refused | accepted | failures | slowest |",
@@ -310,7 +305,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def fuzz() -> None:
+def fuzz():
     """Run cases, keep those that failed, and print a table."""
     parser = Options(__file__)
     parser.whole("--cases", 1, MOST_CASES, default=2000, help="(%(default)s)")
@@ -333,7 +328,7 @@ def fuzz() -> None:
         plan = Plan(options.seed, Path(scratch) / "world", Path(scratch))
         make_world(plan.world)
 
-        def note(outcome: Outcome) -> None:
+        def note(outcome):
             if outcome.verdict.wrong:
                 failed.append(outcome)
                 bar.set_postfix_str(f"{len(failed)} failed")

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -25,11 +24,11 @@ from tests.fuzz.world import COMMANDS, PACKERS, UNPACKERS, Words
 Damage = Callable[[Generator, Path], None]
 
 
-def in_bytes(rng: Generator, path: Path) -> None:
+def in_bytes(rng, path):
     path.write_bytes(damage.damaged_bytes(rng, path.read_bytes()))
 
 
-def in_text(rng: Generator, path: Path) -> None:
+def in_text(rng, path):
     """In a text, which may be packed, or in its bytes."""
     if chance(rng, 0.35):
         return in_bytes(rng, path)
@@ -38,15 +37,15 @@ def in_text(rng: Generator, path: Path) -> None:
     path.write_bytes(pack(damage.damaged_text(rng, text)))
 
 
-def in_cells(rng: Generator, path: Path) -> None:
+def in_cells(rng, path):
     """In a column of a CSV."""
     path.write_bytes(damage.damaged_cells(rng, path.read_text()))
 
 
-def in_document(read: Callable[[str], Any], write: Callable[[Any], bytes]) -> Damage:
+def in_document(read, write):
     """In a document, or in its text."""
 
-    def change(rng: Generator, path: Path) -> None:
+    def change(rng, path):
         if chance(rng, 0.25):
             in_text(rng, path)
         else:
@@ -57,20 +56,20 @@ def in_document(read: Callable[[str], Any], write: Callable[[Any], bytes]) -> Da
     return change
 
 
-def either(*kinds: str) -> Damage:
+def either(*kinds):
     """One of some kinds of damage."""
     return lambda rng, path: KINDS[pick(rng, kinds) if len(kinds) > 1 else kinds[0]](
         rng, path
     )
 
 
-def in_folder_file(rng: Generator, path: Path) -> None:
+def in_folder_file(rng, path):
     """In a file of a folder that a command goes on with."""
     kinds = ("json",) if path.suffix == ".json" else ("bytes", "columns", "footer")
     either(*kinds)(rng, path)
 
 
-KINDS: dict[str, Damage] = {
+KINDS = {
     "bytes": in_bytes,
     "text": in_text,
     "json": in_document(json.loads, damage.as_json),
@@ -83,7 +82,7 @@ KINDS: dict[str, Damage] = {
 }
 
 
-def misplaced(rng: Generator, path: Path) -> None:
+def misplaced(rng, path):
     """Something else in the file's place: nothing, a folder, another file, a link, a pipe."""
     others = sorted(
         each for each in path.parent.iterdir() if each.is_file() and each != path
@@ -112,9 +111,9 @@ class Format:
     readers: tuple[Words, ...]
     damage: Damage
 
-    def prepare(self, rng: Generator, folder: Path) -> Words:
+    def prepare(self, rng, folder):
         """Damage a file of the folder; the words of the command to be run."""
-        words: Words = pick(rng, self.readers)
+        words = pick(rng, self.readers)
         if not self.files:
             return damaged_words(rng, words)
         path = folder / (name := pick(rng, self.files))
@@ -125,7 +124,7 @@ class Format:
         return tuple(word.replace("{file}", name) for word in words)
 
 
-def damaged_words(rng: Generator, sound: Words) -> Words:
+def damaged_words(rng, sound):
     """The words of a command with some replaced, added, dropped or doubled."""
     words, options = list(sound), options_of(sound[0])
     for _ in range(1 + int(rng.exponential(0.7))):
@@ -145,7 +144,7 @@ def damaged_words(rng: Generator, sound: Words) -> Words:
 
 
 @cache
-def options_of(command: str) -> tuple[str, ...]:
+def options_of(command):
     """Options of a command, and one that it has not."""
     options = [
         word for action in parser_of(command)._actions for word in action.option_strings
@@ -153,7 +152,7 @@ def options_of(command: str) -> tuple[str, ...]:
     return (*(word for word in options if word.startswith("--")), "--nothing")
 
 
-def words_of(reader: str) -> Words:
+def words_of(reader):
     """Of a name in `COMMANDS`, or as they stand."""
     return COMMANDS.get(reader) or tuple(reader.split())
 
@@ -184,7 +183,7 @@ class Case:
     folder: Path
 
 
-def make_case(seed: int, number: int, world: Path, place: Path) -> Case:
+def make_case(seed, number, world, place):
     """Make the case's folder, of the sound files of `world`, in `place`, which is for it alone."""
     shutil.rmtree(place, ignore_errors=True)
     folder = Path(shutil.copytree(world, place / HERE))

@@ -8,12 +8,9 @@ import sqlite3
 from contextlib import closing, suppress
 from copy import deepcopy
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.random import Generator
 
 from storage.tables import DIGEST_KEY, FOOTER_KEY, document_hash, table_digest
 from tests.cases import ASSETS
@@ -21,7 +18,7 @@ from tests.cases import ASSETS
 HUGE = 10**400
 
 
-def short(written: dict[str, Any]) -> Any:
+def short(written):
     """What an object of damage.json stands for, if it is a value too long to be written there."""
     if "power" in written:
         return 10 ** written["power"]
@@ -33,27 +30,27 @@ KNOWN = json.loads(
 )
 # Values for JSON, TOML, Parquet and SQLite; words for text files, for a word or between
 # two; cells of a column as a stranger's program writes it, kind by kind.
-VALUES: tuple[Any, ...] = tuple(KNOWN["values"])
-WORDS: tuple[str, ...] = tuple(KNOWN["words"])
+VALUES = tuple(KNOWN["values"])
+WORDS = tuple(KNOWN["words"])
 # Values for options, some of them names of files and folders of the world, or, with
 # half a character, of no UTF-8. None is an absolute path that can be written: the tests
 # may run as root.
-OPTIONS: tuple[str, ...] = tuple(KNOWN["options"])
+OPTIONS = tuple(KNOWN["options"])
 
 
 PIECES = re.compile(r"[\w.+-]+|\s+|[^\w\s]")
 DEEP = 200  # lists in each other
 
 
-def pick(rng: Generator, values: Any) -> Any:
+def pick(rng, values):
     return values[int(rng.integers(len(values)))]
 
 
-def chance(rng: Generator, of: float) -> bool:
+def chance(rng, of):
     return bool(rng.random() < of)
 
 
-def damaged_bytes(rng: Generator, data: bytes) -> bytes:
+def damaged_bytes(rng, data):
     """Bits flipped, a part cut out, doubled, overwritten or put in; or cut short, or empty."""
     parts = bytearray(data)
     for _ in range(1 + int(rng.integers(3))):
@@ -73,7 +70,7 @@ def damaged_bytes(rng: Generator, data: bytes) -> bytes:
     return b"" if chance(rng, 0.01) else bytes(parts)
 
 
-def damaged_text(rng: Generator, text: str) -> bytes:
+def damaged_text(rng, text):
     """Words replaced, put in, dropped or moved, and lines; now and then in another encoding."""
     pieces = PIECES.findall(text)
     for _ in range(1 + int(rng.integers(3))):
@@ -94,7 +91,7 @@ def damaged_text(rng: Generator, text: str) -> bytes:
     return "".join(pieces).encode(encoding, errors="replace")
 
 
-def damaged_cells(rng: Generator, text: str) -> bytes:
+def damaged_cells(rng, text):
     """A CSV with the cells of a column replaced by others of one kind; some, or all of them."""
     rows = [line.split(",") for line in text.splitlines()]
     place, kind = int(rng.integers(len(rows[0]))), pick(rng, KNOWN["cells"])
@@ -108,7 +105,7 @@ def damaged_cells(rng: Generator, text: str) -> bytes:
     )
 
 
-def damaged_document(rng: Generator, document: Any) -> Any:
+def damaged_document(rng, document):
     """A value somewhere in it replaced, dropped, named otherwise, added, moved or nested deep."""
     document = json.loads(json.dumps(document))
     for _ in range(1 + int(rng.exponential(0.5))):
@@ -137,12 +134,12 @@ def damaged_document(rng: Generator, document: Any) -> Any:
     return document
 
 
-def any_value(rng: Generator) -> Any:
+def any_value(rng):
     """A copy of one of `VALUES`: later damage must not change these."""
     return deepcopy(pick(rng, VALUES))
 
 
-def nudged(rng: Generator, value: Any) -> Any:
+def nudged(rng, value):
     """Another value: of the same kind and close, or any."""
     if chance(rng, 0.6) or isinstance(value, bool | None | list | dict):
         return any_value(rng)
@@ -159,13 +156,13 @@ def nudged(rng: Generator, value: Any) -> Any:
     )
 
 
-def keys(node: Any) -> list[Any]:
+def keys(node):
     if isinstance(node, dict):
         return list(node)
     return list(range(len(node))) if isinstance(node, list) else []
 
 
-def places_in(document: Any) -> list[tuple[Any, Any]]:
+def places_in(document):
     """Every value in a document, as an object or list and a key of it."""
     own = [(document, key) for key in keys(document)]
     return [
@@ -173,22 +170,22 @@ def places_in(document: Any) -> list[tuple[Any, Any]]:
     ]
 
 
-def as_json(document: Any) -> bytes:
+def as_json(document):
     """As Python writes it: with NaN and infinity, and escapes of halves of characters."""
     return json.dumps(document, indent=1).encode()
 
 
-def as_toml(document: Any) -> bytes:
+def as_toml(document):
     """As TOML, tables within lines; values that TOML lacks are written as in JSON."""
     lines = pairs(document) if isinstance(document, dict) else [toml_value(document)]
     return "".join(f"{line}\n" for line in lines).encode(errors="replace")
 
 
-def pairs(table: dict[str, Any]) -> list[str]:
+def pairs(table):
     return [f"{json.dumps(key)} = {toml_value(value)}" for key, value in table.items()]
 
 
-def toml_value(value: Any) -> str:
+def toml_value(value):
     if isinstance(value, dict):
         return f"{{{', '.join(pairs(value))}}}"
     if isinstance(value, list):
@@ -208,7 +205,7 @@ TYPES = (
 )
 
 
-def damaged_columns(rng: Generator, path: Path) -> None:
+def damaged_columns(rng, path):
     """Write the file again: a column dropped, renamed, doubled, of another type, with other values.
 
     Its footer stays; a digest in it is made to fit, so that readers check the values
@@ -230,7 +227,7 @@ def damaged_columns(rng: Generator, path: Path) -> None:
 write = partial(pq.write_table, compression="zstd", write_page_checksum=True)
 
 
-def other_table(rng: Generator, table: pa.Table) -> pa.Table:
+def other_table(rng, table):
     """A table with one change."""
     rows, kind = len(table), int(rng.integers(9))
     if kind == 0 or not table.num_columns:
@@ -259,9 +256,9 @@ def other_table(rng: Generator, table: pa.Table) -> pa.Table:
     return table.set_column(place, field.name, as_column(values, other))
 
 
-def as_column(values: list[Any], kind: pa.DataType) -> pa.Array:
+def as_column(values, kind):
     """The values as this type; those that are none of it are left out."""
-    kept: list[Any] = [None] * len(values)
+    kept = [None] * len(values)
     for place, value in enumerate(values):
         with suppress(pa.ArrowException, TypeError, ValueError, OverflowError):
             pa.array([value], kind)
@@ -269,7 +266,7 @@ def as_column(values: list[Any], kind: pa.DataType) -> pa.Array:
     return pa.array(kept, kind)
 
 
-def damaged_footer(rng: Generator, path: Path) -> None:
+def damaged_footer(rng, path):
     """Write the file again with a damaged document in its footer, or none, or no JSON.
 
     Hashes in it are made to fit now and then, so that readers check the rest too.
@@ -295,13 +292,13 @@ def damaged_footer(rng: Generator, path: Path) -> None:
         manifest.write_text(json.dumps(known))
 
 
-def sign(document: Any) -> None:
+def sign(document):
     """Have the hash of a specification fit it, where there is one."""
     if isinstance(document, dict) and "specification" in document:
         document["specification_hash"] = document_hash(document["specification"])
 
 
-def damaged_database(rng: Generator, path: Path) -> None:
+def damaged_database(rng, path):
     """Values of cells replaced, rows dropped or doubled, a table dropped or renamed."""
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("PRAGMA ignore_check_constraints = ON")
@@ -312,7 +309,7 @@ def damaged_database(rng: Generator, path: Path) -> None:
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
 
-def change_database(rng: Generator, connection: sqlite3.Connection) -> None:
+def change_database(rng, connection):
     """One change."""
     where = "WHERE type = 'table' AND name NOT LIKE 'sqlite%' ORDER BY name"
     tables = connection.execute(f"SELECT name FROM sqlite_master {where}")
@@ -349,7 +346,7 @@ def change_database(rng: Generator, connection: sqlite3.Connection) -> None:
         connection.execute(f'UPDATE "{name}" SET "{column}" = ?{every}', (value,))
 
 
-def in_cell(rng: Generator, old: Any) -> Any:
+def in_cell(rng, old):
     """A value for a cell; of JSON, where there was JSON."""
     if isinstance(old, str):
         with suppress(ValueError):

@@ -5,7 +5,6 @@ import shutil
 import time
 from copy import deepcopy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from tests.fuzz.campaign import (
     run_cases,
     wrong,
 )
-from tests.fuzz.cases import HERE, NAMES, Case, make_case
+from tests.fuzz.cases import HERE, NAMES, make_case
 from tests.fuzz.damage import HUGE, VALUES, as_json, damaged_document, nudged
 from tests.fuzz.world import COMMANDS, make_world
 
@@ -33,20 +32,20 @@ SHORT_S = 5.0
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+def plan(tmp_path_factory):
     scratch = tmp_path_factory.mktemp("fuzz")
     make_world(scratch / "world")
     return Plan(14, scratch / "world", scratch)
 
 
-def elsewhere(plan: Plan, name: str) -> Plan:
+def elsewhere(plan, name):
     """The same with a scratch of its own."""
     (plan.scratch / name).mkdir()
     return replace(plan, scratch=plan.scratch / name)
 
 
 @pytest.mark.parametrize("cases", [60, pytest.param(CASES, marks=pytest.mark.campaign)])
-def test_damaged_input_ends_in_one_line(cases: int, plan: Plan) -> None:
+def test_damaged_input_ends_in_one_line(cases, plan):
     """And sound input is accepted, else this would try nothing; every command has some."""
     assert {words[0] for words in COMMANDS.values()} == options.COMMANDS.keys()
     tried = replace(elsewhere(plan, str(cases)), judge=judge_sound_ones_first)
@@ -63,7 +62,7 @@ def test_damaged_input_ends_in_one_line(cases: int, plan: Plan) -> None:
     assert {each.case.name for each in outcomes} == set(NAMES) or cases < CASES
 
 
-def judge_sound_ones_first(case: Case) -> Verdict:
+def judge_sound_ones_first(case):
     """The first cases are all commands, without damage."""
     if case.number < len(COMMANDS):
         shutil.rmtree(case.folder)
@@ -73,7 +72,7 @@ def judge_sound_ones_first(case: Case) -> Verdict:
 
 
 @pytest.mark.campaign
-def test_what_ends_a_process_is_noticed(plan: Plan, tmp_path: Path) -> None:
+def test_what_ends_a_process_is_noticed(plan, tmp_path):
     """An abort, and a case that takes too long, are failures of their own; the others go on."""
     cruel = replace(elsewhere(plan, "cruel"), judge=that_ends, limit_s=SHORT_S)
     outcomes = run_cases(cruel, range(8), 1)
@@ -89,7 +88,7 @@ def test_what_ends_a_process_is_noticed(plan: Plan, tmp_path: Path) -> None:
     assert '"wrong": "abort"' in (tmp_path / "kept" / "case.json").read_text()
 
 
-def that_ends(case: Case) -> Verdict:
+def that_ends(case):
     if case.number == 2:
         os.abort()
     if case.number == 5:
@@ -97,7 +96,7 @@ def that_ends(case: Case) -> Verdict:
     return Verdict(ACCEPTED, "", "")
 
 
-def test_damage_to_a_document_leaves_the_values_that_it_takes_as_they_are() -> None:
+def test_damage_to_a_document_leaves_the_values_that_it_takes_as_they_are():
     """Else a case would depend on those before it, and a list might come to hold itself."""
     before, document = (
         deepcopy(VALUES),
@@ -110,7 +109,7 @@ def test_damage_to_a_document_leaves_the_values_that_it_takes_as_they_are() -> N
     assert {int, float, str} <= {type(nudged(rng, 1000 * HUGE)) for _ in range(100)}
 
 
-def test_a_case_is_the_same_whenever_it_is_made(plan: Plan, tmp_path: Path) -> None:
+def test_a_case_is_the_same_whenever_it_is_made(plan, tmp_path):
     make_world(tmp_path / "world")
     assert content(tmp_path / "world") == content(plan.world)
     for number in range(40):
@@ -142,12 +141,12 @@ LINE = "error: field: 3 cannot be used; allowed: 4\n"
         (None, "", "exit code None"),
     ],
 )
-def test_what_is_wrong(code: int | None, said: str, what: str, tmp_path: Path) -> None:
+def test_what_is_wrong(code, said, what, tmp_path):
     found = wrong(code, said, content(tmp_path), tmp_path)
     assert what in found and bool(found) == bool(what)
 
 
-def test_what_a_refusal_leaves_behind_is_named(tmp_path: Path) -> None:
+def test_what_a_refusal_leaves_behind_is_named(tmp_path):
     (tmp_path / "kept").write_text("a")
     (tmp_path / "lost").write_text("a")
     before = content(tmp_path)

@@ -33,7 +33,7 @@ from tests.study.bench import robot
 Words = tuple[str, ...]
 
 # Every command, on files of the world, from within their folder.
-COMMANDS: dict[str, Words] = {
+COMMANDS = {
     name: tuple(line.split()) for name, line in asset("fuzz/commands.toml").items()
 }
 COMPARE, PRECOMPUTE, STUDY = (
@@ -50,7 +50,7 @@ UNPACKERS = {".gz": gzip.decompress, ".bz2": bz2.decompress, ".xz": lzma.decompr
 DAY = "2026-01-01 00:00:00.000000"
 
 
-def make_world(folder: Path) -> None:
+def make_world(folder):
     """Fill a new folder; some seconds."""
     folder.mkdir(parents=True)
     ours = [ASSETS / "fuzz" / f"{name}.toml" for name in ("toy", "grid")]
@@ -86,7 +86,7 @@ def make_world(folder: Path) -> None:
     settle(folder)
 
 
-def write_fresh_bench(folder: Path) -> None:
+def write_fresh_bench(folder):
     """Candidates, as CSV and as Parquet, of benches that have not begun; and a log of a walk."""
     known = (folder / "candidates.csv").read_text().splitlines()[:40]
     (folder / "fresh.csv").write_text("\n".join([*known, ""]))
@@ -106,7 +106,7 @@ def write_fresh_bench(folder: Path) -> None:
     (folder / "log.csv").write_text("".join(["time,position\n", *log]))
 
 
-def settle(folder: Path) -> None:
+def settle(folder):
     """Put one day and one duration in place of those of this making."""
     for path in folder.rglob("arms/*.parquet"):
         table = pq.read_table(path)

@@ -38,11 +38,11 @@ INTERPRETED = (
 class AllLanes:
     """Stands for the lane count: `range` of it yields one index, that of all walkers."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count):
         self.index = np.arange(count)
 
 
-def lane_range(*arguments: Any) -> Any:
+def lane_range(*arguments):
     """`range`, but for `AllLanes`."""
     if isinstance(arguments[0], AllLanes):
         return [arguments[0].index]
@@ -70,19 +70,19 @@ NUMPY_TAICHI = SimpleNamespace(
 )
 
 
-def interpreted_walker() -> Any:
+def interpreted_walker():
     """The module `walker`, and all it imports, over NumPy in float64."""
     (walker,) = interpreted("walker")
     return walker
 
 
-def interpreted(*names: str, double: bool = True) -> tuple[Any, ...]:
+def interpreted(*names, double=True):
     """Modules of the kernel, and all they import, over NumPy in float64, or in float32.
 
     Sums and products are of the arrays' own type. The real modules are put back before
     returning.
     """
-    shim: Any = ModuleType("taichi_nmm.kernel.backend")
+    shim = ModuleType("taichi_nmm.kernel.backend")
     shim.ti = NUMPY_TAICHI
     shim.Rows = shim.Static = shim.Array = Any
     shim.is_double = lambda: double

@@ -20,7 +20,6 @@ from taichi_nmm.kernel.layout import (
     LEGS,
     MUSCLES_PER_LEG,
     Const,
-    Layout,
     Muscle,
     State,
     WalkerRows,
@@ -59,7 +58,7 @@ class Walks:
     constants: Array  # `layout.Const`, [n, rows]
 
 
-def record(gains: Array, settings: Settings) -> Walks:
+def record(gains, settings):
     """Walk on level ground at a physics step of 1 ms, and keep each tick."""
     batch = check_batch(gains)
     backend.start(settings)
@@ -91,17 +90,17 @@ def record(gains: Array, settings: Settings) -> Walks:
     )
 
 
-def named(layout: Layout, rows: Array) -> Any:
+def named(layout, rows):
     """Blocks [row, t, n] of an array [t, n, row]."""
     return layout.of(np.moveaxis(rows, -1, 0))
 
 
-def last_axis(block: Array) -> Array:
+def last_axis(block):
     """[row, t, n] to [t, n, row]."""
     return np.ascontiguousarray(np.moveaxis(block, 0, -1))
 
 
-def _torques(q: Array, after: Any, force: Array) -> Array:
+def _torques(q, after, force):
     """[t, n, 6] of the muscles' forces and the ideal parts after a tick."""
     shape = (*q.shape[:2], LEGS)
     force = force.astype(np.float64).reshape(*shape, MUSCLES_PER_LEG)
@@ -122,12 +121,12 @@ def _torques(q: Array, after: Any, force: Array) -> Array:
     return torque.reshape(*torque.shape[:2], 3 * LEGS)
 
 
-def joint_angles(q: Array) -> Array:
+def joint_angles(q):
     """Hip, knee, ankle, left, then right, [..., 6], of coordinates or of their rates."""
     return q[..., 3:] - q[..., [2, 3, 4, 2, 6, 7]]
 
 
-def sensed(walks: Walks, bodies: Bodies) -> list[Observation]:
+def sensed(walks, bodies):
     """What the bodies sense at each tick, by plain geometry in float64."""
     q, qdot = (
         rows.astype(np.float64).reshape(TICKS * WALKERS, -1)
@@ -145,7 +144,7 @@ def sensed(walks: Walks, bodies: Bodies) -> list[Observation]:
     return observations(walks, length, leg_angle, ahead, qdot[:, 0] + com_speed)
 
 
-def sensed_in_float32(walks: Walks) -> list[Observation]:
+def sensed_in_float32(walks):
     """The same by the simulator's own kinematics, on NumPy in float32: rounding is its own."""
     (kinematics,) = interpreted("kinematics", double=False)
     count = TICKS * WALKERS
@@ -164,9 +163,7 @@ def sensed_in_float32(walks: Walks) -> list[Observation]:
     )
 
 
-def observations(
-    walks: Walks, length: Array, angle: Array, ahead: Array, speed: Array
-) -> list[Observation]:
+def observations(walks, length, angle, ahead, speed):
     """An `Observation` of each tick from lengths, angles and speeds of all ticks, [t n, ...]."""
     shape = walks.up.shape
     q, qdot = walks.q.astype(np.float64), walks.qdot.astype(np.float64)
@@ -183,7 +180,7 @@ def observations(
     return [Observation(*rows) for rows in zip(*columns, strict=True)]
 
 
-def twelve_gains() -> np.ndarray:
+def twelve_gains():
     """The published gains, the reference gait, and ten near the published gains."""
     rng = np.random.default_rng(3)
     gains = np.tile(PUBLISHED_GAINS, (WALKERS, 1))
@@ -195,9 +192,7 @@ def twelve_gains() -> np.ndarray:
 @pytest.mark.parametrize(
     ("precision", "bound"), [("float64", 1e-12), ("float32", 1e-6)]
 )
-def test_recorded_states_give_the_torques_of_the_walk(
-    precision: str, bound: float
-) -> None:
+def test_recorded_states_give_the_torques_of_the_walk(precision, bound):
     settings = Settings(precision=precision, arch="cpu")
     walks = record(twelve_gains(), settings)
     # The published gains and the reference walk to the end
@@ -212,7 +207,7 @@ def test_recorded_states_give_the_torques_of_the_walk(
     assert np.abs(torque - walks.torque_nm)[walks.up].max() <= bound * largest
 
 
-def test_the_stop_of_the_hip_is_the_bodys_own() -> None:
+def test_the_stop_of_the_hip_is_the_bodys_own():
     """In swing only the leg's angle and length count: a hip far beyond its limit
     changes nothing, where the stop would turn it by some N m."""
     inside = Observation(

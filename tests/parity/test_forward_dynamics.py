@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taichi_nmm import InputError, Settings, forward_dynamics
+from taichi_nmm import Settings, forward_dynamics
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.mujoco_engine.mjcf import RELATIVE, compile_model, linkage
+from tests.cases import refused
 from tests.parity import numpy_dynamics
 
 pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 # q, qdot [n, 9], joint torques [n, 6] and n bodies.
-States = tuple[Array, Array, Array, Bodies]
 
 STATES = 1000
 LARGEST_RATE_PS = 10.0  # m/s and rad/s; walking stays below
@@ -24,7 +24,7 @@ LARGEST_ERROR = 1e-9  # of each single acceleration; rounding leaves about 1e-10
 ROUNDING = 1e-12  # relative
 
 
-def random_states(count: int) -> States:
+def random_states(count):
     """Any angles, fast rates, strong torques; every second body is disturbed."""
     rng = np.random.default_rng(20161)
     nominal, disturbed = (
@@ -42,7 +42,7 @@ def random_states(count: int) -> States:
     )
 
 
-def by_mujoco(q: Array, qdot: Array, joint_torque: Array, bodies: Bodies) -> Array:
+def by_mujoco(q, qdot, joint_torque, bodies):
     """Accelerations [n, 9] by `mj_forward`, in our coordinates; one body a state."""
     accelerations = []
     for row in range(len(q)):
@@ -56,28 +56,26 @@ def by_mujoco(q: Array, qdot: Array, joint_torque: Array, bodies: Bodies) -> Arr
 
 
 @pytest.fixture(scope="module")
-def states() -> States:
+def states():
     return random_states(STATES)
 
 
 @pytest.fixture(scope="module")
-def expected(states: States) -> Array:
+def expected(states):
     return by_mujoco(*states)
 
 
-def relative_error(found: Array, expected: Array) -> float:
+def relative_error(found, expected):
     return float(np.max(np.abs(found - expected) / np.abs(expected)))
 
 
-def test_accelerations_are_mujocos(states: States, expected: Array) -> None:
+def test_accelerations_are_mujocos(states, expected):
     found = forward_dynamics(*states)
     assert found.shape == (STATES, 9) and found.dtype == np.float64
     assert relative_error(found, expected) <= LARGEST_ERROR
 
 
-def test_bodies_matter_and_the_rest_of_the_batch_does_not(
-    states: States, expected: Array
-) -> None:
+def test_bodies_matter_and_the_rest_of_the_batch_does_not(states, expected):
     found = forward_dynamics(*states[:3])
     nominal, disturbed = slice(0, None, 2), slice(1, None, 2)
     assert relative_error(found[nominal], expected[nominal]) <= LARGEST_ERROR
@@ -116,12 +114,12 @@ GOOD = {
         ("q", np.full((2, 9), 1e8)),
     ],
 )
-def test_what_cannot_be_used_is_named(name: str, value: object) -> None:
-    with pytest.raises(InputError, match=rf"^{name}\b"):
-        forward_dynamics(**GOOD | {name: value})  # type: ignore[arg-type]
+def test_what_cannot_be_used_is_named(name, value):
+    with refused(rf"^{name}\b"):
+        forward_dynamics(**GOOD | {name: value})
 
 
-def test_no_torque_between_segments_moves_the_whole(states: States) -> None:
+def test_no_torque_between_segments_moves_the_whole(states):
     """At any instant: sum of m a is the weight, and no moment acts about the centre of mass."""
     q, qdot, _, bodies = states
     qddot = forward_dynamics(*states)

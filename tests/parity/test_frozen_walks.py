@@ -15,7 +15,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 
 from taichi_nmm import Bodies, Settings, WorldRanges, simulate, terrain
 from taichi_nmm.parameters import load_gains, lower_bounds, upper_bounds
@@ -42,11 +41,11 @@ WORLDS = {  # MuJoCo's contact is its own
 }
 
 
-def frozen(engine: str) -> Path:
+def frozen(engine):
     return FROZEN / f"walks-{engine}.parquet"
 
 
-def walked(engine: str) -> NDArray[np.void]:
+def walked(engine):
     """Results of walkers near the reference gait, the last two of random gains: on five grounds."""
     count = WALKERS[engine]
     rng = np.random.default_rng(11)
@@ -71,7 +70,7 @@ def walked(engine: str) -> NDArray[np.void]:
 
 
 @pytest.mark.parametrize("engine", WALKERS)
-def test_walks_are_those_of_0_2_0(engine: str) -> None:
+def test_walks_are_those_of_0_2_0(engine):
     rows = walked(engine)
     known = pq.read_table(frozen(engine))
     added = {ENERGY}  # since 0.4.0

@@ -17,7 +17,6 @@ from taichi_nmm.kernel.layout import State, WalkerRows
 from taichi_nmm.kernel.queue import DRAIN_TICKS
 from taichi_nmm.parameters import LOW_LEVEL_NAMES
 from taichi_nmm.queue import Queue
-from taichi_nmm.walkers import Batch
 from tests.parity.test_compiler import walking_batch
 from tests.taichi_nmm.test_determinism import WALKERS as MANY
 from tests.taichi_nmm.test_determinism import rows
@@ -31,9 +30,7 @@ TOLERANCE = 1e-9  # of each row, or of 1: rounding, in float64
 DEVICE = slice(State.device_air, State.device_torque)
 
 
-def on_processor(
-    batch: Batch, ticks: tuple[int, ...], rows: Array | None = None
-) -> list[Array]:
+def on_processor(batch, ticks, rows=None):
     """Rows of all walkers at the later ticks, [n, row] each, from `rows` at the first one."""
     settings = Settings(arch="cpu", precision="float64")
     backend.start(settings)
@@ -50,7 +47,7 @@ def on_processor(
     return found
 
 
-def on_gpu(batch: Batch, ticks: tuple[int, ...]) -> list[Array]:
+def on_gpu(batch, ticks):
     """The same by the queue, from where `start_rows` says."""
     settings = Settings(arch="cuda", precision="float64")
     backend.start(settings)
@@ -63,7 +60,7 @@ def on_gpu(batch: Batch, ticks: tuple[int, ...]) -> list[Array]:
 
 
 @pytest.fixture(autouse=True)
-def gpu() -> Settings:
+def gpu():
     """Settings that walk on it."""
     settings = Settings(arch="cuda")
     try:
@@ -73,9 +70,7 @@ def gpu() -> Settings:
     return settings
 
 
-def test_no_bit_depends_on_order_company_or_launches(
-    gpu: Settings, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_bit_depends_on_order_company_or_launches(gpu, monkeypatch):
     every = np.arange(MANY)
     whole = rows(every, gpu)
     order = np.random.default_rng(1).permutation(MANY)
@@ -87,7 +82,7 @@ def test_no_bit_depends_on_order_company_or_launches(
     assert rows(every, gpu).tobytes() == whole.tobytes()
 
 
-def test_a_gpu_walks_as_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_walks_as_the_processor(monkeypatch):
     batch = walking_batch(WALKERS)
     (start,) = on_processor(batch, (0, START_TICK))
     start[:, WalkerRows.sums :] = 0.0

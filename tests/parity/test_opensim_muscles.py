@@ -8,7 +8,6 @@ installed: pip install opensim.
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ from storage.inputs.config import Table
 from study.pictures.opensim_muscles import tendon_curve
 from study.pictures.stick_figure import muscle_paths
 from study.pictures.trajectory_files import CONTROLS, MODEL, STATES, write_opensim
-from taichi_nmm import PUBLISHED_GAINS, Trajectory, Worlds, simulate
+from taichi_nmm import PUBLISHED_GAINS, Trajectory, simulate
 from taichi_nmm.body import Bodies
 from taichi_nmm.kernel.joints import KNEE_STRAIGHTEST_RAD
 from taichi_nmm.kernel.muscle import ECCENTRIC, SHAPE, WIDTH
@@ -89,17 +88,17 @@ class Case(NamedTuple):
     folder: Path
 
     @property
-    def model(self) -> ElementTree.ElementTree:
+    def model(self):
         return ElementTree.parse(self.folder / MODEL)
 
-    def table(self, name: str) -> dict[str, Array]:
+    def table(self, name):
         return read_storage((self.folder / name).read_text())[1]
 
     @property
-    def muscles(self) -> dict[str, Element]:
+    def muscles(self):
         return {each.get("name", ""): each for each in self.model.iter(MUSCLE)}
 
-    def force(self, name: str) -> Array:
+    def force(self, name):
         """The walker's own, by OpenSim's name."""
         return self.trajectory.muscle_force_n[:, NAMES.index(name)]
 
@@ -107,8 +106,8 @@ class Case(NamedTuple):
 MUSCLE = "Millard2012EquilibriumMuscle"
 
 
-def walked(world: dict[str, object], folder: Path) -> Case:
-    worlds: Worlds = read_world(Table(world)).draw([1])
+def walked(world, folder):
+    worlds = read_world(Table(world)).draw([1])
     low_level = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])
     low_level[LOW_LEVEL_NAMES.index("exo_torque")] = 10.0 if world else 0.0
     result = simulate(
@@ -124,19 +123,16 @@ def walked(world: dict[str, object], folder: Path) -> Case:
 
 
 @pytest.fixture(scope="module", params=[{}, OWN_WORLD], ids=["nominal", "own world"])
-def case(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Case:
+def case(request, tmp_path_factory):
     return walked(request.param, tmp_path_factory.mktemp("opensim") / "walk")
 
 
-def number(muscle: Element, tag: str) -> float:
+def number(muscle, tag):
     return float(muscle.findtext(f".//{tag}", "nan"))
 
 
-def computed(function: Element | None, arguments: list[Array]) -> Array:
+def computed(function, arguments):
     """The value of an ExpressionBasedFunction; arguments are by place, as OpenSim takes them."""
-    assert function is not None
     names = function.findtext(".//variables", "").split()
     given = dict(zip(names, arguments, strict=True))
     value = eval(
@@ -145,10 +141,9 @@ def computed(function: Element | None, arguments: list[Array]) -> Array:
     return np.asarray(value + np.zeros_like(arguments[0]))
 
 
-def tendon_force(muscle: Element, strain: Array) -> Array:
+def tendon_force(muscle, strain):
     """OpenSim's curve: two quintic Bezier curves between lines, then a line."""
     curve = muscle.find("TendonForceLengthCurve")
-    assert curve is not None
     one, stiffness, toe, curviness = (
         number(curve, tag)
         for tag in (
@@ -181,7 +176,7 @@ def tendon_force(muscle: Element, strain: Array) -> Array:
     return np.where(strain > x_toe, beyond, np.interp(strain, x, y))
 
 
-def coordinates(case: Case, muscle: Element, kind: str) -> list[Array]:
+def coordinates(case, muscle, kind):
     table = case.table(STATES)
     return [
         table[f"{path}/{kind}"]
@@ -189,7 +184,7 @@ def coordinates(case: Case, muscle: Element, kind: str) -> list[Array]:
     ]
 
 
-def moment_arms(case: Case, muscle: Element) -> dict[int, Array]:
+def moment_arms(case, muscle):
     """By the numbers of `JOINTS`, in the states of the file."""
     paths = muscle.findtext(".//coordinate_paths", "").split()
     functions = muscle.findall(".//moment_arm_functions/*")
@@ -200,9 +195,7 @@ def moment_arms(case: Case, muscle: Element) -> dict[int, Array]:
     }
 
 
-def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(
-    case: Case,
-) -> None:
+def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(case):
     states = case.table(STATES)
     muscles = case.muscles
     assert set(NAMES) - set(muscles) in (set(), MISSING)
@@ -217,9 +210,7 @@ def test_opensims_tendon_has_the_walkers_force_at_the_states_of_the_file(
         assert error < 0.001, (name, error)  # wanted: 0.05
 
 
-def test_the_fibres_of_the_file_are_the_walkers_but_for_tendon_and_step(
-    case: Case,
-) -> None:
+def test_the_fibres_of_the_file_are_the_walkers_but_for_tendon_and_step(case):
     """What is between them: two curves of a tendon, and how far the path goes in a physics step."""
     states = case.table(STATES)
     for name, element in case.muscles.items():
@@ -237,9 +228,7 @@ def test_the_fibres_of_the_file_are_the_walkers_but_for_tendon_and_step(
         assert away_m.max() < 2e-3, (name, away_m.max())
 
 
-def test_opensim_itself_computes_the_walkers_forces(
-    case: Case, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_opensim_itself_computes_the_walkers_forces(case, monkeypatch):
     monkeypatch.chdir(case.folder)  # OpenSim begins a log where it is imported
     opensim = pytest.importorskip("opensim", reason="no OpenSim: pip install opensim")
     opensim.Logger.setLevelString("warn")
@@ -249,9 +238,9 @@ def test_opensim_itself_computes_the_walkers_forces(
     states = opensim.StatesTrajectory.createFromStatesTable(model, table)
     muscles = [model.getMuscles().get(n) for n in range(model.getMuscles().getSize())]
     assert {muscle.getName() for muscle in muscles} == set(case.muscles)
-    forces = {each.getName(): list[float]() for each in muscles}
-    errors = list[float]()
-    arms = {each.getName(): [list[float]() for _ in JOINTS] for each in muscles}
+    forces = {each.getName(): [] for each in muscles}
+    errors = []
+    arms = {each.getName(): [[] for _ in JOINTS] for each in muscles}
     for sample in range(0, states.getSize(), 20):
         state = states.get(sample)
         model.realizeDynamics(state)
@@ -275,9 +264,7 @@ def test_opensim_itself_computes_the_walkers_forces(
     assert model.getTotalMass(state) == pytest.approx(80.0)
 
 
-def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(
-    case: Case,
-) -> None:
+def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(case):
     """At the middles of the intervals, of which motors and the walker's torques are the means."""
     walk = case.trajectory
     torques = np.zeros_like(case.trajectory.joint_torque_nm)
@@ -313,7 +300,7 @@ def test_muscles_passive_feet_and_motors_turn_the_joints_as_the_walker_did(
     assert np.median(motor) < 0.01 * np.abs(walk.joint_torque_nm[:, 1]).max()
 
 
-def test_the_rate_of_a_path_is_that_of_its_length(case: Case) -> None:
+def test_the_rate_of_a_path_is_that_of_its_length(case):
     for muscle in case.muscles.values():
         values, rates = (coordinates(case, muscle, kind) for kind in ("value", "speed"))
         function = muscle.find(".//length_function/*")
@@ -334,7 +321,7 @@ def test_the_rate_of_a_path_is_that_of_its_length(case: Case) -> None:
         np.testing.assert_allclose(speed, (later - earlier) / (2 * step), atol=1e-6)
 
 
-def numbers_of(model: ElementTree.ElementTree) -> dict[str, tuple[float, ...]]:
+def numbers_of(model):
     tags = (
         "max_isometric_force",
         "optimal_fiber_length",
@@ -349,10 +336,10 @@ def numbers_of(model: ElementTree.ElementTree) -> dict[str, tuple[float, ...]]:
     }
 
 
-def test_every_muscle_has_the_numbers_of_the_walkers_own_world(case: Case) -> None:
+def test_every_muscle_has_the_numbers_of_the_walkers_own_world(case):
     found = numbers_of(case.model)
     own = len(found) < len(NAMES)
-    factors: dict[tuple[str, int], float] = {}
+    factors = {}
     if own:
         factors = {
             ("soleus_l", 0): 0.5,
@@ -382,7 +369,7 @@ def test_every_muscle_has_the_numbers_of_the_walkers_own_world(case: Case) -> No
         assert values == [400.0, 1.0, -0.1]
 
 
-def test_lines_run_where_the_muscles_are_drawn(case: Case) -> None:
+def test_lines_run_where_the_muscles_are_drawn(case):
     origins = {
         "pelvis": (0.0, 0.0),
         "femur": (0.0, 0.0),
@@ -403,7 +390,7 @@ def test_lines_run_where_the_muscles_are_drawn(case: Case) -> None:
         np.testing.assert_allclose([points[0], points[-1]], drawn[[0, -1]], atol=1e-12)
 
 
-def test_the_tendons_strain_is_near_the_walkers() -> None:
+def test_the_tendons_strain_is_near_the_walkers():
     """As the text of the module says: within 0.0019 up to 1.4 Fmax."""
     forces, strains = tendon_curve()
     share = np.linspace(0.0, 1.4, 1401)
@@ -411,9 +398,7 @@ def test_the_tendons_strain_is_near_the_walkers() -> None:
     assert 0.0015 < away.max() < 0.0019
 
 
-def test_the_fibres_curves_are_as_near_as_the_documents_say(
-    case: Case, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_fibres_curves_are_as_near_as_the_documents_say(case, monkeypatch):
     """Of one muscle: all have the same."""
     monkeypatch.chdir(case.folder)
     opensim = pytest.importorskip("opensim", reason="no OpenSim: pip install opensim")

@@ -9,13 +9,13 @@ from tests.storage import fake
 
 
 @pytest.fixture(autouse=True)
-def fake_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+def fake_simulator(monkeypatch):
     # Not setattr, which would look at the real one first and so load Taichi.
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake.simulate)
 
 
 @pytest.fixture(scope="session")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def original(tmp_path_factory):
     """A store with the family robust, which no test changes."""
     path = tmp_path_factory.mktemp("original") / "store"
     with pytest.MonkeyPatch.context() as patch:
@@ -25,6 +25,6 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(original: Path, tmp_path: Path) -> Path:
+def folder(original, tmp_path):
     """A copy of it."""
     return Path(shutil.copytree(original, tmp_path / "store"))

@@ -1,9 +1,6 @@
 """A simulator that takes no time: every number is a fixed function of the walker's own input."""
 
-from collections.abc import Callable
 from itertools import count
-from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -13,7 +10,7 @@ import pytest
 import taichi_nmm
 from storage.inputs.config import Table
 from storage.precompute import precompute
-from storage.specification import Specification, read_specification
+from storage.specification import read_specification
 from taichi_nmm.parameters import upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result
 
@@ -26,7 +23,7 @@ ENGINE = {
 }
 
 
-def simulate(gains: Any, **options: Any) -> Result:
+def simulate(gains, **options):
     """The signature of `taichi_nmm.simulate`; walkers live longer the larger their first gain."""
     unit = gains[:, 0] / upper_bounds()[0]
     bodies, terrains = options["bodies"], options["terrains"]
@@ -52,7 +49,7 @@ def simulate(gains: Any, **options: Any) -> Result:
     return Result(rows, metadata=ENGINE)
 
 
-def flip_a_bit(file: Path) -> None:
+def flip_a_bit(file):
     """Damage a number in the middle of a shard, and nothing that is needed to open it."""
     groups = pq.read_metadata(file).row_group(0)
     column = groups.column(groups.num_columns // 2)
@@ -61,16 +58,16 @@ def flip_a_bit(file: Path) -> None:
     file.write_bytes(bytes(data))
 
 
-def configuration(**changes: Any) -> dict[str, Any]:
+def configuration(**changes):
     """A small store's configuration; `robust=True` adds six settings on rough ground."""
     robust = changes.pop("robust", False)
-    data: dict[str, Any] = {"samples": 50, "shard_rows": 8, "seed": 7} | changes
+    data = {"samples": 50, "shard_rows": 8, "seed": 7} | changes
     if robust:
         data["robust"] = family(kind="rough", amplitude_m=0.08)
     return data
 
 
-def family(settings: int = 6, seed: int = 8, **terrain: Any) -> dict[str, Any]:
+def family(settings=6, seed=8, **terrain):
     """The table of a family of settings."""
     return {
         "settings": settings,
@@ -82,23 +79,21 @@ def family(settings: int = 6, seed: int = 8, **terrain: Any) -> dict[str, Any]:
     }
 
 
-def specification(**changes: Any) -> Specification:
+def specification(**changes):
     """The specification of `configuration`."""
     return read_specification(Table(configuration(**changes)))
 
 
-def content(folder: Path) -> dict[str, bytes]:
+def content(folder):
     """Files of a folder by name."""
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-def stopping(
-    after: int, simulate: Any = simulate, error: type[BaseException] = KeyboardInterrupt
-) -> Callable[..., Result]:
+def stopping(after, simulate=simulate, error=KeyboardInterrupt):
     """`simulate`, which an error ends in the call after so many, and in later ones."""
     calls = count(1)
 
-    def stopped(*args: Any, **options: Any) -> Any:
+    def stopped(*args, **options):
         if next(calls) > after:
             raise error
         return simulate(*args, **options)
@@ -106,9 +101,7 @@ def stopping(
     return stopped
 
 
-def interrupt(
-    after: int, specification: Specification, path: Path, **options: Any
-) -> None:
+def interrupt(after, specification, path, **options):
     """Fill a store until Ctrl-C comes, in the call of the simulator after so many."""
     simulator = mock.patch.dict(vars(taichi_nmm), simulate=stopping(after))
     with simulator, pytest.raises(KeyboardInterrupt):

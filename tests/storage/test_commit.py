@@ -3,15 +3,14 @@ import fcntl
 import os
 import re
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pytest
 
 from storage.commit import commit, commit_json, temporary_sibling, together
-from storage.inputs.errors import InputError
 from storage.store import read_footer
 from storage.tables import read_columns, write_table
+from tests.cases import refused
 from tests.processes import python
 
 IMPORTS = "import sys; from pathlib import Path; from storage.commit import commit_json, together\n"
@@ -25,9 +24,7 @@ FOOTER = {
 }
 
 
-def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(
-    tmp_path: Path,
-) -> None:
+def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(tmp_path):
     path = tmp_path / "part.parquet"
     write_table(path, TABLE, FOOTER)
     footer, schema = read_footer(path)
@@ -37,38 +34,34 @@ def test_a_file_appears_whole_with_its_footer_which_counts_its_rows(
     write_table(tmp_path / "again", TABLE, FOOTER)
     assert (tmp_path / "again").read_bytes() == path.read_bytes()
     write_table(path, TABLE, FOOTER | {"rows": 3})
-    with pytest.raises(InputError, match="a file of 3 rows"):
+    with refused("a file of 3 rows"):
         read_footer(path)
 
 
-def test_a_full_disk_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "part.parquet"
     write_table(path, TABLE, FOOTER)
     before = path.read_bytes()
 
-    def full(_: int) -> None:
+    def full(_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InputError, match=r"^out: .*No space left on device"):
+    with refused(r"^out: .*No space left on device"):
         write_table(path, TABLE.slice(1), FOOTER | {"rows": 1})
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(
-    tmp_path: Path,
-) -> None:
-    def check(temporary: Path) -> None:
+def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(tmp_path):
+    def check(temporary):
         raise OSError("what was read back differs from what was written")
 
-    def interrupted(temporary: Path) -> None:
+    def interrupted(temporary):
         temporary.write_text("half")
         raise KeyboardInterrupt
 
-    with pytest.raises(InputError, match="differs"):
+    with refused("differs"):
         commit(
             tmp_path / "part.parquet",
             lambda temporary: temporary.write_text("half"),
@@ -78,13 +71,11 @@ def test_what_reads_back_differently_or_is_interrupted_never_gets_the_name(
     with pytest.raises(KeyboardInterrupt):
         commit(tmp_path / "file", interrupted, lambda temporary: None)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(InputError, match="No such file or directory"):
+    with refused("No such file or directory"):
         commit_json(tmp_path / "missing" / "file.json", {})
 
 
-def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(
-    tmp_path: Path,
-) -> None:
+def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_path):
     path, other = tmp_path / "file.json", tmp_path / ".another.json.1.tmp"
     killed, living = (tmp_path / f".file.json.{pid}.tmp" for pid in (1, 2))
     for file in (killed, living, other):
@@ -97,13 +88,11 @@ def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(
     assert set(tmp_path.iterdir()) == {path, other}
 
 
-def test_what_is_removed_before_its_lock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_removed_before_its_lock(tmp_path, monkeypatch):
     """By another process, that finds it without a lock."""
     real, calls = fcntl.flock, []
 
-    def late(file: Any, operation: int) -> None:
+    def late(file, operation):
         if not calls:
             Path(file.name).unlink()
         calls.append(operation)
@@ -115,12 +104,12 @@ def test_what_is_removed_before_its_lock(
     assert calls == [fcntl.LOCK_EX] * 2 and not list(tmp_path.iterdir())
 
 
-def errors_of(code: str, path: Path) -> str:
+def errors_of(code, path):
     """Of another process that runs the code."""
     return python("-c", IMPORTS + code, path).stderr
 
 
-def test_what_is_being_written_or_filled_is_let_be(tmp_path: Path) -> None:
+def test_what_is_being_written_or_filled_is_let_be(tmp_path):
     path = tmp_path / "file.json"
     with temporary_sibling(path) as temporary:
         assert (
@@ -141,22 +130,18 @@ def test_what_is_being_written_or_filled_is_let_be(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP])
-def test_without_locks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
-    def fails(file: Any, operation: int) -> None:
+def test_without_locks(tmp_path, monkeypatch, number):
+    def fails(file, operation):
         raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(fcntl, "flock", fails)
     allowed = f"a place on a file system with locks, such as a local disk ({os.strerror(number)})"
-    refused = pytest.raises(InputError, match=re.escape(allowed))
-    with refused, together(tmp_path / "report"):
+    error = refused(re.escape(allowed))
+    with error, together(tmp_path / "report"):
         pass
 
 
-def test_files_move_into_a_named_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_move_into_a_named_folder(tmp_path, monkeypatch):
     (tmp_path / "a").mkdir()
     monkeypatch.chdir(tmp_path / "a")
     for folder in (Path(), Path(".."), Path("..", "a")):
@@ -164,15 +149,15 @@ def test_files_move_into_a_named_folder(
             (new / "file").touch()
         assert (folder / "file").exists()
         (folder / "file").unlink()
-    refused = pytest.raises(InputError, match=r"^out: '/' .* a folder that has a name")
-    with refused, together(Path("/")):
+    error = refused(r"^out: '/' .* a folder that has a name")
+    with error, together(Path("/")):
         pass
     assert [file.name for file in tmp_path.iterdir()] == ["a"] and not list(
         Path().iterdir()
     )
 
 
-def test_files_appear_together(tmp_path: Path) -> None:
+def test_files_appear_together(tmp_path):
     folder = tmp_path / "deep" / "report"
     # of a process that was killed
     (tmp_path / "deep" / ".report.new").mkdir(parents=True)
@@ -185,6 +170,6 @@ def test_files_appear_together(tmp_path: Path) -> None:
         assert (folder / "a").read_text() == text
     assert sorted(path.name for path in folder.iterdir()) == ["1", "2", "a"]
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match=r"out: .*file"), together(tmp_path / "file"):
+    with refused(r"out: .*file"), together(tmp_path / "file"):
         pass
     assert [path.name for path in folder.parent.iterdir()] == ["report"]

@@ -7,9 +7,7 @@ from taichi_nmm.parameters import GAINS, LOW_LEVEL_GAINS, lower_bounds, upper_bo
 
 
 @pytest.mark.filterwarnings("error")
-def test_points_are_of_one_long_run_warn_of_no_length_and_fill_the_bounds_evenly() -> (
-    None
-):
+def test_points_are_of_one_long_run_warn_of_no_length_and_fill_the_bounds_evenly():
     whole = sobol_points(3, 0, 512, GAINS)
     for first, count in ((0, 100), (100, 7), (107, 405), (511, 1)):
         assert np.array_equal(

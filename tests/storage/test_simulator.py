@@ -2,9 +2,6 @@
 
 import re
 import shutil
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -12,7 +9,6 @@ import pytest
 
 from storage import merge, open_store
 from storage.inputs.config import Table
-from storage.inputs.errors import InputError
 from storage.points import sobol_points
 from storage.pool import own_kind
 from storage.precompute import precompute
@@ -23,8 +19,8 @@ from storage.simulator import (
     judge_rows,
     known_simulator,
 )
-from storage.specification import GENERATION, STARTS, Specification, read_specification
-from tests.cases import asset
+from storage.specification import GENERATION, STARTS, read_specification
+from tests.cases import asset, refused
 from tests.processes import printed, python
 from tests.storage import toy
 
@@ -34,11 +30,11 @@ CONFIGURATION = asset("toy-store.toml")
 REPERTOIRE = {"evaluations": STARTS + 2 * GENERATION, "settings": 1, "candidates": 20}
 
 
-def specification(**changes: Any) -> Specification:
+def specification(**changes):
     return read_specification(Table(CONFIGURATION | changes))
 
 
-def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None:
+def test_a_store_of_another_simulator_is_filled_and_read(tmp_path):
     summary = precompute(specification(), tmp_path / "store")
     store = open_store(tmp_path / "store", verify=True)
     rows = store.numpy()
@@ -66,13 +62,11 @@ def test_a_store_of_another_simulator_is_filled_and_read(tmp_path: Path) -> None
     assert merged.table().equals(store.table().combine_chunks())
     # A store may come from anybody: no code is imported that a file names.
     store.require_bounds()  # nothing to compare them with
-    with pytest.raises(
-        InputError, match=r"store\.simulator: 'tests.storage.toy:Cart' .* walker"
-    ):
+    with refused(r"store\.simulator: 'tests.storage.toy:Cart' .* walker"):
         known_simulator({"simulator": CART})
 
 
-def test_the_document_names_the_simulator_and_its_worlds() -> None:
+def test_the_document_names_the_simulator_and_its_worlds():
     document = specification().document
     assert (document["simulator"], document["code_version"]) == (CART, "1")
     assert document["simulation"] == {"duration_s": 5.0}
@@ -89,7 +83,7 @@ def test_the_document_names_the_simulator_and_its_worlds() -> None:
 
 
 @pytest.mark.slow
-def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
+def test_a_repertoire_of_another_simulator(tmp_path):
     pytest.importorskip("ribs")
     families = {"gale": CONFIGURATION["families"]["gale"]}
     asked = specification(
@@ -108,22 +102,20 @@ def test_a_repertoire_of_another_simulator(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("field", "changes"), asset("toy-refusals.toml").items())
-def test_a_simulators_own_tables_are_checked(
-    field: str, changes: dict[str, Any]
-) -> None:
-    with pytest.raises(InputError, match=rf"^{field}: "):
+def test_a_simulators_own_tables_are_checked(field, changes):
+    with refused(rf"^{field}: "):
         specification(**changes)
 
 
 @pytest.mark.parametrize(
     "name", ["", "cart", TOY, f"{TOY}:Bicycle", "no.module:Cart", ":Cart"]
 )
-def test_a_simulator_that_is_not_there_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=r"^simulator\.name: .*module:Class"):
+def test_a_simulator_that_is_not_there_is_refused(name):
+    with refused(r"^simulator\.name: .*module:Class"):
         specification(simulator={"name": name})
 
 
-FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+FAULTS = {
     "no column of how far": (
         {"survived": "far"},
         "columns with far, how far a run came",
@@ -166,22 +158,18 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_simulator_that_makes_no_store(
-    fault: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_simulator_that_makes_no_store(fault, monkeypatch):
     changes, allowed = FAULTS[fault]
     for name, value in changes.items():
         monkeypatch.setattr(toy.Cart, name, value)
-    with pytest.raises(
-        InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"
-    ):
+    with refused(f"^simulator: '{CART}' .*{re.escape(allowed)}"):
         specification()
 
 
-def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]]:
+def changed(name, value):
     run = toy.Cart.run
 
-    def faulty(self: toy.Cart, *args: Any) -> tuple[Any, dict[str, Any]]:
+    def faulty(self, *args):
         rows, computed_by = run(self, *args)
         rows[name][-1] = value
         return rows, computed_by
@@ -190,7 +178,7 @@ def changed(name: str, value: float) -> Callable[..., tuple[Any, dict[str, Any]]
 
 
 ROWS = toy.Cart.columns
-FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
+FAULTY_RUNS = {  # what is returned, or the method
     "no array": ([1.0], "not <class 'list'>"),
     "other columns": (
         np.zeros((16, 1), [("way", "f8")]),
@@ -207,14 +195,10 @@ FAULTY_RUNS: dict[str, tuple[Any, str]] = {  # what is returned, or the method
 
 
 @pytest.mark.parametrize("fault", FAULTY_RUNS)
-def test_a_faulty_run(
-    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_faulty_run(fault, tmp_path, monkeypatch):
     run, allowed = FAULTY_RUNS[fault]
     monkeypatch.setattr(toy.Cart, "run", run if callable(run) else lambda *_: (run, {}))
-    with pytest.raises(
-        InputError, match=f"^simulator: '{CART}' .*{re.escape(allowed)}"
-    ):
+    with refused(f"^simulator: '{CART}' .*{re.escape(allowed)}"):
         precompute(specification(), tmp_path / "store")
     assert not list((tmp_path / "store").glob("part-*"))
 
@@ -228,13 +212,9 @@ def test_a_faulty_run(
         (np.zeros(4), np.full((4, 1), np.inf)),
     ],
 )
-def test_faulty_judgements(
-    objective: Any, measures: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_faulty_judgements(objective, measures, monkeypatch):
     monkeypatch.setattr(toy.Cart, "judge", lambda *_: (objective, measures))
-    with pytest.raises(
-        InputError, match=r"objective \[4\] and measures \[4, 1\], all finite"
-    ):
+    with refused(r"objective \[4\] and measures \[4, 1\], all finite"):
         judge_rows(toy.Cart(), np.zeros((4, 2), toy.Cart.columns), 5.0)
 
 
@@ -254,31 +234,27 @@ def test_faulty_judgements(
     ],
 )
 def test_documents_keep_to_their_own_keys_and_to_json(
-    holder: Any, document: dict[str, Any], match: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    holder, document, match, monkeypatch
+):
     whole = document if holder is toy.Winds else {"settings": 0} | document
     monkeypatch.setattr(holder, "document", lambda *_: dict(whole))
-    with pytest.raises(InputError, match=match):
+    with refused(match):
         specification().document  # noqa: B018
 
 
-def test_a_simulator_without_measures_has_no_repertoire(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_simulator_without_measures_has_no_repertoire(monkeypatch):
     monkeypatch.setattr(toy.Cart, "measures", {})
-    with pytest.raises(InputError, match="a simulator that has measures"):
+    with refused("a simulator that has measures"):
         specification(repertoire=REPERTOIRE)
 
 
 @pytest.mark.parametrize("name", SIMULATORS)
-def test_simulators_of_this_project_are_found_by_name(name: str) -> None:
+def test_simulators_of_this_project_are_found_by_name(name):
     assert find_simulator(name).name == name
     assert known_simulator({}) is find_simulator("walker")
 
 
-def test_machines_differ_by_the_simulators_own_batch(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_machines_differ_by_the_simulators_own_batch(monkeypatch):
     kind = own_kind(toy.Cart())
     assert list(kind) == ["canary", "processor", CART, "numpy"]
     assert own_kind(toy.Cart(mass_kg=2.0)) == kind
@@ -287,9 +263,7 @@ def test_machines_differ_by_the_simulators_own_batch(
 
 
 @pytest.mark.slow
-def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(
-    tmp_path: Path,
-) -> None:
+def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(tmp_path):
     """Worker processes find it, too."""
     shutil.copy(toy.__file__, tmp_path / "my_robot.py")
     text = "samples = 40\nshard_rows = 8\nseed = 4\nwind = [0.5, 1.5]\n"
@@ -300,6 +274,6 @@ def test_a_file_of_the_working_directory_is_a_simulator_of_the_command(
     store = open_store(tmp_path / "out" / "cart", verify=True)
     assert store.specification["simulator"] == "my_robot:Cart" and len(store) == 40
     assert np.array_equal(store.points(), sobol_points(4, 0, 40, toy.Cart.parameters))
-    refused = python(*words, "--arch", "cpu", cwd=tmp_path)
-    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
-    assert refused.stderr.startswith("error: arch: 'cpu'")
+    done = python(*words, "--arch", "cpu", cwd=tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith("error: arch: 'cpu'")

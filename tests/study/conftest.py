@@ -1,39 +1,29 @@
 """A fake simulator, stores made with it, a table of synthetic rows, and toy comparisons."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import optuna
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import taichi_nmm
-from storage.inputs.errors import InputError
 from study import FeatureTable
 from study.experiment import compare as comparing
-from study.experiment.compare import Outcome, Request, compare
-from study.experiment.walker import WalkerExperiment
+from study.experiment.compare import Request, compare
+from tests.cases import refused as refused  # where others look for it
 from tests.study import fake_walker
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
 
-def refused(message: str) -> pytest.RaisesExc[InputError]:
-    """As an error of the user's, which is always one line."""
-    return pytest.raises(InputError, match=message)
-
-
 @pytest.fixture
-def fake_simulator(monkeypatch: pytest.MonkeyPatch) -> None:
+def fake_simulator(monkeypatch):
     # Not setattr: it would read the old value first, which loads Taichi.
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     fake_walker.calls.clear()
 
 
 @pytest.fixture
-def store(fake_simulator: None, tmp_path: Path) -> Path:
+def store(fake_simulator, tmp_path):
     """200 rows, scored on level ground."""
     path = tmp_path / "plain-store"
     fake_walker.write_plain_store(path)
@@ -41,7 +31,7 @@ def store(fake_simulator: None, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def table() -> FeatureTable:
+def table():
     """60 rows of two parameters; the score says how good a row is."""
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-1, 1, 60), rng.uniform(0, 5, 60)
@@ -51,7 +41,7 @@ def table() -> FeatureTable:
 
 
 @pytest.fixture
-def toy(fake_simulator: None, tmp_path: Path) -> WalkerExperiment:
+def toy(fake_simulator, tmp_path):
     """The toy experiment, with a store on which every arm can run."""
     return fake_walker.experiment(tmp_path)
 
@@ -59,18 +49,16 @@ def toy(fake_simulator: None, tmp_path: Path) -> WalkerExperiment:
 class Comparisons:
     """Comparisons of the toy experiment, each call in a folder by name."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder
         self.experiment = fake_walker.experiment(folder)
 
-    def run(
-        self, out: str, *, experiment: WalkerExperiment | None = None, **request: Any
-    ) -> Outcome:
+    def run(self, out, *, experiment=None, **request):
         """Run it, or what is missing of it, in this process."""
         made = Request(self.folder / out, **request)
         return compare(experiment or self.experiment, made, lambda progress: None)
 
-    def stop_and_run(self, out: str, call: int, **request: Any) -> int:
+    def stop_and_run(self, out, call, **request):
         """Run it to its end, and return how often Ctrl-C stopped it, in that call each time."""
         stops = 0
         with pytest.MonkeyPatch.context() as patch:
@@ -84,22 +72,22 @@ class Comparisons:
                 except KeyboardInterrupt:
                     stops += 1
 
-    def content(self, out: str) -> bytes:
+    def content(self, out):
         """The bytes of the results."""
         return (self.folder / out / "trials.parquet").read_bytes()
 
-    def table(self, out: str) -> pa.Table:
+    def table(self, out):
         """The results."""
         return pq.read_table(self.folder / out / "trials.parquet")
 
 
 @pytest.fixture
-def no_database(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_database(monkeypatch):
     """It has tests of its own; with comparisons it would take most of the time."""
     for name in ("check_database", "export", "note_worths"):
         monkeypatch.setattr(comparing, name, lambda *_, **__: None)
 
 
 @pytest.fixture
-def comparisons(fake_simulator: None, no_database: None, tmp_path: Path) -> Comparisons:
+def comparisons(fake_simulator, no_database, tmp_path):
     return Comparisons(tmp_path)

@@ -8,20 +8,16 @@ Trials take milliseconds.
 import os
 import signal
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 import taichi_nmm
 from storage.inputs.config import Table
 from storage.precompute import precompute
 from storage.specification import read_specification
 from study.experiment.arms import ARMS, lacks
-from study.experiment.walker import WalkerExperiment, read_experiment
+from study.experiment.walker import read_experiment
 from taichi_nmm.body import Bodies
 from taichi_nmm.parameters import gain_rows, lower_bounds, upper_bounds
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Result, Trajectory
@@ -51,16 +47,16 @@ DEFAULTS = {
     "progress": None,
 }
 
-calls: list[dict[str, Any]] = []  # what the simulator was called with
+calls = []  # what the simulator was called with
 
 
-def quality(gains: NDArray[np.float64]) -> NDArray[np.float64]:
+def quality(gains):
     """Of each row of gains, 0 to 1, [n]."""
     unit = (gains - lower_bounds()) / (upper_bounds() - lower_bounds())
     return np.exp(-np.mean((2.0 * unit[:, :6] - 1.0) ** 2, axis=1) * 1.5)
 
 
-def simulate(gains: ArrayLike, **options: Any) -> Result:
+def simulate(gains, **options):
     """What `taichi_nmm.simulate` promises, with empty trajectories."""
     time.sleep(TRIAL_S)
     number, _, name = SIGNAL.partition(":")
@@ -93,7 +89,7 @@ def simulate(gains: ArrayLike, **options: Any) -> Result:
     return Result(rows, (EMPTY,) * len(call["record"]), {"engine": "fake"})
 
 
-def share_left(call: dict[str, Any], count: int) -> NDArray[np.float64]:
+def share_left(call, count):
     """What ground, body and low-level gains leave of the quality of each walker, [count]."""
     bodies, grounds = call["bodies"] or Bodies.nominal(), call["terrains"] or []
     if isinstance(grounds, Terrain):
@@ -106,27 +102,25 @@ def share_left(call: dict[str, Any], count: int) -> NDArray[np.float64]:
     return left
 
 
-def stopped_in_call(
-    number: int, error: type[BaseException] = KeyboardInterrupt
-) -> Callable[..., Result]:
+def stopped_in_call(number, error=KeyboardInterrupt):
     """`simulate`, but an error ends its call of that number, counted from 1, and later ones."""
     from tests.storage.fake import stopping  # pytest, which processes do without
 
     return stopping(number - 1, simulate, error)
 
 
-def fill(path: Path, data: dict[str, Any]) -> None:
+def fill(path, data):
     """Fill a store with fake scores."""
     with mock.patch.dict(vars(taichi_nmm), simulate=simulate):
         precompute(read_specification(Table(data)), path)
 
 
-def write_plain_store(path: Path, samples: int = 200) -> None:
+def write_plain_store(path, samples=200):
     """A store of fake scores on level ground alone."""
     fill(path, {"samples": samples, "seed": 3})
 
 
-def write_store(path: Path, **changes: Any) -> None:
+def write_store(path, **changes):
     """A store of fake scores with families."""
     settings = {
         "settings": 1,
@@ -159,7 +153,7 @@ stores = {{flat = "{store}", worlds = "{store}", stairs = "{store}"}}
 """
 
 
-def write_config(folder: Path, top: str = "") -> Path:
+def write_config(folder, top=""):
     """A configuration in a folder, and the store that it names."""
     store = folder / "store"
     if not store.exists():
@@ -170,6 +164,6 @@ def write_config(folder: Path, top: str = "") -> Path:
     return path
 
 
-def experiment(folder: Path, top: str = "") -> WalkerExperiment:
+def experiment(folder, top=""):
     """The experiment of `write_config`."""
     return read_experiment(write_config(folder, top))

@@ -2,7 +2,6 @@
 
 import shutil
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +14,9 @@ from study.experiment.arms import find_arm
 from study.experiment.compare import Request, compare
 from study.experiment.gains import gains_of_trial
 from study.experiment.live_study import check_study, run_study
-from tests.cases import cases
+from tests.cases import cases, refused
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
-Refuses = Callable[[str, Callable[[str], bytes], str], None]
 OF_DOG = r"^(storage|study toy/dog/run-000)"
 
 

@@ -2,7 +2,6 @@
 
 import io
 import json
-from typing import Any
 from wsgiref.util import setup_testing_defaults
 from wsgiref.validate import validator
 
@@ -17,7 +16,7 @@ from tests.cases import asset
 
 def get(application, path, **changes):
     """Status, headers by lower-case name, and body; changes are of the environment."""
-    environment: dict[str, Any] = {
+    environment = {
         "PATH_INFO": path,
         "SCRIPT_NAME": "",
         "QUERY_STRING": "",
@@ -28,10 +27,10 @@ def get(application, path, **changes):
         **changes,
     }
     setup_testing_defaults(environment)
-    found: list[tuple[str, list[tuple[str, str]]]] = []
+    found = []
     answer = validator(application)(environment, lambda *given: found.append(given[:2]))
     body = b"".join(answer)
-    answer.close()  # type: ignore[attr-defined]
+    answer.close()
     ((status, headers),) = found
     return int(status[:3]), {name.lower(): value for name, value in headers}, body
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from unittest import mock
 
 import optuna
@@ -32,8 +31,8 @@ from study.experiment.samplers import Task
 from study.experiment.walker import ATTRIBUTES
 from study.options import config_path
 from taichi_nmm.terrain import Ground
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
 LIVE = ("dog", "cmaes-cold", "cmaes-warm", "worlds", "random", "tpe")
 # Each kind of sampler with a memory.
@@ -246,7 +245,7 @@ def test_a_trial_of_the_others(toy, look, monkeypatch):
 
     monkeypatch.setattr(optuna.Study, "get_trials", looked)
     monkeypatch.setattr(live_study, "WAIT_S", 0.0)
-    crew: Any = SimpleNamespace(
+    crew = SimpleNamespace(
         turn=nullcontext, dead=list, alive=lambda number: nullcontext()
     )
     study = run_study(toy, arm, 0, 1, storage, crew=crew)

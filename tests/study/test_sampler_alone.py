@@ -46,7 +46,7 @@ print("done")
 """
 
 
-def packages_of_the_sampler() -> set[str]:
+def packages_of_the_sampler():
     """What the sampler alone asks for, with Arrow for stores."""
     path = ROOT / "study" / "hub" / "pyproject.toml"
     project = tomllib.loads(path.read_text())["project"]

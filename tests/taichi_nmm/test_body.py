@@ -1,21 +1,18 @@
 """Segments against the table of Geyer & Herr, and bodies drawn round them."""
 
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from storage.inputs.config import Table
-from taichi_nmm import InputError, body
+from taichi_nmm import body
 from taichi_nmm.body import SEGMENT_NAMES, SEGMENTS, Bodies, Build, read_body
-from tests.cases import cases
+from tests.cases import cases, refused
 
 LENGTH_M = np.array([segment.length_m for segment in SEGMENTS])
 NAMES = ("mass_kg", "inertia_kgm2", "com_m")
 
 
-def test_segments_are_those_of_the_publication_in_order_and_weigh_80_kg() -> None:
+def test_segments_are_those_of_the_publication_in_order_and_weigh_80_kg():
     table = {s.name: (s.mass_kg, s.inertia_kgm2, s.length_m, s.com_m) for s in SEGMENTS}
     assert table == {
         "hat": (53.5, 3.0, 0.80, 0.35),
@@ -33,10 +30,10 @@ def test_segments_are_those_of_the_publication_in_order_and_weigh_80_kg() -> Non
     assert length_m == pytest.approx(body.FOOT.length_m)
     assert body.BALL_OFFSET_M - body.FOOT.com_m == pytest.approx(0.14)
     with pytest.raises(AttributeError):  # a body that was checked stays as it is
-        bodies.mass_kg = bodies.mass_kg  # type: ignore[misc]
+        bodies.mass_kg = bodies.mass_kg
 
 
-def relative_disturbances(bodies: Bodies) -> NDArray[np.float64]:
+def relative_disturbances(bodies):
     """Of mass, inertia and centre of mass (in half lengths), [3, n, 7]."""
     nominal = Bodies.nominal(len(bodies))
     mass, inertia = (
@@ -46,7 +43,7 @@ def relative_disturbances(bodies: Bodies) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("fraction", [0.15, 0.05])
-def test_disturbances_fill_their_range(fraction: float) -> None:
+def test_disturbances_fill_their_range(fraction):
     disturbance = relative_disturbances(Bodies.disturbed(range(2000), fraction))
     assert np.max(np.abs(disturbance)) <= fraction * (1 + 1e-12)
     assert np.all(np.max(disturbance, axis=1) > 0.95 * fraction)
@@ -54,13 +51,13 @@ def test_disturbances_fill_their_range(fraction: float) -> None:
     assert np.max(np.abs(np.mean(disturbance, axis=1))) < 0.05 * fraction
 
 
-def test_disturbances_are_independent_of_each_other() -> None:
+def test_disturbances_are_independent_of_each_other():
     columns = relative_disturbances(Bodies.disturbed(range(2000))).transpose(0, 2, 1)
     correlation = np.corrcoef(columns.reshape(21, 2000)) - np.eye(21)
     assert np.max(np.abs(correlation)) < 0.1  # 4.5 standard errors
 
 
-def test_a_seed_makes_one_body_whatever_the_batch_and_take_reorders() -> None:
+def test_a_seed_makes_one_body_whatever_the_batch_and_take_reorders():
     batch = Bodies.disturbed([4, 5, np.random.SeedSequence(6)])
     for row, seed in enumerate([4, 5, 6]):
         for name, values in vars(Bodies.disturbed([seed])).items():
@@ -75,12 +72,12 @@ def test_a_seed_makes_one_body_whatever_the_batch_and_take_reorders() -> None:
 
 
 @pytest.mark.parametrize("fraction", [-0.01, 1.0, np.nan])
-def test_a_disturbance_out_of_range_is_named(fraction: float) -> None:
-    with pytest.raises(InputError, match=r"body\.disturbance"):
+def test_a_disturbance_out_of_range_is_named(fraction):
+    with refused(r"body\.disturbance"):
         Bodies.disturbed([1], fraction)
 
 
-def nominal_but(row: int, segment: int, value: float) -> NDArray[np.float64]:
+def nominal_but(row, segment, value):
     """Masses (or inertias, or centres of mass) of two bodies, but for one."""
     values = np.ones((2, 7))
     values[row, segment] = value
@@ -99,18 +96,16 @@ def nominal_but(row: int, segment: int, value: float) -> NDArray[np.float64]:
         (NAMES, [["heavy"] * 7] * 2, r"bodies\.NAME"),
     ],
 )
-def test_arrays_of_no_use_are_named(
-    names: tuple[str, ...], value: Any, message: str
-) -> None:
+def test_arrays_of_no_use_are_named(names, value, message):
     for name in names:
-        with pytest.raises(InputError, match=f"^{message.replace('NAME', name)}"):
+        with refused(f"^{message.replace('NAME', name)}"):
             Bodies(**{**vars(Bodies.nominal(2)), name: value})
     # But a centre of mass may lie behind its joint.
     behind = nominal_but(0, 3, -0.01)
     assert Bodies(**{**vars(Bodies.nominal(2)), "com_m": behind}).com_m[0, 3] == -0.01
 
 
-def test_a_build_of_other_masses_is_drawn_and_read_back() -> None:
+def test_a_build_of_other_masses_is_drawn_and_read_back():
     """The narrowest name counts; an inertia that is not named grows with its mass."""
     mass = {"all": 1.2, "shank": 1.1, "foot_left": 0.5}
     build = read_body(
@@ -134,8 +129,6 @@ def test_a_build_of_other_masses_is_drawn_and_read_back() -> None:
 
 
 @cases("bad-bodies.toml", "table", "message")
-def test_builds_that_the_model_does_not_have_are_refused(
-    table: Any, message: str
-) -> None:
-    with pytest.raises(InputError, match=message):
+def test_builds_that_the_model_does_not_have_are_refused(table, message):
+    with refused(message):
         read_body(Table(table, "body"))

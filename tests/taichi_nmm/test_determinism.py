@@ -1,12 +1,9 @@
 """Bits do not depend on threads, order, size of the batch or process."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from taichi_nmm import Bodies, Settings, Terrain, simulate, terrain
+from taichi_nmm import Bodies, Settings, simulate, terrain
 from taichi_nmm.kernel import backend, registers
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
 from tests.processes import printed
@@ -19,7 +16,7 @@ DURATION_S = 2.0
 CPU = Settings(arch="cpu")
 
 
-def batch() -> tuple[NDArray[np.float64], Bodies, list[Terrain], NDArray[np.int64]]:
+def batch():
     rng = np.random.default_rng(7)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
     gains[::10] = PUBLISHED_GAINS * rng.uniform(0.95, 1.05, (WALKERS // 10, 16))
@@ -28,7 +25,7 @@ def batch() -> tuple[NDArray[np.float64], Bodies, list[Terrain], NDArray[np.int6
     return gains, bodies, grounds, np.arange(WALKERS) % 2
 
 
-def rows(index: NDArray[np.int64], settings: Settings = CPU) -> NDArray[np.void]:
+def rows(index, settings=CPU):
     """Results of these walkers of the batch, in this order."""
     gains, bodies, grounds, ground = batch()
     return simulate(
@@ -42,13 +39,11 @@ def rows(index: NDArray[np.int64], settings: Settings = CPU) -> NDArray[np.void]
 
 
 @pytest.fixture(scope="module")
-def whole() -> NDArray[np.void]:
+def whole():
     return rows(np.arange(WALKERS))
 
 
-def test_walkers_differ_and_a_permuted_batch_permutes_its_rows(
-    whole: NDArray[np.void],
-) -> None:
+def test_walkers_differ_and_a_permuted_batch_permutes_its_rows(whole):
     assert len(np.unique(whole["duration_s"])) > WALKERS / 4
     assert 0.02 < (whole["end_reason"] == 0).mean() < 0.9
     order = np.random.default_rng(1).permutation(WALKERS)
@@ -56,11 +51,11 @@ def test_walkers_differ_and_a_permuted_batch_permutes_its_rows(
 
 
 @pytest.mark.parametrize("walker", [0, 5, 990])
-def test_batch_of_one(whole: NDArray[np.void], walker: int) -> None:
+def test_batch_of_one(whole, walker):
     assert rows(np.array([walker])).tobytes() == whole[[walker]].tobytes()
 
 
-def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
+def test_threads_and_width_of_registers(whole):
     index = np.arange(200)
     width = registers.width()
     for threads, wide in ((1, True), (2, True), (1, False)):
@@ -70,15 +65,13 @@ def test_threads_and_width_of_registers(whole: NDArray[np.void]) -> None:
 
 
 @pytest.mark.parametrize("launch_ticks", [130, 5000])
-def test_a_queue_as_on_gpus(
-    whole: NDArray[np.void], monkeypatch: pytest.MonkeyPatch, launch_ticks: int
-) -> None:
+def test_a_queue_as_on_gpus(whole, monkeypatch, launch_ticks):
     queue_on_processor(monkeypatch, launch_ticks)
     index = np.arange(300)[::-1]
     assert rows(index).tobytes() == whole[index].tobytes()
 
 
-def test_new_process(whole: NDArray[np.void], tmp_path: Path) -> None:
+def test_new_process(whole, tmp_path):
     file = tmp_path / "rows.npy"
     code = (
         "import sys, numpy as np; from tests.taichi_nmm.test_determinism import rows; "

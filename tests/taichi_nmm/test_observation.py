@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from storage.inputs.errors import InputError
 from taichi_nmm.observation import WIDTHS, Observation
+from tests.cases import refused
 
 
-def two_bodies() -> Observation:
+def two_bodies():
     shapes = {name: (2, width) if width else (2,) for name, width in WIDTHS.items()}
     return Observation(**{name: np.zeros(shape) for name, shape in shapes.items()})
 
 
-def bad_values() -> list[tuple[str, object]]:
-    bad: list[tuple[str, object]] = []
+def bad_values():
+    bad = []
     for name, values in vars(two_bodies()).items():
         nan, infinite = values.copy(), values.copy()
         nan.flat[-1], infinite.flat[0] = np.nan, np.inf
@@ -27,36 +27,26 @@ def bad_values() -> list[tuple[str, object]]:
 
 
 @pytest.mark.parametrize(("name", "value"), bad_values())
-def test_an_array_that_cannot_be_used_is_named(name: str, value: object) -> None:
+def test_an_array_that_cannot_be_used_is_named(name, value):
     good = two_bodies()
     good.checked(2)
-    with pytest.raises(
-        InputError, match=rf"^observation\.{name}(\.shape|\[[0-9, ]+\])?: "
-    ):
+    with refused(rf"^observation\.{name}(\.shape|\[[0-9, ]+\])?: "):
         replace(good, **{name: value}).checked(2)
 
 
 @pytest.mark.parametrize("value", [2, -1, 0.5])
-def test_a_contact_says_whether_not_how_many_and_bodies_are_counted(
-    value: float,
-) -> None:
+def test_a_contact_says_whether_not_how_many_and_bodies_are_counted(value):
     contacts = np.array([[0.0, 1.0], [1.0, value]])
-    with pytest.raises(
-        InputError, match=rf"^observation\.contact: {value}.* 0 or 1: whether"
-    ):
+    with refused(rf"^observation\.contact: {value}.* 0 or 1: whether"):
         replace(two_bodies(), contact=contacts).checked(2)
-    with pytest.raises(
-        InputError, match=r"^observation\.joint_rad\.shape: \(2, 6\) .* \[3, 6\]$"
-    ):
+    with refused(r"^observation\.joint_rad\.shape: \(2, 6\) .* \[3, 6\]$"):
         two_bodies().checked(3)
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [("trunk_rad", 1e8), ("com_speed_mps", -1e300)]
 )
-def test_a_number_of_no_body_is_refused(name: str, value: float) -> None:
+def test_a_number_of_no_body_is_refused(name, value):
     """A sine of 1e8 is noise in float32, and 1e300 is infinity there: torques were NaN."""
-    with pytest.raises(
-        InputError, match=rf"^observation\.{name}: .*finite numbers, from -1"
-    ):
-        replace(two_bodies(), **{name: [0.0, value]}).checked(2)  # type: ignore[arg-type]
+    with refused(rf"^observation\.{name}: .*finite numbers, from -1"):
+        replace(two_bodies(), **{name: [0.0, value]}).checked(2)

@@ -18,7 +18,7 @@ FALLS = (
 )
 
 
-def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended() -> None:
+def test_walkers_of_the_last_packs_take_the_lanes_of_those_that_have_ended():
     backend.start(Settings(arch="cpu"))
     rows = np.zeros((1, WalkerRows.count))
     numbers = np.arange(29, dtype=np.int32)

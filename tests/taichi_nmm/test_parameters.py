@@ -1,16 +1,12 @@
 """The table of gains: names, order, bounds; gains from arrays and files."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from taichi_nmm import (
     PUBLISHED_GAINS,
-    InputError,
     load_all_gains,
     load_gains,
     parameters,
@@ -23,7 +19,7 @@ from taichi_nmm.parameters import (
     LOW_LEVEL_NAMES,
     check_gains,
 )
-from tests.cases import asset
+from tests.cases import asset, refused
 
 IN_THE_PAPERS_ORDER = (
     "K_GAS K_GLU K_HAM K_SOL K_TA_SOL K_TA K_VAS Kp_stance Kd_stance K_mix_GLU "
@@ -31,7 +27,7 @@ IN_THE_PAPERS_ORDER = (
 )
 
 
-def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification() -> None:
+def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification():
     assert " ".join(GAIN_NAMES) == IN_THE_PAPERS_ORDER
     assert (
         LOW_LEVEL_NAMES[7] == "theta_ref"
@@ -51,7 +47,7 @@ def test_names_are_in_the_papers_order_and_bounds_those_of_the_specification() -
     np.testing.assert_allclose(parameters.lower_bounds(), low)
 
 
-def test_gains_become_rows_even_outside_the_bounds() -> None:
+def test_gains_become_rows_even_outside_the_bounds():
     np.testing.assert_array_equal(
         parameters.gain_rows(PUBLISHED_GAINS), PUBLISHED_GAINS[None]
     )
@@ -61,7 +57,7 @@ def test_gains_become_rows_even_outside_the_bounds() -> None:
     np.testing.assert_allclose(parameters.gain_rows(large)[0], large)
 
 
-def spoilt(value: float) -> NDArray[np.float64]:
+def spoilt(value):
     rows = np.tile(PUBLISHED_GAINS, (3, 1))
     rows[2, 12] = value
     return rows
@@ -84,21 +80,21 @@ def spoilt(value: float) -> NDArray[np.float64]:
         ),
     ],
 )
-def test_rows_that_cannot_be_used_are_named(values: Any, message: str) -> None:
-    with pytest.raises(InputError, match=f"^{message}"):
+def test_rows_that_cannot_be_used_are_named(values, message):
+    with refused(f"^{message}"):
         parameters.gain_rows(values)
-    with pytest.raises(InputError, match=r"low_level_gains\.shape.*\[n, 28\]"):
+    with refused(r"low_level_gains\.shape.*\[n, 28\]"):
         parameters.gain_rows(np.ones((2, 16)), LOW_LEVEL_GAINS, "low_level_gains")
 
 
-def test_the_published_gains_are_loaded_by_name_as_a_copy() -> None:
+def test_the_published_gains_are_loaded_by_name_as_a_copy():
     loaded = load_gains("published")
     np.testing.assert_array_equal(loaded, PUBLISHED_GAINS)
     loaded[:] = 0.0
     assert np.all(load_gains("published") == PUBLISHED_GAINS)
 
 
-def test_shipped_gains_lie_inside_the_bounds() -> None:
+def test_shipped_gains_lie_inside_the_bounds():
     files = list(parameters.NAMED_GAINS_DIRECTORY.glob("*.json"))
     assert files
     for file in files:
@@ -109,7 +105,7 @@ def test_shipped_gains_lie_inside_the_bounds() -> None:
         )
 
 
-def test_gains_come_back_in_any_order(tmp_path: Path) -> None:
+def test_gains_come_back_in_any_order(tmp_path):
     path = tmp_path / "mine.json"
     for gains in (
         PUBLISHED_GAINS,
@@ -121,7 +117,7 @@ def test_gains_come_back_in_any_order(tmp_path: Path) -> None:
         np.testing.assert_array_equal(load_gains(str(path)), gains)
 
 
-def gains_text(**changes: object) -> str:
+def gains_text(**changes):
     """A file of the published gains with some values changed; None leaves the name out."""
     data = {**dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)), **changes}
     return json.dumps(
@@ -130,13 +126,11 @@ def gains_text(**changes: object) -> str:
 
 
 @pytest.mark.parametrize("case", asset("bad-gains.toml").values())
-def test_files_and_names_of_no_gains_are_refused(
-    case: dict[str, Any], tmp_path: Path
-) -> None:
+def test_files_and_names_of_no_gains_are_refused(case, tmp_path):
     path = tmp_path / "bad.json"
     path.write_text(case.get("text") or gains_text(**case["changes"]))
     load = load_all_gains if case.get("low_level") else load_gains
-    with pytest.raises(InputError, match=case["message"]):
+    with refused(case["message"]):
         load(case.get("source", str(path)))
 
 
@@ -147,19 +141,17 @@ def test_files_and_names_of_no_gains_are_refused(
         ({"K_SOL": 10**400}, r"gains\.K_SOL: 10.*0 to 24"),
     ],
 )
-def test_values_of_gains_that_no_table_has_are_refused(
-    changes: dict[str, Any], message: str, tmp_path: Path
-) -> None:
+def test_values_of_gains_that_no_table_has_are_refused(changes, message, tmp_path):
     path = tmp_path / "bad.json"
     path.write_text(gains_text(**changes))
-    with pytest.raises(InputError, match=message):
+    with refused(message):
         load_gains(str(path))
 
 
 DEFAULTS = np.array([parameter.default for parameter in LOW_LEVEL_GAINS])
 
 
-def test_low_level_gains_have_defaults_and_a_file_may_name_them(tmp_path: Path) -> None:
+def test_low_level_gains_have_defaults_and_a_file_may_name_them(tmp_path):
     for name in ("published", "reference"):
         gains, low_level = load_all_gains(name)
         np.testing.assert_array_equal(gains, load_gains(name))
@@ -174,8 +166,8 @@ def test_low_level_gains_have_defaults_and_a_file_may_name_them(tmp_path: Path) 
     assert changed == {"theta_ref": 0.2, "k_ext": 0.0}
 
 
-def test_low_level_gains_are_checked_under_the_field_of_a_caller() -> None:
+def test_low_level_gains_are_checked_under_the_field_of_a_caller():
     values = dict(zip(LOW_LEVEL_NAMES, DEFAULTS.tolist(), strict=True))
     np.testing.assert_array_equal(check_gains(values, LOW_LEVEL_GAINS), DEFAULTS)
-    with pytest.raises(InputError, match=r"^best\.k_ext: -1"):
+    with refused(r"^best\.k_ext: -1"):
         check_gains(values | {"k_ext": -1}, LOW_LEVEL_GAINS, "best")

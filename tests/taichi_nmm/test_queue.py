@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from taichi_nmm import Bodies, Settings, Worlds, queue, simulate, simulator
 from taichi_nmm.kernel import backend
 from taichi_nmm.parameters import PUBLISHED_GAINS, lower_bounds, upper_bounds
-from taichi_nmm.result import Result
 from taichi_nmm.settings import settings_of_batch
 from taichi_nmm.walkers import Switch
 
@@ -16,7 +14,7 @@ COUNT = 200
 CPU = Settings(arch="cpu")
 
 
-def queue_on_processor(monkeypatch: pytest.MonkeyPatch, launch_ticks: int) -> None:
+def queue_on_processor(monkeypatch, launch_ticks):
     """Let walkers queue for a few seats, a seat a turn of the processor's loop."""
     monkeypatch.setattr(backend, "is_gpu", lambda: True)
     monkeypatch.setattr(queue, "LAUNCH_TICKS", launch_ticks)
@@ -25,20 +23,18 @@ def queue_on_processor(monkeypatch: pytest.MonkeyPatch, launch_ticks: int) -> No
         monkeypatch.setattr(module, "SEATS", SEATS)
 
 
-def gains(count: int) -> NDArray[np.float64]:
+def gains(count):
     rng = np.random.default_rng(3)
     some = rng.uniform(lower_bounds(), upper_bounds(), (count, 16))
     some[::4] = PUBLISHED_GAINS * rng.uniform(0.97, 1.03, (len(some[::4]), 1))
     return some
 
 
-def same(one: Result, other: Result) -> bool:
+def same(one, other):
     return one.rows.tobytes() == other.rows.tobytes()
 
 
-def test_worlds_recordings_and_switches_are_those_of_packs(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_worlds_recordings_and_switches_are_those_of_packs(monkeypatch):
     short = np.ones((COUNT, 14))
     short[::3, 2] = 0.95
     worlds = Worlds(**{**vars(Worlds.nominal(COUNT)), "optimal_length": short})
@@ -66,18 +62,16 @@ def test_worlds_recordings_and_switches_are_those_of_packs(
     assert np.allclose(later["phi_printed"], switched["phi_printed"], rtol=1e-5)
 
 
-def test_float64_and_half_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_float64_and_half_steps(monkeypatch):
     settings = Settings(arch="cpu", precision="float64", physics_step_s=0.5e-3)
     packed = simulate(gains(20), duration_s=0.3, settings=settings)
     queue_on_processor(monkeypatch, 100)
     assert same(simulate(gains(20), duration_s=0.3, settings=settings), packed)
 
 
-def test_progress_grows_and_a_walk_stops_at_an_interrupt(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_progress_grows_and_a_walk_stops_at_an_interrupt(monkeypatch):
     queue_on_processor(monkeypatch, 100)
-    told: list[tuple[float, int]] = []
+    told = []
     for count, duration_s in ((30, 0.35), (COUNT, 0.35)):
         told.clear()
         simulate(
@@ -91,14 +85,14 @@ def test_progress_grows_and_a_walk_stops_at_an_interrupt(
         assert told[-1] == (pytest.approx(duration_s), 0)
     assert len(told) > 4
 
-    def interrupt(now_s: float, up: int) -> None:
+    def interrupt(now_s, up):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         simulate(gains(5), duration_s=1.0, settings=CPU, progress=interrupt)
 
 
-def test_few_walkers_are_no_work_for_a_gpu() -> None:
+def test_few_walkers_are_no_work_for_a_gpu():
     asked = ("auto", 10), ("auto", 1_000_000), ("cpu", 10), ("cuda", 10)
     taken = [
         settings_of_batch(Settings(arch=arch), count).arch for arch, count in asked
@@ -106,9 +100,7 @@ def test_few_walkers_are_no_work_for_a_gpu() -> None:
     assert taken == ["cpu", "auto", "cpu", "cuda"]
 
 
-def test_few_walkers_and_many_share_a_program_where_no_gpu_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_few_walkers_and_many_share_a_program_where_no_gpu_is(monkeypatch):
     monkeypatch.setattr(backend, "_automatic", "auto")
     monkeypatch.setattr(backend, "may_have_gpu", lambda: False)
     assert backend._engine(Settings()) == backend._engine(Settings(arch="cpu"))

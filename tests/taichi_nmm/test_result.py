@@ -16,9 +16,7 @@ from tests.cases import cases
 
 
 @cases("costs.toml", "cost", "ended", "values", "expected")
-def test_costs(
-    cost: str, ended: str, values: dict[str, float], expected: float
-) -> None:
+def test_costs(cost, ended, values, expected):
     rows = np.zeros(1, RESULT_DTYPE)
     rows["end_reason"] = END_REASONS.index(ended)
     for name, value in values.items():
@@ -28,7 +26,7 @@ def test_costs(
     assert found(rows[:0]).shape == (0,)
 
 
-def test_what_was_not_measured_is_unknown_and_never_zero() -> None:
+def test_what_was_not_measured_is_unknown_and_never_zero():
     """Of a walker that fell before a scored step, or got nowhere; who measured is not doubted."""
     rows = np.zeros(3, RESULT_DTYPE)
     rows["duration_s"], rows["step_duration_mean_s"] = (0.4, 5.0, 5.0), (0.0, 0.6, 0.6)

@@ -5,7 +5,6 @@ import pickle
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,17 +21,17 @@ from tests.cases import asset, cases
 
 NAN, INF = float("nan"), float("inf")
 ALL = asset("conditions.toml")
-ON_MUJOCO: dict[str, Any] = {"engine": "mujoco", "duration_s": 20.0}
+ON_MUJOCO = {"engine": "mujoco", "duration_s": 20.0}
 
 
-def read(data: dict[str, Any], arch: str | None = None) -> Conditions:
+def read(data, arch=None):
     table = Table(data)
     conditions = read_conditions(table, arch)
     table.done()
     return conditions
 
 
-def refused(field: str, data: dict[str, Any]) -> str:
+def refused(field, data):
     """The one line about a field."""
     with pytest.raises(InputError) as caught:
         read(data)
@@ -40,11 +39,11 @@ def refused(field: str, data: dict[str, Any]) -> str:
     return str(caught.value)
 
 
-def refused_on_mujoco(field: str, **simulation: Any) -> str:
+def refused_on_mujoco(field, **simulation):
     return refused(f"simulation.{field}", {"simulation": ON_MUJOCO | simulation})
 
 
-def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> None:
+def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick():
     assert vars(Settings()) == {
         "physics_step_s": 1e-3,
         "contact_relaxation_speed_mps": 0.10,
@@ -71,14 +70,14 @@ def test_defaults_are_those_the_gaits_converge_with_and_steps_fill_a_tick() -> N
         for value in values
     ],
 )
-def test_settings_out_of_range_are_named(field: str, value: object) -> None:
+def test_settings_out_of_range_are_named(field, value):
     with pytest.raises(InputError) as caught:
-        Settings(**{field: value})  # type: ignore[arg-type]
+        Settings(**{field: value})
     assert caught.value.field == f"simulation.{field}"
     assert field != "engine" or caught.value.allowed == "taichi or mujoco"
 
 
-def test_tables_become_conditions_and_missing_ones_nominal() -> None:
+def test_tables_become_conditions_and_missing_ones_nominal():
     settings = Settings(0.5e-3, 0.03, "float64", "cpu")
     expected = Conditions(
         20.0, settings, Build(0.15), Ground("rough", {"amplitude_m": 0.03})
@@ -89,9 +88,7 @@ def test_tables_become_conditions_and_missing_ones_nominal() -> None:
     assert read({}) == Conditions(100.0, Settings(), Build(), Ground())
 
 
-def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file() -> (
-    None
-):
+def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_file():
     for arch in ("auto", "cpu"):
         assert read({"simulation": ON_MUJOCO | {"arch": arch}}).settings.arch == arch
     assert read({"simulation": {"arch": "cuda"}}, arch="cpu").settings.arch == "cpu"
@@ -107,13 +104,13 @@ def test_mujoco_computes_on_the_processor_and_the_command_line_overrides_the_fil
         for value in values
     ],
 )
-def test_a_bad_condition_is_named(table: str, key: str, value: object) -> None:
+def test_a_bad_condition_is_named(table, key, value):
     refused(f"{table}.{key}", {table: {key: value}})
 
 
 @pytest.mark.parametrize("value", [0.0, -0.02, NAN, INF, -INF, "soft"])
 @pytest.mark.parametrize("name", ["time_constant_s", "damping_ratio"])
-def test_contact_numbers_that_mean_something_else(name: str, value: Any) -> None:
+def test_contact_numbers_that_mean_something_else(name, value):
     """Negative ones are MuJoCo's direct form, of other units."""
     with pytest.raises(InputError, match=rf"^simulation\.mujoco\.{name}: "):
         MujocoSettings(**{name: value})
@@ -121,7 +118,7 @@ def test_contact_numbers_that_mean_something_else(name: str, value: Any) -> None
 
 
 @pytest.mark.parametrize("step_s", PHYSICS_STEPS_S)
-def test_a_time_constant_of_some_steps_only(step_s: float) -> None:
+def test_a_time_constant_of_some_steps_only(step_s):
     shortest_s = 5 * step_s
     own = {"time_constant_s": shortest_s * 0.99}
     line = refused_on_mujoco(
@@ -136,17 +133,13 @@ def test_a_time_constant_of_some_steps_only(step_s: float) -> None:
 
 
 @cases("bad-mujoco.toml", "field", "simulation", "allowed")
-def test_bad_settings_of_mujoco(
-    field: str, simulation: dict[str, Any], allowed: str
-) -> None:
+def test_bad_settings_of_mujoco(field, simulation, allowed):
     assert allowed in refused_on_mujoco(field, **simulation)
 
 
 @pytest.mark.parametrize("missing", ["mujoco", "mujoco.batch"])
-def test_mujoco_is_not_installed_or_too_old(
-    monkeypatch: pytest.MonkeyPatch, missing: str
-) -> None:
-    def find_spec(name: str, *_: Any) -> Any:
+def test_mujoco_is_not_installed_or_too_old(monkeypatch, missing):
+    def find_spec(name, *_):
         return None if name == missing else importlib.util.find_spec(name)
 
     monkeypatch.setattr(mujoco_engine, "find_spec", find_spec)
@@ -158,7 +151,7 @@ def test_mujoco_is_not_installed_or_too_old(
             call()
 
 
-def test_configurations_with_three_contacts() -> None:
+def test_configurations_with_three_contacts():
     """MuJoCo's default, half of it, and a quarter at half the step; all else is equal."""
     configs = Path(__file__).resolve().parents[2] / "configs"
     contacts = {"soft": (0.02, 1e-3), "middle": (0.01, 1e-3), "hard": (0.005, 0.5e-3)}
@@ -185,7 +178,7 @@ def test_configurations_with_three_contacts() -> None:
 
 
 # Stores hash the keys of documents in this order.
-def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
+def test_the_document_leaves_the_machine_and_the_other_engine_out():
     assert list(read(ALL).as_written()["simulation"].items()) == [
         ("duration_s", 20.0),
         ("physics_step_s", 0.5e-3),
@@ -209,7 +202,7 @@ def test_the_document_leaves_the_machine_and_the_other_engine_out() -> None:
     assert found == {field.name for field in fields(Settings)} - of_the_machine
 
 
-def test_the_document_of_mujoco_comes_back() -> None:
+def test_the_document_of_mujoco_comes_back():
     own = {"time_constant_s": 0.005, "damping_ratio": 0.8, "limits": "mujoco"}
     simulation = ON_MUJOCO | {"physics_step_s": 0.5e-3, "mujoco": own, "arch": "cpu"}
     conditions = read({"simulation": simulation})

@@ -1,10 +1,8 @@
 """Grounds: closed forms, seeds, and mistakes of a user."""
 
 import pickle
-from collections.abc import Callable
 from inspect import Parameter, signature
-from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -20,14 +18,12 @@ from taichi_nmm.terrain import (
     read_ground,
 )
 from taichi_nmm.terrain import GRID_SPACING_M as CELL_M
-from tests.cases import asset, cases
+from tests.cases import asset, cases, refused
 
 SEED = 3
 
 
-def test_the_grid_is_long_and_height_is_linear_between_nodes_and_clamped_outside() -> (
-    None
-):
+def test_the_grid_is_long_and_height_is_linear_between_nodes_and_clamped_outside():
     assert GRID_X_M[0] == -5.0
     assert GRID_X_M[-1] == pytest.approx(300.0)
     assert np.allclose(np.diff(GRID_X_M), CELL_M)
@@ -38,9 +34,7 @@ def test_the_grid_is_long_and_height_is_linear_between_nodes_and_clamped_outside
     np.testing.assert_allclose(slope.height([-100.0, 1000.0]), [-10.0, 600.0])
 
 
-def test_rough_moves_up_to_the_amplitude_from_knot_to_knot_and_is_linear_between() -> (
-    None
-):
+def test_rough_moves_up_to_the_amplitude_from_knot_to_knot_and_is_linear_between():
     ground = terrain.rough(3, amplitude_m=0.08)
     at = np.arange(FLAT_START_M, 300.0)
     knots = ground.height(at)
@@ -55,9 +49,7 @@ def test_rough_moves_up_to_the_amplitude_from_knot_to_knot_and_is_linear_between
     assert ground.height(4.5) == pytest.approx(ground.height(6.0) / 4)
 
 
-def test_blocks_are_level_but_for_their_risers_which_may_be_as_long_as_a_block() -> (
-    None
-):
+def test_blocks_are_level_but_for_their_risers_which_may_be_as_long_as_a_block():
     ground = terrain.blocks(5, riser_m=0.10)
     edges = np.arange(FLAT_START_M + 1.0, 299.0)
     on_block = ground.height(edges + 0.45)
@@ -75,9 +67,7 @@ def test_blocks_are_level_but_for_their_risers_which_may_be_as_long_as_a_block()
 
 
 @pytest.mark.parametrize("make", [terrain.rough, terrain.blocks])
-def test_a_seed_makes_one_ground_and_no_amplitude_is_flat(
-    make: Callable[..., Terrain],
-) -> None:
+def test_a_seed_makes_one_ground_and_no_amplitude_is_flat(make):
     np.testing.assert_array_equal(make(11).height_m, make(11).height_m)
     assert np.any(make(11).height_m != make(12).height_m)
     sequence = np.random.SeedSequence(11, spawn_key=(1, 2))
@@ -86,7 +76,7 @@ def test_a_seed_makes_one_ground_and_no_amplitude_is_flat(
     assert not np.any(make(1, amplitude_m=0.0).height_m)
 
 
-def test_ground_may_rise_as_a_whole_while_blocks_stay_level() -> None:
+def test_ground_may_rise_as_a_whole_while_blocks_stay_level():
     for slope in (0.04, -0.1):
         level, rising = (
             terrain.rough(5, flat_start_m=3.0, slope=rise) for rise in (0.0, slope)
@@ -102,9 +92,7 @@ def test_ground_may_rise_as_a_whole_while_blocks_stay_level() -> None:
 
 
 @pytest.mark.parametrize(("direction", "sign"), [("up", 1.0), ("down", -1.0)])
-def test_ramps_steepen_by_increments_and_stairs_step_at_runs(
-    direction: str, sign: float
-) -> None:
+def test_ramps_steepen_by_increments_and_stairs_step_at_runs(direction, sign):
     ground = terrain.ramp(0.04, 20.0, 0.20, direction)
     ends = sign * 20.0 * np.cumsum([0.0, 0.04, 0.08, 0.12, 0.16, 0.20, 0.20])
     np.testing.assert_allclose(ground.height(20.0 * np.arange(1, 8)), ends, atol=1e-9)
@@ -130,9 +118,7 @@ HEADS = ["", "x_m,height_m\n", " x , height \n", "# a hill\n\n  \nx,height\n", "
 @pytest.mark.parametrize("head", HEADS)
 @pytest.mark.parametrize("between", [",", ", ", " ", "\t", "  "])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "  # a note, or none\n", "\n\n   \n"])
-def test_headers_blanks_notes_of_a_file(
-    tmp_path: Path, head: str, between: str, end: str
-) -> None:
+def test_headers_blanks_notes_of_a_file(tmp_path, head, between, end):
     path = tmp_path / "hill.csv"
     head = head if between.strip() else head.replace(",", between)
     path.write_text(
@@ -145,7 +131,7 @@ def test_headers_blanks_notes_of_a_file(
     assert ground.name == "file hill.csv"
 
 
-def test_a_file_with_decimal_commas(tmp_path: Path) -> None:
+def test_a_file_with_decimal_commas(tmp_path):
     path = tmp_path / "HILL.CSV"
     path.write_bytes("\ufeffx_m;height_m\r\n0,5;0\r\n1,500;0,25\r\n".encode())
     np.testing.assert_allclose(
@@ -154,22 +140,22 @@ def test_a_file_with_decimal_commas(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("height_m", [1e300, -1e300, 5001.0, -5001.0, 10**400])
-def test_heights_have_bounds_and_fit_the_grid(tmp_path: Path, height_m: float) -> None:
+def test_heights_have_bounds_and_fit_the_grid(tmp_path, height_m):
     path = tmp_path / "tower.csv"
     path.write_text(f"0,0\n100,{height_m}\n")
     with pytest.raises(InputError):
         terrain.from_file(path)
-    with pytest.raises(InputError, match=r"terrain\.height_m"):
-        Terrain("tower", [height_m] * len(GRID_X_M))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match=r"terrain\.height_m\.shape: \(5,\)"):
+    with refused(r"terrain\.height_m"):
+        Terrain("tower", [height_m] * len(GRID_X_M))
+    with refused(r"terrain\.height_m\.shape: \(5,\)"):
         Terrain("short", np.zeros(5))
-    with pytest.raises(InputError, match=r"terrain\.height_m: nan"):
+    with refused(r"terrain\.height_m: nan"):
         Terrain("hole", np.where(GRID_X_M > 10.0, np.nan, 0.0))
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "file"])
 @pytest.mark.parametrize("end", ["low", "high"])
-def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> None:
+def test_every_configurable_ground_is_within_the_bounds(kind, end):
     hints = get_type_hints(KINDS[kind], include_extras=True)
     bounded = {
         name: hint for name, hint in hints.items() if get_origin(hint) is Annotated
@@ -195,40 +181,26 @@ def test_every_configurable_ground_is_within_the_bounds(kind: str, end: str) -> 
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_a_file_that_is_no_table_is_refused(
-    tmp_path: Path, text: str, allowed: str
-) -> None:
+def test_a_file_that_is_no_table_is_refused(tmp_path, text, allowed):
     path = tmp_path / "bad.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match=allowed) as caught:
+    with refused(allowed) as caught:
         terrain.from_file(path)
     assert caught.value.field == "terrain.file"
     assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize(("kind", "bad"), asset("bad-ground-options.toml").items())
-def test_settings_out_of_range_are_named(kind: str, bad: dict[str, list[Any]]) -> None:
+def test_settings_out_of_range_are_named(kind, bad):
     seed = (1,) if kind in ("rough", "blocks") else ()
     for option, values in bad.items():
         for value in values:
-            with pytest.raises(InputError, match=rf"^terrain\.{option}: "):
+            with refused(rf"^terrain\.{option}: "):
                 KINDS[kind](*seed, **{option: value})
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"),
-    [
-        ("flat", {}),
-        ("rough", {}),
-        ("rough", {"amplitude_m": 0.06, "spacing_m": 2, "flat_start_m": 5}),
-        ("rough", {"slope": -0.05}),
-        ("blocks", {"amplitude_m": 0.03, "riser_m": 0.2}),
-        ("ramp", {"increment": 0.025, "direction": "down"}),
-        ("ramp", {"segment_m": 10, "largest_slope": 0.1}),
-        ("stairs", {"rise_m": 0.15, "run_m": 0.4, "flat_start_m": 3}),
-    ],
-)
-def test_each_kind_is_read(kind: str, options: dict[str, Any]) -> None:
+@cases("sound-grounds.toml", "kind", "options")
+def test_each_kind_is_read(kind, options):
     seed = {"seed": SEED} if kind in ("rough", "blocks") else {}
     expected = KINDS[kind](**seed, **options)
     found = read_ground(Table({"kind": kind, **options}, "terrain")).draw(SEED)
@@ -236,9 +208,7 @@ def test_each_kind_is_read(kind: str, options: dict[str, Any]) -> None:
     assert found.name == expected.name
 
 
-def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(
-    tmp_path: Path,
-) -> None:
+def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(tmp_path):
     """A result keeps its ground when it is moved, or when the file is gone."""
     (tmp_path / "hill.csv").write_text("x_m,height_m\n0,0\n1,0.5\n")
     (tmp_path / "walk.toml").write_text('[terrain]\nkind = "file"\nfile = "hill.csv"\n')
@@ -251,15 +221,13 @@ def test_a_file_lies_beside_the_configuration_and_is_kept_in_the_ground(
 
 
 @cases("bad-grounds.toml", "kind", "options", "message")
-def test_a_bad_terrain_is_named(
-    kind: str, options: dict[str, object], message: str
-) -> None:
-    with pytest.raises(InputError, match=rf"^terrain\.{message}"):
+def test_a_bad_terrain_is_named(kind, options, message):
+    with refused(rf"^terrain\.{message}"):
         read_ground(Table({"kind": kind, **options}, "terrain"))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_configuration_may_contain_the_defaults(kind: str) -> None:
+def test_a_configuration_may_contain_the_defaults(kind):
     parameters = signature(KINDS[kind]).parameters.values()
     defaults = {
         p.name: p.default for p in parameters if p.default is not Parameter.empty
@@ -272,10 +240,8 @@ def test_a_configuration_may_contain_the_defaults(kind: str) -> None:
         )
 
 
-def test_a_ground_is_its_table_as_written_and_keeps_it_when_the_callers_changes() -> (
-    None
-):
-    table: dict[str, Any] = {"kind": "blocks", "spacing_m": 2, "amplitude_m": 0.05}
+def test_a_ground_is_its_table_as_written_and_keeps_it_when_the_callers_changes():
+    table = {"kind": "blocks", "spacing_m": 2, "amplitude_m": 0.05}
     ground = read_ground(Table(table, "terrain"))
     written = {"kind": ground.kind, **ground.options}
     assert written == table and type(written["spacing_m"]) is int
@@ -285,9 +251,9 @@ def test_a_ground_is_its_table_as_written_and_keeps_it_when_the_callers_changes(
     assert one == same and hash(one) == hash(same)
     assert one != Ground("blocks", one.options)
     assert pickle.loads(pickle.dumps(one)) == one
-    with pytest.raises(InputError, match=r"terrain\.kind: 'lava'"):
+    with refused(r"terrain\.kind: 'lava'"):
         Ground("lava")
-    options: dict[str, float | str] = {"amplitude_m": 0.03}
+    options = {"amplitude_m": 0.03}
     ground = Ground("rough", options)
     options["amplitude_m"] = 0.5
     np.testing.assert_array_equal(
@@ -295,7 +261,7 @@ def test_a_ground_is_its_table_as_written_and_keeps_it_when_the_callers_changes(
     )
 
 
-def test_each_ground_draws_an_option_that_is_a_pair() -> None:
+def test_each_ground_draws_an_option_that_is_a_pair():
     pairs = {"slope": [-0.08, 0.08], "amplitude_m": [0.0, 0.0]}
     ground = read_ground(Table({"kind": "rough", **pairs}, "terrain"))
     slopes = []

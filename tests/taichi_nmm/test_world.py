@@ -2,14 +2,13 @@
 
 import pickle
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from storage.inputs.config import Table
 from study.pictures.stick_figure import leg
-from taichi_nmm import PUBLISHED_GAINS, InputError, Settings, Worlds, simulate, terrain
+from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, simulate, terrain
 from taichi_nmm.kernel.muscle_table import (
     FMAX_N,
     MUSCLE_DATA,
@@ -18,7 +17,7 @@ from taichi_nmm.kernel.muscle_table import (
 )
 from taichi_nmm.result import DELAYED
 from taichi_nmm.world import NOMINAL, WorldRanges, read_world
-from tests.cases import cases
+from tests.cases import cases, refused
 
 ALL = WorldRanges(
     contact_stiffness=(0.3, 10.0),
@@ -32,7 +31,7 @@ ALL = WorldRanges(
 CPU = Settings(arch="cpu", threads=1)
 
 
-def test_the_nominal_world_is_the_published_one() -> None:
+def test_the_nominal_world_is_the_published_one():
     worlds = Worlds.nominal(3)
     assert len(worlds) == 3
     assert np.all(worlds.contact_stiffness == 1.0) and np.all(
@@ -46,7 +45,7 @@ def test_the_nominal_world_is_the_published_one() -> None:
         assert name == "noise_seed" or np.array_equal(values[:1], getattr(drawn, name))
 
 
-def assert_uniform(share: Any) -> None:
+def assert_uniform(share):
     """Of 4,000 draws, from 0 to 1."""
     assert share.min() >= 0.0 and share.max() <= 1.0
     quarters = np.quantile(share, [0.25, 0.5, 0.75])
@@ -55,7 +54,7 @@ def assert_uniform(share: Any) -> None:
     )
 
 
-def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
+def test_draws_fill_their_ranges_by_the_documented_rule():
     worlds = ALL.draw(np.random.SeedSequence(3).spawn(4000))
     for values, (low, high) in (
         (np.log(worlds.contact_stiffness), np.log((0.3, 10.0))),
@@ -74,7 +73,7 @@ def test_draws_fill_their_ranges_by_the_documented_rule() -> None:
 
 
 @pytest.mark.slow
-def test_a_strength_that_all_muscles_share_multiplies_each_of_them() -> None:
+def test_a_strength_that_all_muscles_share_multiplies_each_of_them():
     seeds = np.random.SeedSequence(3).spawn(4000)
     own = ALL.draw(seeds)
     both = replace(ALL, overall_strength=(0.7, 1.3)).draw(seeds)
@@ -85,15 +84,11 @@ def test_a_strength_that_all_muscles_share_multiplies_each_of_them() -> None:
     assert_uniform((shared[:, 0] - 0.7) / 0.6)
     assert abs(np.corrcoef(shared[:, 0], own.strength[:, 3])[0, 1]) < 5 / np.sqrt(4000)
     for overall in ((0.1, 1.0), (1.0, 9.0)):
-        with pytest.raises(
-            InputError, match=r"^world\.overall_strength: .*product of 0\.1 to 10$"
-        ):
+        with refused(r"^world\.overall_strength: .*product of 0\.1 to 10$"):
             replace(ALL, strength=(0.5, 2.0), overall_strength=overall)
 
 
-def test_a_seed_is_a_world_whatever_else_is_drawn_and_rows_are_taken_and_stacked() -> (
-    None
-):
+def test_a_seed_is_a_world_whatever_else_is_drawn_and_rows_are_taken_and_stacked():
     one, both = ALL.draw([5]), ALL.draw([4, 5])
     wider = replace(ALL, contact_stiffness=(0.3, 20.0)).draw([5])
     for name, values in vars(one).items():
@@ -106,7 +101,7 @@ def test_a_seed_is_a_world_whatever_else_is_drawn_and_rows_are_taken_and_stacked
         assert np.array_equal(values, getattr(again, name))
 
 
-def test_the_table_reads_back_what_was_written() -> None:
+def test_the_table_reads_back_what_was_written():
     assert read_world(Table({})) == NOMINAL and NOMINAL.document() == {}
     again = read_back(**ALL.document())
     assert again == ALL and hash(again) == hash(ALL)
@@ -114,14 +109,12 @@ def test_the_table_reads_back_what_was_written() -> None:
 
 
 @cases("bad-worlds.toml", "key", "value", "allowed")
-def test_a_bad_table_is_named(key: str, value: Any, allowed: str) -> None:
-    with pytest.raises(
-        InputError, match=rf"^world\.{key}[.\w]*: .* allowed: .*{allowed}"
-    ):
+def test_a_bad_table_is_named(key, value, allowed):
+    with refused(rf"^world\.{key}[.\w]*: .* allowed: .*{allowed}"):
         read_world(Table({key: value}, "world"))
 
 
-def read_back(**table: Any) -> WorldRanges:
+def read_back(**table):
     """The ranges of a table, which are those of their document and of their pickle."""
     ranges = read_world(Table(table))
     assert read_world(Table(ranges.document())) == ranges
@@ -129,7 +122,7 @@ def read_back(**table: Any) -> WorldRanges:
     return ranges
 
 
-def test_single_muscles_are_weak_or_missing() -> None:
+def test_single_muscles_are_weak_or_missing():
     limp = read_back(strength=[0.5, 2.0], muscles={"SOL": 0.5, "GAS_right": 0})
     drawn, healthy = (
         each.draw([3, 4]) for each in (limp, WorldRanges(strength=(0.5, 2.0)))
@@ -142,28 +135,28 @@ def test_single_muscles_are_weak_or_missing() -> None:
         "SOL_right": 0.5,
         "GAS_right": 0.0,
     }
-    with pytest.raises(InputError, match=r"world\.muscles\.HFL_right: .*0 to 5$"):
+    with refused(r"world\.muscles\.HFL_right: .*0 to 5$"):
         read_world(
             Table({"strength": [0.5, 2.0], "muscles": {"HFL_right": 6.0}}, "world")
         )
-    with pytest.raises(InputError, match=r"^world\.muscles: .* 14 numbers"):
+    with refused(r"^world\.muscles: .* 14 numbers"):
         WorldRanges(muscles=(1.0, 0.5))
 
 
-def test_a_prosthesis_takes_the_muscles_of_its_ankle() -> None:
+def test_a_prosthesis_takes_the_muscles_of_its_ankle():
     foot = {"side": "left", "stiffness_nmprad": 350, "damping_nmsprad": 1.0}
     drawn = read_back(muscles={"SOL": 0.5}, prosthesis=foot).draw([3, 4])
     assert drawn.prosthesis.tolist() == [[[350.0, 1.0, 0.0], [0.0] * 3]] * 2
     assert drawn.strength[0].tolist() == [0, 0, 0, 1, 1, 1, 1, 0.5, 1, 1, 1, 1, 1, 1]
 
 
-def test_an_exoskeleton_helps_where_its_table_says() -> None:
+def test_an_exoskeleton_helps_where_its_table_says():
     ranges = read_back(exoskeleton={"motion": "hip_flexion", "side": "right"})
     worn, none = [-1.0, 0.0, 0.0, 1e6], [0.0, 0.0, 0.0, 1e6]
     assert ranges.draw([3]).exoskeleton.tolist() == [[none, worn]]
 
 
-def test_muscles_have_lengths_and_times_of_their_own() -> None:
+def test_muscles_have_lengths_and_times_of_their_own():
     table = {
         "slack_length": {"SOL": 1.05},
         "activation_time": {"TA_left": 2.0},
@@ -175,7 +168,7 @@ def test_muscles_have_lengths_and_times_of_their_own() -> None:
 
 
 @pytest.mark.slow
-def test_recorded_fibres_leave_the_tendons_what_they_pull_with() -> None:
+def test_recorded_fibres_leave_the_tendons_what_they_pull_with():
     """The force of a step is that of the pose before it, and of the fibre after it."""
     table = {
         "optimal_length": {"SOL": 1.2, "GLU_left": 0.9},
@@ -209,27 +202,13 @@ def test_recorded_fibres_leave_the_tendons_what_they_pull_with() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("change", "field"),
-    [
-        ({"friction": np.full((2, 1), 0.9)}, "worlds.friction.shape"),
-        ({"strength": np.ones((2, 7))}, "worlds.strength.shape"),
-        ({"friction": [0.9, -1.0]}, "worlds.friction"),
-        ({"relaxation_speed": [1.0, np.nan]}, "worlds.relaxation_speed"),
-        ({"contact_stiffness": "stiff"}, "worlds.contact_stiffness"),
-        ({"friction": [0.9]}, "worlds"),
-        ({"catch_ns": [0.0, 50.1]}, "worlds.catch_ns"),
-        ({"prosthesis": np.full((2, 2, 3), 3.0)}, "worlds.prosthesis.rest_rad"),
-        ({"exoskeleton": np.full((2, 2, 4), 3.0)}, "worlds.exoskeleton.share"),
-        ({"exoskeleton": np.zeros((2, 2, 4))}, "worlds.exoskeleton.power_w"),
-    ],
-)
-def test_bad_worlds_are_named(change: dict[str, Any], field: str) -> None:
-    with pytest.raises(InputError, match=f"^{field}: "):
-        Worlds(**(vars(Worlds.nominal(2)) | change))
+@cases("bad-world-arrays.toml", "changed", "value", "named")
+def test_bad_worlds_are_named(changed, value, named):
+    with refused(f"^{named}: "):
+        Worlds(**(vars(Worlds.nominal(2)) | {changed: value}))
 
 
-def walk(worlds: Worlds | None, count: int) -> Any:
+def walk(worlds, count):
     gains = [PUBLISHED_GAINS] * count
     return simulate(
         gains, duration_s=3.0, terrains=terrain.rough(4), worlds=worlds, settings=CPU
@@ -237,7 +216,7 @@ def walk(worlds: Worlds | None, count: int) -> Any:
 
 
 @pytest.mark.slow
-def test_each_walker_walks_in_its_own_world() -> None:
+def test_each_walker_walks_in_its_own_world():
     worlds = ALL.draw(range(9))
     together = walk(worlds, 9)
     alone = [walk(worlds.take([row]), 1) for row in (0, 8)]
@@ -245,9 +224,7 @@ def test_each_walker_walks_in_its_own_world() -> None:
     assert together[8].tobytes() == alone[1].tobytes()
     assert len(np.unique(together["mean_speed_mps"])) == 9
     assert walk(Worlds.nominal(), 9).tobytes() == walk(None, 9).tobytes()
-    with pytest.raises(
-        InputError, match=r"^worlds: 2 cannot be used; allowed: one world, or 3"
-    ):
+    with refused(r"^worlds: 2 cannot be used; allowed: one world, or 3"):
         walk(Worlds.nominal(2), 3)
 
 
@@ -256,21 +233,21 @@ NOT_ALONE = {"noise_seed", "exoskeleton"}
 
 
 @pytest.mark.parametrize("name", sorted(vars(Worlds.nominal()).keys() - NOT_ALONE))
-def test_every_number_reaches_the_walker(name: str) -> None:
+def test_every_number_reaches_the_walker(name):
     nominal = vars(Worlds.nominal())
     value = nominal[name] * 0.7 if np.any(nominal[name]) else nominal[name] + 0.01
     other = Worlds(**(nominal | {name: value}))
     assert walk(other, 1).tobytes() != walk(None, 1).tobytes()
 
 
-def one_of(**changes: Any) -> Worlds:
+def one_of(**changes):
     """A world that is nominal but for these changes."""
     return Worlds(
         **(vars(Worlds.nominal()) | {k: np.array([v]) for k, v in changes.items()})
     )
 
 
-def recorded(duration_s: float = 3.0, **changes: Any) -> tuple[Any, Any]:
+def recorded(duration_s=3.0, **changes):
     """Trajectory, of every tick, and row of the published gains on level ground in `one_of`."""
     result = simulate(
         PUBLISHED_GAINS,
@@ -283,7 +260,7 @@ def recorded(duration_s: float = 3.0, **changes: Any) -> tuple[Any, Any]:
     return result.trajectories[0], result.rows[0]
 
 
-def test_friction_caps_the_horizontal_force() -> None:
+def test_friction_caps_the_horizontal_force():
     coefficient = 0.2
     across, up = recorded(friction=coefficient)[0].ground_force_n[:, [0, 1]].T
     loaded = up > 50.0
@@ -295,9 +272,7 @@ def test_friction_caps_the_horizontal_force() -> None:
 @pytest.mark.parametrize(
     ("stiffness", "relaxation"), [(1, 1), (0.4, 1), (4, 1), (1, 5)]
 )
-def test_the_ground_pushes_by_the_published_law(
-    stiffness: float, relaxation: float
-) -> None:
+def test_the_ground_pushes_by_the_published_law(stiffness, relaxation):
     """Geyer & Herr 2010: k d (1 - u/vmax)+ a point, u outwards; k = M g / 1 cm, vmax 0.1 m/s."""
     walked, _ = recorded(contact_stiffness=stiffness, relaxation_speed=relaxation)
     left = leg(walked.q, 0)
@@ -315,7 +290,7 @@ def test_the_ground_pushes_by_the_published_law(
     assert np.mean(np.abs(up_n - law_n)[loaded] < 0.1 * up_n[loaded]) > 0.9
 
 
-def test_half_the_muscle_pulls_and_burns_half() -> None:
+def test_half_the_muscle_pulls_and_burns_half():
     """In the first tick, before the body could move by it."""
     full, half = (
         recorded(1e-3, strength=np.full(14, strength)) for strength in (1.0, 0.5)
@@ -327,7 +302,7 @@ def test_half_the_muscle_pulls_and_burns_half() -> None:
     assert burnt[1] == pytest.approx(0.5 * burnt[0], rel=1e-3)
 
 
-def test_delayed_signals_were_recorded_earlier() -> None:
+def test_delayed_signals_were_recorded_earlier():
     walked, _ = recorded(1.5)
     forces = walked.muscle_force_n / np.tile(FMAX_N, 2)
     delayed = dict(zip(DELAYED, walked.delayed.T, strict=True))
@@ -344,16 +319,14 @@ def test_delayed_signals_were_recorded_earlier() -> None:
 
 
 @pytest.mark.parametrize("change", [{"sensing_noise": 0.01}, {"catch_ns": 4.0}])
-def test_noise_and_catches_are_of_their_walker_and_its_seed(
-    change: dict[str, float],
-) -> None:
+def test_noise_and_catches_are_of_their_walker_and_its_seed(change):
     own = [one_of(), *(one_of(**change, noise_seed=seed) for seed in (1.0, 1.0, 2.0))]
     alone = [walk(world, 1).tobytes() for world in own]
     assert len(set(alone)) == 3 and alone[1] == alone[2]
     assert [row.tobytes() for row in walk(Worlds.stacked(own), 4)] == alone
 
 
-def test_nerves_feel_the_force_itself() -> None:
+def test_nerves_feel_the_force_itself():
     """Positive force feedback of a muscle of half the strength starts from half the force."""
     weak, strong = (
         recorded(strength=np.full(14, strength))[0] for strength in (0.5, 1.0)

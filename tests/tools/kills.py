@@ -26,11 +26,10 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
 from importlib import import_module
 from itertools import cycle
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import NamedTuple
 
 import optuna
 import pyarrow.parquet as pq
@@ -92,26 +91,26 @@ class Ended(NamedTuple):
 class Watch:
     """Counts the commits of this process, reports each to a file descriptor, and kills at one."""
 
-    def __init__(self, death: Death, report: int) -> None:
+    def __init__(self, death, report):
         self._death, self._report = death, report
         self._count = 0
         # kind of event, and thread, that dies next
         self._dying: tuple[str, int] | None = None
 
-    def begin(self) -> None:
+    def begin(self):
         """Watch from here on."""
         os.write(self._report, b"\n")
         sys.addaudithook(self._on_audit)
         event.listen(Engine, "commit", lambda _: self._on_commit(DATABASE, "checkin"))
         event.listen(Pool, "checkin", lambda *_: self._on_next("checkin"))
 
-    def _on_audit(self, name: str, arguments: tuple[Any, ...]) -> None:
+    def _on_audit(self, name, arguments):
         if name in NAMING:
             self._on_commit(Path(arguments[1]).name, "audit")
         elif self._dying is not None:
             self._on_next("audit")
 
-    def _on_commit(self, name: str, next_kind: str) -> None:
+    def _on_commit(self, name, next_kind):
         os.write(self._report, f"{name}\n".encode())
         self._count += name == self._death.commit
         if name != self._death.commit or self._count != self._death.number:
@@ -120,15 +119,13 @@ class Watch:
             os.kill(os.getpid(), signal.SIGKILL)
         self._dying = next_kind, threading.get_ident()
 
-    def _on_next(self, kind: str) -> None:
+    def _on_next(self, kind):
         if self._dying == (kind, threading.get_ident()):
             self._dying = None  # os.kill is an audit event, too
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def in_process(
-    work: Callable[[], object], folder: Path, log: Path, death: Death = NEVER
-) -> Ended:
+def in_process(work, folder, log, death=NEVER):
     """Do some work in a fork of this process, in a folder; what it prints goes to the log."""
     ours, theirs = os.pipe()  # which holds all names of commits
     process = FORK.Process(target=be, args=(work, folder, log, Watch(death, theirs)))
@@ -146,9 +143,9 @@ def in_process(
     return Ended(process.exitcode, commits, wall_s)
 
 
-def be(work: Callable[[], object], folder: Path, log: Path, watch: Watch) -> NoReturn:
+def be(work, folder, log, watch):
     """The forked process, which runs none of its parent's code."""
-    code: Any = 1
+    code = 1
     try:
         printed = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.dup2(printed, 1)
@@ -168,7 +165,7 @@ def be(work: Callable[[], object], folder: Path, log: Path, watch: Watch) -> NoR
 class Theatre:
     """A folder in which commands are run, beside a base with what all of them need."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self._folder, self._base = folder, folder / "base"
         self._log, self._stage = folder / "log.txt", folder / "stage"
         self._base.mkdir(parents=True)
@@ -184,7 +181,7 @@ class Theatre:
         for line in PREPARATIONS:
             self._play(line, self._base, NEVER)
 
-    def run(self, command: str, *deaths: Death) -> tuple[list[Ended], dict[str, str]]:
+    def run(self, command, *deaths):
         """A command in a new folder, killed so often and then whole; the folder's digest."""
         shutil.rmtree(self._stage, ignore_errors=True)
         self._stage.mkdir()
@@ -195,7 +192,7 @@ class Theatre:
         ]
         return ended, self._digest()
 
-    def _play(self, line: str, folder: Path, death: Death) -> Ended:
+    def _play(self, line, folder, death):
         self._log.write_text("")
         words = line.format(base=self._base).split()
         ended = in_process(lambda: command_line(words), folder, self._log, death)
@@ -205,13 +202,13 @@ class Theatre:
             )
         return ended
 
-    def _digest(self) -> dict[str, str]:
+    def _digest(self):
         """In a process of its own: this one opens no database, and so forks none that is open."""
         file, stage = self._folder / "digest.json", self._stage
         in_process(
             lambda: file.write_text(json.dumps(digest(stage))), self._folder, self._log
         )
-        found: dict[str, str] = json.loads(file.read_text())
+        found = json.loads(file.read_text())
         file.unlink()
         return found
 
@@ -226,7 +223,7 @@ TRIAL_NOTE = re.compile(r"dashboard:(\d+):")
 IDENTITIES = re.compile(r"/artifacts/\d+/\d+/")
 
 
-def digest(folder: Path) -> dict[str, str]:
+def digest(folder):
     """SHA-256 of each file, also of what a killed process left, less times and interruptions."""
     files = (file for file in sorted(folder.rglob("*")) if file.is_file())
     kept = [file for file in files if not file.name.endswith(OF_THE_DATABASE)]
@@ -235,7 +232,7 @@ def digest(folder: Path) -> dict[str, str]:
     }
 
 
-def content(file: Path) -> bytes:
+def content(file):
     """The content of a file that two runs agree upon."""
     if file.name == RUN_NAME:
         return b""
@@ -254,12 +251,12 @@ def content(file: Path) -> bytes:
     return file.read_bytes()
 
 
-def of_study(study: optuna.Study) -> dict[str, Any]:
+def of_study(study):
     """Attributes and finished trials of a study, less numbers that count trials cut short."""
     finished = study.get_trials(states=(TrialState.COMPLETE,))
     places = {trial._trial_id: place for place, trial in enumerate(finished)}
 
-    def renamed(key: str) -> str:
+    def renamed(key):
         return TRIAL_NOTE.sub(lambda found: f"trial {places.get(int(found[1]))}:", key)
 
     system = study._storage.get_study_system_attrs(study._study_id)
@@ -281,9 +278,7 @@ def of_study(study: optuna.Study) -> dict[str, Any]:
     return json.loads(IDENTITIES.sub("/artifacts/", text)) | {"trials": trials}
 
 
-def kill(
-    theatre: Theatre, commands: list[str], kills: int, seed: int
-) -> dict[str, list[int]]:
+def kill(theatre, commands, kills, seed):
     """Of each command: kills, those at a commit, folders, and folders that are bit-equal."""
     dice = random.Random(seed)
     wholes = {command: theatre.run(command) for command in commands}
@@ -305,7 +300,7 @@ def kill(
     return counts
 
 
-def main() -> None:
+def main():
     """Kill, and print a table."""
     parser = Options(__file__)
     parser.whole("--kills", 1, 100_000, default=100, help="in total (%(default)s)")

@@ -8,13 +8,8 @@ import os
 import runpy
 import subprocess
 import sys
-from collections.abc import Iterable
 from importlib import import_module
-from pathlib import Path
-from types import ModuleType
 from typing import NamedTuple
-
-import pytest
 
 from study.cli import main
 from study.options import COMMANDS
@@ -36,7 +31,7 @@ INTERRUPTED = "interrupted: finished work is kept; the same command resumes"
 WAIT_S = 300.0  # of a process, which may compile the simulator first
 
 
-def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
+def run_tool(patch, tool, *arguments):
     """Exit code of a command, imported anew so that it finds what is replaced, or of a tool."""
     forget_commands()
     words = [*map(str, arguments)]
@@ -56,12 +51,7 @@ def run_tool(patch: pytest.MonkeyPatch, tool: str, *arguments: object) -> int:
 FAKE = (ROOT / "tests" / "tools" / "fake_command.py",)
 
 
-def start(
-    *words: object,
-    program: Iterable[object] = FAKE,
-    shell: str = "",
-    **accidents: object,
-) -> subprocess.Popen[str]:
+def start(*words, program=FAKE, shell="", **accidents):
     """A command in a process of its own, by default with the fake simulator.
 
     `shell` has redirections or a limit, in Bash; accidents are those of
@@ -87,35 +77,35 @@ class Done(NamedTuple):
     error: str
 
     @property
-    def lines(self) -> list[str]:
+    def lines(self):
         """Of standard error."""
         return self.error.replace("\r", "\n").splitlines()
 
     @property
-    def last(self) -> str:
+    def last(self):
         """The last of them."""
         return next(reversed(self.lines), "")
 
 
-def finish(process: subprocess.Popen[str]) -> Done:
+def finish(process):
     """Wait until it has ended."""
     out, error = process.communicate(timeout=WAIT_S)
     return Done(process.returncode, out, error)
 
 
-def forget_commands() -> None:
+def forget_commands():
     """Have the next import of a command run its file."""
     for name in [name for name in sys.modules if name.startswith("study.commands.")]:
         del sys.modules[name]
 
 
-def load_command(command: str) -> ModuleType:
+def load_command(command):
     """study/commands/COMMAND.py, imported anew."""
     forget_commands()
     return import_module(f"study.commands.{command}")
 
 
-def load_tool(tool: str) -> ModuleType:
+def load_tool(tool):
     """tools/TOOL.py as a module, not run."""
     file = ROOT / "tools" / f"{tool}.py"
     specification = importlib.util.spec_from_file_location(f"tools_{tool}", file)
@@ -142,12 +132,7 @@ for name in os.environ.get("MISSING", "").split(","):
 """
 
 
-def run_with_accident(
-    folder: Path,
-    words: Iterable[object],
-    missing: Iterable[str] = (),
-    interrupted: str = "",
-) -> "subprocess.CompletedProcess[str]":
+def run_with_accident(folder, words, missing=(), interrupted=""):
     """Python on these words in `folder`; `interrupted` is the import at which Ctrl-C comes."""
     (folder / "site").mkdir(exist_ok=True)
     (folder / "site" / "sitecustomize.py").write_text(SITE)

@@ -9,9 +9,7 @@ from taichi_nmm.walker_simulator import takes_gpu
 from tests.tools.running import run_tool
 
 
-def test_a_machine_without_a_gpu_is_refused_in_a_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_machine_without_a_gpu_is_refused_in_a_line(monkeypatch, capsys):
     if takes_gpu(Settings()):
         pytest.skip("a GPU")
     assert run_tool(monkeypatch, "check_gpu") == 2

@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-from pathlib import Path
 
 import pytest
 
@@ -20,14 +19,14 @@ CONFIGURATIONS = ASSETS / "cluster"
 HERE, THERE = "--workers 1", "--cluster local:2"
 
 
-def run(folder: Path, line: str, code: int = 0) -> None:
+def run(folder, line, code=0):
     """A command in this process, which compiles the walker once for all of them."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         assert run_tool(patch, *line.split()) == code
 
 
-def tables(folder: Path) -> dict[str, bytes]:
+def tables(folder):
     files = [
         file for file in sorted(folder.rglob("*.parquet")) if file.parent.name != "arms"
     ]
@@ -36,7 +35,7 @@ def tables(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """With a store, made here."""
     path = tmp_path_factory.mktemp("cluster")
     shutil.copy(CONFIGURATIONS / "store.toml", path)
@@ -44,7 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_store_is_the_same_and_goes_on_on_either_side(folder: Path) -> None:
+def test_a_store_is_the_same_and_goes_on_on_either_side(folder):
     """All of it is made there by the test of --fresh below."""
     shutil.copytree(folder / "store", folder / "both")
     for where in (THERE, HERE):
@@ -57,9 +56,7 @@ def test_a_store_is_the_same_and_goes_on_on_either_side(folder: Path) -> None:
 @pytest.mark.parametrize(
     "engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)]
 )
-def test_a_comparison_that_was_begun_here_goes_on_there(
-    folder: Path, engine: str
-) -> None:
+def test_a_comparison_that_was_begun_here_goes_on_there(folder, engine):
     """Its store travels."""
     known = (CONFIGURATIONS / "taichi.toml").read_text()
     config = folder / f"{engine}.toml"
@@ -73,9 +70,7 @@ def test_a_comparison_that_was_begun_here_goes_on_there(
     assert tables(folder / f"{engine}-both") == expected
 
 
-def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(
-    folder: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder, capfd):
     line = "precompute --config store.toml --out other --cluster local:1"
     shutil.copytree(folder / "store", folder / "other")
     (folder / "other" / "kind.json").write_text('{"canary": "abc"}')
@@ -91,7 +86,7 @@ def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(
     assert '"canary": "abc"' not in (folder / "other" / "kind.json").read_text()
 
 
-def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder: Path) -> None:
+def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder):
     line = f"precompute --config store.toml --samples 4000 --out stopped {THERE}"
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

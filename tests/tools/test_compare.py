@@ -3,8 +3,6 @@
 import json
 import os
 import signal
-import sqlite3
-import subprocess
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,23 +14,23 @@ from study.experiment import compare
 from study.experiment.experiment import store_digest
 from tests.processes import children, until
 from tests.study import fake_walker
-from tests.tools.conftest import Command, Simulator, Tool
+from tests.tools.conftest import Command
 from tests.tools.running import INTERRUPTED, finish, start
 
 
 class Comparison(Command):
     """The command in a folder of its own, in this process or in another."""
 
-    def start(self, **changes: object) -> "subprocess.Popen[str]":
+    def start(self, **changes):
         """The command in a process of its own, a tenth of a second a round."""
         return start(*self.words(**changes), trial_s=0.1, stretch=2)
 
-    def rows(self) -> int:
+    def rows(self):
         """Finished trials on the disk."""
         files = (self.out / "arms").glob("*.parquet")
         return sum(pq.read_metadata(file).num_rows for file in files)
 
-    def wait_for_more(self, process: "subprocess.Popen[str]") -> None:
+    def wait_for_more(self, process):
         """Until the process has written a stretch."""
         before = self.rows()
         until(lambda: process.poll() is not None or self.rows() != before, 60.0)
@@ -40,12 +38,12 @@ class Comparison(Command):
 
 
 @pytest.fixture
-def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Comparison:
+def command(tmp_path, tool, simulator):
     config = fake_walker.write_config(tmp_path)
     return Comparison(tool, tmp_path, "compare", config=config, workers=1)
 
 
-def test_json_is_one_object(command: Comparison) -> None:
+def test_json_is_one_object(command):
     found = command.json(trials=3)
     assert found["trials"] == found["trials_computed"] == 27
     assert [arm["arm"] for arm in found["arms"]] == ["dog", "random", "ranking"]
@@ -61,9 +59,7 @@ def test_json_is_one_object(command: Comparison) -> None:
     assert lines[3].startswith("6 trials (6 now")
 
 
-def test_a_seed_has_its_own_folder(
-    command: Comparison, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_seed_has_its_own_folder(command, monkeypatch):
     monkeypatch.chdir(command.folder)
     assert command.run(out="", seed=7, trials=1, arms="random") == 0
     out = Path("out") / "compare" / "toy-seed-7"
@@ -71,7 +67,7 @@ def test_a_seed_has_its_own_folder(
     assert pq.read_metadata(out / "trials.parquet").num_rows == 3
 
 
-def test_a_store_in_place_of_the_configs(command: Comparison) -> None:
+def test_a_store_in_place_of_the_configs(command):
     """It is what the trials are of: a folder goes on with no other."""
     store = command.folder / "larger"
     fake_walker.write_store(store, samples=400)
@@ -83,9 +79,7 @@ def test_a_store_in_place_of_the_configs(command: Comparison) -> None:
     command.refuses(f"store: '{store}' ", trials=3, store=store)
 
 
-def test_sessions_that_cannot_be_read_are_refused_before_the_work(
-    command: Comparison,
-) -> None:
+def test_sessions_that_cannot_be_read_are_refused_before_the_work(command):
     """The table at the end is made of them, too."""
     one = {"trials": 1, "arms": "random", "runs": 1}
     assert command.run(**one) == 0
@@ -95,9 +89,7 @@ def test_sessions_that_cannot_be_read_are_refused_before_the_work(
     assert {path: path.read_bytes() for path in command.out.glob("*.*")} == before
 
 
-def test_a_password_is_not_printed(
-    command: Comparison, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_password_is_not_printed(command, monkeypatch):
     monkeypatch.setattr(compare, "check_database", lambda *_: None)
     monkeypatch.setattr(compare, "export", lambda *_, **__: None)
     one = {
@@ -112,9 +104,7 @@ def test_a_password_is_not_printed(
 
 
 @pytest.mark.parametrize("kind", ["foreign", "configuration", "locked", "place"])
-def test_a_refused_database(
-    kind: str, command: Comparison, database: sqlite3.Connection
-) -> None:
+def test_a_refused_database(kind, command, database):
     place = command.folder / "toy.toml" if kind == "place" else command.folder
     one = {
         "arms": "random",
@@ -135,7 +125,7 @@ def test_a_refused_database(
 
 
 # Whom which signal ends, and the exit code and the line that the command ends with.
-ENDS: dict[str, tuple[signal.Signals, int, str]] = {
+ENDS = {
     "all": (signal.SIGINT, 130, INTERRUPTED),  # as a terminal does
     "a worker": (
         signal.SIGKILL,
@@ -150,9 +140,7 @@ ENDS: dict[str, tuple[signal.Signals, int, str]] = {
 @pytest.mark.parametrize(
     "victim", ["all", "a worker", pytest.param("it", marks=pytest.mark.campaign)]
 )
-def test_all_processes_end_and_the_table_is_the_same(
-    victim: str, command: Comparison
-) -> None:
+def test_all_processes_end_and_the_table_is_the_same(victim, command):
     arms = {"arms": "random,dog,ranking,cmaes-cold,cmaes-warm", "trials": 20}
     process = command.start(**arms, workers=2)
     command.wait_for_more(process)
@@ -174,7 +162,7 @@ def test_all_processes_end_and_the_table_is_the_same(
     assert found == (whole / "trials.parquet").read_bytes()
 
 
-def left_over(group: int) -> list[str]:
+def left_over(group):
     """Processes of a group that run on."""
     left = []
     for file in Path("/proc").glob("[0-9]*/stat"):

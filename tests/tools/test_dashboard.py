@@ -13,7 +13,6 @@ from storage.databases.bulk import FinishedStudy, attach, write_studies
 from storage.databases.studies import open_studies
 from tests.cases import asset
 from tests.processes import serving
-from tests.tools.conftest import Tool
 from tests.tools.running import ROOT, load_command
 
 pytestmark = pytest.mark.slow
@@ -23,7 +22,7 @@ PICTURE = "12345678-0000-0000-0000-000000000000"
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A folder as an experiment leaves it: a database of two studies, one with a picture."""
     from tests.storage.databases.test_bulk import STUDY, TRIALS
 
@@ -48,7 +47,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(made, tmp_path, monkeypatch):
     """A copy, and the current directory two levels above it."""
     copy = tmp_path / "out" / "compare" / "tiny"
     shutil.copytree(made, copy)
@@ -56,13 +55,13 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return copy
 
 
-def get(address: str) -> bytes:
+def get(address):
     with urllib.request.urlopen(address, timeout=20) as answer:
-        content: bytes = answer.read()
+        content = answer.read()
         return content
 
 
-def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> None:
+def test_it_serves_studies_and_pictures_on_this_machine_only(folder):
     with serving(DASHBOARD, "--port", 0) as said:
         lines = dict(said.readline().split(maxsplit=1) for _ in range(4))
         address = lines["dashboard"].split()[0]
@@ -84,9 +83,7 @@ def test_it_serves_studies_and_pictures_on_this_machine_only(folder: Path) -> No
         assert get(picture) == b"a picture"
 
 
-def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(
-    folder: Path,
-) -> None:
+def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(folder):
     command = load_command("dashboard")
     older = folder.parent / "older"
     shutil.copytree(folder, older)
@@ -109,23 +106,19 @@ def test_the_newest_experiment_is_the_default_and_pictures_lie_beside_it(
 
 
 @pytest.mark.parametrize(("words", "message"), asset("refused-pages.toml").items())
-def test_bad_input_makes_nothing(
-    words: str, message: str, folder: Path, tool: Tool
-) -> None:
+def test_bad_input_makes_nothing(words, message, folder, tool):
     tool.refuses(message, "dashboard", *words.replace("LONG", "x" * 300).split())
     assert sorted(path.name for path in Path().iterdir()) == ["out"]
 
 
-def test_a_file_that_is_no_database_and_no_experiment_at_all(
-    folder: Path, tool: Tool
-) -> None:
+def test_a_file_that_is_no_database_and_no_experiment_at_all(folder, tool):
     (folder / "studies.db").write_text("dear diary\n" * 100)
     tool.refuses("storage: .*file is not a database", "dashboard", folder)
     shutil.rmtree("out")
     tool.refuses("folder: .*a folder with experiments", "dashboard")
 
 
-def test_a_port_in_use(folder: Path, tool: Tool) -> None:
+def test_a_port_in_use(folder, tool):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         tool.refuses(f"port: {port} .*a free port", "dashboard", folder, "--port", port)

@@ -8,13 +8,11 @@ import socket
 import sys
 import urllib.request
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
 from tests.processes import printed, serving
 from tests.study import fake_walker
-from tests.tools.conftest import Tool
 from tests.tools.running import load_command
 
 pytestmark = pytest.mark.slow
@@ -23,7 +21,7 @@ INSTEAD = "folder: .*: a store or a study database; for others: taichi-nmm repor
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def store(tmp_path_factory):
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     path = tmp_path_factory.mktemp("made") / "store"
     fake_walker.write_plain_store(path)
@@ -41,9 +39,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("walk.toml", INSTEAD),
     ],
 )
-def test_bad_input(
-    name: str, message: str, store: Path, tmp_path: Path, tool: Tool
-) -> None:
+def test_bad_input(name, message, store, tmp_path, tool):
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("no store")
     (tmp_path / "compared").mkdir()
@@ -53,9 +49,7 @@ def test_bad_input(
     tool.refuses(message, "explore", tmp_path / name, "--no-browser")
 
 
-def test_without_bokeh_it_says_so(
-    store: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_bokeh_it_says_so(store, tool, monkeypatch):
     for name in list(sys.modules):
         if name.startswith("study.explore"):
             monkeypatch.delitem(sys.modules, name)
@@ -63,14 +57,14 @@ def test_without_bokeh_it_says_so(
     tool.refuses("package: 'bokeh' is not installed", "explore", store, "--no-browser")
 
 
-def test_a_port_in_use(store: Path, tool: Tool) -> None:
+def test_a_port_in_use(store, tool):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         message = f"port: {port} cannot be used; allowed: a free port"
         tool.refuses(message, "explore", store, "--no-browser", "--port", port)
 
 
-def test_a_request_waits_for_the_page_while_the_command_starts(store: Path) -> None:
+def test_a_request_waits_for_the_page_while_the_command_starts(store):
     """It is taken before the packages of the page are loaded, which takes seconds."""
     loaded = "import study.commands.explore, sys; print('bokeh' in sys.modules)"
     assert printed("-c", loaded).strip() == "False"
@@ -87,13 +81,13 @@ def test_a_request_waits_for_the_page_while_the_command_starts(store: Path) -> N
             assert asked.makefile("rb").readline().split()[1] == b"200"
 
 
-def wait_until_taken(port: int) -> socket.socket:
+def wait_until_taken(port):
     while True:
         with suppress(ConnectionRefusedError):
             return socket.create_connection(("127.0.0.1", port), timeout=60)
 
 
-def test_a_browser_of_a_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_browser_of_a_terminal_is_not_opened(monkeypatch):
     explore = load_command("explore")
     monkeypatch.setattr(sys, "platform", "linux")
     for name in explore.DISPLAYS:
@@ -103,7 +97,7 @@ def test_a_browser_of_a_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch) 
     assert explore.has_display()
 
 
-def test_without_a_browser_the_address_is_enough(store: Path) -> None:
+def test_without_a_browser_the_address_is_enough(store):
     words = ("-m", "taichi_nmm", "explore", store, "--port", 0)
     with serving(*words, env=os.environ | {"BROWSER": "no-such-program"}) as said:
         address = said.readline().split()[1]

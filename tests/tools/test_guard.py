@@ -1,9 +1,6 @@
 """What ends every command in one line: Ctrl-C at any import, packages missing, broken or hidden."""
 
-import subprocess
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
 import pytest
 
@@ -22,14 +19,14 @@ FIRST = dict.fromkeys(TOOLS, "numpy") | {"time_walks": "taichi_nmm.settings"}
 
 
 @pytest.mark.parametrize("tool", TOOLS)
-def test_ctrl_c_during_imports_is_one_line(tool: str, tmp_path: Path) -> None:
+def test_ctrl_c_during_imports_is_one_line(tool, tmp_path):
     done = run_with_accident(
         tmp_path, [ROOT / "tools" / f"{tool}.py"], interrupted=FIRST[tool]
     )
     assert (done.returncode, done.stdout, done.stderr) == (130, "", f"{INTERRUPTED}\n")
 
 
-def last_line(done: "subprocess.CompletedProcess[str]", code: int) -> str:
+def last_line(done, code):
     """What a command ends with that prints nothing else than progress."""
     assert (done.returncode, done.stdout) == (code, "")
     assert "Traceback" not in done.stderr
@@ -37,7 +34,7 @@ def last_line(done: "subprocess.CompletedProcess[str]", code: int) -> str:
 
 
 @pytest.mark.parametrize("package", [COMPILER, "matplotlib"])
-def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -> None:
+def test_ctrl_c_during_a_late_import_is_one_line(package, tmp_path):
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *WALK), interrupted=package)
     assert last_line(done, 130) == f"{INTERRUPTED}\n"
 
@@ -51,9 +48,7 @@ def test_ctrl_c_during_a_late_import_is_one_line(package: str, tmp_path: Path) -
         (("dashboard",), "optuna_dashboard"),
     ],
 )
-def test_a_missing_package_is_said(
-    words: tuple[object, ...], package: str, tmp_path: Path
-) -> None:
+def test_a_missing_package_is_said(words, package, tmp_path):
     done = run_with_accident(tmp_path, ("-m", "taichi_nmm", *words), missing=[package])
     line = last_line(done, 2)
     assert line.startswith("error: ") and package in line.replace("-", "_")
@@ -62,9 +57,7 @@ def test_a_missing_package_is_said(
 @pytest.mark.parametrize(
     "words", [("-m", "taichi_nmm"), ("-m", "taichi_nmm", "walk"), *TOOLS]
 )
-def test_a_system_without_posix_is_one_line(
-    words: Sequence[str] | str, tmp_path: Path
-) -> None:
+def test_a_system_without_posix_is_one_line(words, tmp_path):
     """As Windows, where files are locked otherwise."""
     called = [ROOT / "tools" / f"{words}.py"] if isinstance(words, str) else words
     done = run_with_accident(tmp_path, called, missing=("fcntl", "resource"))
@@ -72,7 +65,7 @@ def test_a_system_without_posix_is_one_line(
     assert (done.returncode, done.stdout, done.stderr) == (2, "", line)
 
 
-def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path: Path) -> None:
+def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path):
     """As Taichi without libX11."""
     package = tmp_path / "site" / COMPILER
     package.mkdir(parents=True)
@@ -88,9 +81,7 @@ def test_a_library_that_a_package_needs_and_the_machine_lacks(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("hidden", ["study.py", "storage.py", "study/__init__.py"])
-def test_a_file_that_hides_a_package_of_ours_is_named(
-    hidden: str, tmp_path: Path
-) -> None:
+def test_a_file_that_hides_a_package_of_ours_is_named(hidden, tmp_path):
     file = tmp_path / hidden
     file.parent.mkdir(exist_ok=True)
     file.write_text("raise RuntimeError('a file of the user was run')\n")
@@ -103,7 +94,7 @@ def test_a_file_that_hides_a_package_of_ours_is_named(
     assert python(tool, "--help", cwd=tmp_path).returncode == 0
 
 
-def test_a_hidden_package_is_named_where_ours_is_imported(tmp_path: Path) -> None:
+def test_a_hidden_package_is_named_where_ours_is_imported(tmp_path):
     (tmp_path / "storage.py").write_text(
         "raise RuntimeError('a file of the user was run')\n"
     )

@@ -5,10 +5,8 @@ import os
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import optuna
 import pytest
@@ -19,7 +17,6 @@ from tests.tools.running import ROOT, WAIT_S, Done, finish, start
 
 pytestmark = pytest.mark.slow
 
-Trials = list[dict[str, float]]
 STUDY = "study --config toy.toml --arm dog --storage sqlite:///studies.db --out out --trials 4"
 COMPARE = "compare --config toy.toml --arms random,dog --runs 1 --trials 2 --workers 1 --out out"
 LIST = "walk --list-configs"
@@ -42,7 +39,7 @@ print(json.dumps(ended))
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A configuration and its store."""
     folder = tmp_path_factory.mktemp("made")
     fake_walker.write_config(folder)
@@ -50,19 +47,19 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(made, tmp_path, monkeypatch):
     """A folder for one command, with the configuration; the commands run in it."""
     shutil.copy(made / "toy.toml", tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def run(command: str, shell: str = "", **options: Any) -> Done:
+def run(command, shell="", **options):
     """Run a command; `shell` are redirections, or a limit."""
     return finish(start(*command.split(), shell=shell, **options))
 
 
-def trials(folder: Path) -> Trials:
+def trials(folder):
     """Parameters of the finished trials of the one study."""
     url = f"sqlite:///{folder / 'studies.db'}"
     study = optuna.load_study(study_name="toy/dog/run-000", storage=url)
@@ -70,7 +67,7 @@ def trials(folder: Path) -> Trials:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(made: Path) -> Trials:
+def undisturbed(made):
     """The trials of a study that nobody is unkind to."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(made)
@@ -80,9 +77,7 @@ def undisturbed(made: Path) -> Trials:
 
 
 @pytest.mark.parametrize("closed", ["<&- >&-", "<&- >&- 2>&-"])
-def test_closed_files_are_like_null_devices(
-    folder: Path, closed: str, undisturbed: Trials
-) -> None:
+def test_closed_files_are_like_null_devices(folder, closed, undisturbed):
     """What is printed does not get into the database, whose number would be that of stdout."""
     done = run(STUDY, REDIRECTED.format(closed))
     assert done.code == 0 and "Traceback" not in done.error
@@ -90,9 +85,7 @@ def test_closed_files_are_like_null_devices(
     json.loads((folder / "out" / "dog-run-000-best.json").read_text())
 
 
-def test_a_full_disk_for_output_is_one_line_and_no_loss(
-    folder: Path, undisturbed: Trials
-) -> None:
+def test_a_full_disk_for_output_is_one_line_and_no_loss(folder, undisturbed):
     done = run(LIST, REDIRECTED.format(">/dev/full"))
     assert done.code == 2 and len(done.lines) == 1 and done.last.startswith(FULL)
     done = run(STUDY, REDIRECTED.format(">/dev/full"))
@@ -103,7 +96,7 @@ def test_a_full_disk_for_output_is_one_line_and_no_loss(
     assert done == Done(2, "", "")
 
 
-def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) -> None:
+def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder):
     """As `2>&1 | head -1`, of standard output and standard error."""
     for command in (STUDY, LIST):
         done = run(command, '"$@" 2>&1 | true; exit ${PIPESTATUS[0]}')
@@ -111,7 +104,7 @@ def test_a_reader_that_has_enough_ends_the_command_without_a_word(folder: Path) 
     assert run(STUDY).code == 0
 
 
-def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> None:
+def test_little_memory_is_one_line_before_anything_is_written(folder):
     tool = ROOT / "tools" / "study.py"
     words = STUDY.removeprefix("study ")
     done = run(words, 'ulimit -v 400000; exec "$@"', program=[tool])
@@ -122,9 +115,7 @@ def test_little_memory_is_one_line_before_anything_is_written(folder: Path) -> N
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("command", [STUDY, COMPARE])
-def test_files_that_may_not_grow_are_one_line_and_it_resumes(
-    folder: Path, command: str
-) -> None:
+def test_files_that_may_not_grow_are_one_line_and_it_resumes(folder, command):
     done = run(command, 'ulimit -f 8; exec "$@"')
     assert done.code == 2 and "Traceback" not in done.error
     assert done.last.startswith("error: ")
@@ -132,7 +123,7 @@ def test_files_that_may_not_grow_are_one_line_and_it_resumes(
     assert run(command).code == 0
 
 
-def without_the_rights_of_root() -> str:
+def without_the_rights_of_root():
     """The line of a shell that makes a process obey the modes of files, whoever runs the tests."""
     if os.getuid() != 0:
         return 'exec "$@"'
@@ -141,7 +132,7 @@ def without_the_rights_of_root() -> str:
     return 'exec setpriv --bounding-set=-dac_override,-dac_read_search "$@"'
 
 
-def assert_refused(*commands: str) -> list[str]:
+def assert_refused(*commands):
     """Without root's rights each is refused in one line, and these are the lines."""
     shell = without_the_rights_of_root()
     done = finish(start(*commands, shell=shell, program=("-c", EACH)))
@@ -152,7 +143,7 @@ def assert_refused(*commands: str) -> list[str]:
     return lines
 
 
-def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path) -> None:
+def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder):
     folder.chmod(0o555)
     try:
         lines = assert_refused(STUDY, COMPARE, "walk --out out")
@@ -162,7 +153,7 @@ def test_a_read_only_folder_is_one_line_and_nothing_is_left(folder: Path) -> Non
     assert [path.name for path in folder.iterdir()] == ["toy.toml"]
 
 
-def test_a_folder_of_somebody_else_is_one_line(made: Path, folder: Path) -> None:
+def test_a_folder_of_somebody_else_is_one_line(made, folder):
     store = Path(shutil.copytree(made / "store", folder / "store"))
     store.chmod(0o000)
     try:
@@ -179,7 +170,7 @@ def test_a_folder_of_somebody_else_is_one_line(made: Path, folder: Path) -> None
 
 
 @contextmanager
-def stopped(command: str) -> Iterator[None]:
+def stopped(command):
     """A command that is stopped in its second simulation; after the block it goes on to its end."""
     with start(*command.split(), signal="2:SIGSTOP") as process:
         assert os.WIFSTOPPED(os.waitpid(process.pid, os.WUNTRACED)[1])
@@ -191,9 +182,7 @@ def stopped(command: str) -> Iterator[None]:
     assert process.returncode == 0
 
 
-def test_a_stopped_process_keeps_its_study_and_goes_on(
-    folder: Path, undisturbed: Trials
-) -> None:
+def test_a_stopped_process_keeps_its_study_and_goes_on(folder, undisturbed):
     with stopped(STUDY):
         second = run(STUDY)
     assert second.code == 2 and len(second.lines) == 1
@@ -201,18 +190,14 @@ def test_a_stopped_process_keeps_its_study_and_goes_on(
     assert trials(folder) == undisturbed
 
 
-def test_a_umask_is_obeyed_and_few_open_files_are_enough(
-    folder: Path, undisturbed: Trials
-) -> None:
+def test_a_umask_is_obeyed_and_few_open_files_are_enough(folder, undisturbed):
     assert run(STUDY, 'umask 077; ulimit -n 16; exec "$@"').code == 0
     assert trials(folder) == undisturbed
     made = [path for path in folder.rglob("*") if path.name != "toy.toml"]
     assert made and not any(path.stat().st_mode & 0o077 for path in made)
 
 
-def test_a_folder_being_filled_and_its_copy(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_being_filled_and_its_copy(folder, monkeypatch):
     with stopped(COMPARE):
         shutil.copytree(folder, folder / "copy")
         second = run(COMPARE)
@@ -225,9 +210,7 @@ def test_a_folder_being_filled_and_its_copy(
 
 
 @pytest.mark.campaign
-def test_no_time_left_is_the_shells_signal_and_resumes(
-    folder: Path, undisturbed: Trials
-) -> None:
+def test_no_time_left_is_the_shells_signal_and_resumes(folder, undisturbed):
     """A second is gone with the imports, or soon after them."""
     assert run(STUDY, 'ulimit -t 1; exec "$@"').code in (
         -signal.SIGXCPU,
@@ -237,9 +220,7 @@ def test_no_time_left_is_the_shells_signal_and_resumes(
     assert trials(folder) == undisturbed
 
 
-def test_a_clock_that_was_set_back_changes_no_trial(
-    folder: Path, undisturbed: Trials
-) -> None:
+def test_a_clock_that_was_set_back_changes_no_trial(folder, undisturbed):
     if shutil.which("faketime") is None:
         pytest.skip("no faketime here: apt-get install faketime")
     assert run(STUDY.replace("--trials 4", "--trials 2")).code == 0
@@ -262,7 +243,7 @@ READ_ONLY = 'mount -t tmpfs -o ro none /dev/shm && exec "$@"'
         ),
     ],
 )
-def test_without_shared_memory(folder: Path, work: str, code: int, line: str) -> None:
+def test_without_shared_memory(folder, work, code, line):
     """As in some containers. Our own processes need none; those of Dask do."""
     tried = subprocess.run(["unshare", "--mount", "true"], capture_output=True)
     if tried.returncode != 0:

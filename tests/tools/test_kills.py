@@ -11,7 +11,7 @@ KILLS = 10
 
 
 @pytest.mark.campaign
-def test_all_commands_resume_bit_equal_after_two_kills_each() -> None:
+def test_all_commands_resume_bit_equal_after_two_kills_each():
     """In a process of its own, since it forks."""
     pytest.importorskip("ribs")
     said = printed("-m", kills.__name__, "--kills", KILLS)
@@ -36,7 +36,7 @@ kills.main()
 
 
 @pytest.mark.campaign
-def test_a_command_whose_file_differs_at_every_run_is_found() -> None:
+def test_a_command_whose_file_differs_at_every_run_is_found():
     done = python("-c", FORGETFUL, "--kills", 2, "--commands", "report")
     assert done.returncode == 1, done.stderr
     assert "report: compared/report/process.txt" in done.stderr.splitlines()[-1]

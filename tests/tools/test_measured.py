@@ -3,10 +3,7 @@
 import gzip
 import json
 import re
-from collections.abc import Mapping
 from itertools import product
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +14,6 @@ from optuna.distributions import (
 )
 
 from storage.inputs.errors import InputError
-from tests.tools.conftest import Tool
 from tests.tools.running import load_tool
 from tools import measured, peers, runs
 from tools.measured import Target
@@ -30,7 +26,7 @@ PARAMETERS = {"block": [16, 32, 64], "tile": [1, 2, 3], "flag": [0, 1], "one": [
 SETTINGS = [*product(*PARAMETERS.values())]
 
 
-def times(slow: float, best: int = 64) -> dict[str, Any]:
+def times(slow, best=64):
     """Entries of a GPU that likes one size of blocks; that of (16, 1, 0) fails."""
     found = {}
     for setting in SETTINGS:
@@ -44,9 +40,7 @@ def times(slow: float, best: int = 64) -> dict[str, Any]:
     return found
 
 
-def write_gpu(
-    data: Path, gpu: str, entries: Mapping[str, Any], **changes: object
-) -> Path:
+def write_gpu(data, gpu, entries, **changes):
     """A cache file of Kernel Tuner."""
     folder = data / "kernels" / "convolution_milo"
     folder.mkdir(parents=True, exist_ok=True)
@@ -56,7 +50,7 @@ def write_gpu(
     return file
 
 
-def write_reactions(data: Path, folder: str, header: str, rows: list[str]) -> Path:
+def write_reactions(data, folder, header, rows):
     """An index of experiments."""
     file = data / "reactions" / folder / "experiment_index.csv"
     file.parent.mkdir(parents=True)
@@ -72,7 +66,7 @@ COUPLING = (
 
 
 @pytest.fixture
-def data(tmp_path: Path) -> Path:
+def data(tmp_path):
     """Three GPUs, two products and three pairs of substrates."""
     data = tmp_path / "data"
     for gpu, slow, best in (("fast", 1.0, 64), ("like", 2.0, 64), ("odd", 3.0, 16)):
@@ -89,7 +83,7 @@ def data(tmp_path: Path) -> Path:
     return data
 
 
-def test_a_gpus_worlds_are_the_slowdowns_of_the_others(data: Path) -> None:
+def test_a_gpus_worlds_are_the_slowdowns_of_the_others(data):
     """Parameters of one value go; a word in place of a time is a failure."""
     assert measured.names_of(data, "convolution") == [
         f"convolution-{gpu}" for gpu in ("fast", "like", "odd")
@@ -115,7 +109,7 @@ def test_a_gpus_worlds_are_the_slowdowns_of_the_others(data: Path) -> None:
     assert set(half.outcomes[:, 0]) <= set(found.outcomes[:, 0])
 
 
-def test_only_common_configurations_are_candidates(data: Path) -> None:
+def test_only_common_configurations_are_candidates(data):
     fewer = {key: entry for key, entry in times(1.0).items() if key[:2] != "32"}
     write_gpu(data, "new", fewer)
     found = measured.target(data, "convolution-new")
@@ -123,7 +117,7 @@ def test_only_common_configurations_are_candidates(data: Path) -> None:
     assert found.outcomes.shape == (12, 3)
 
 
-def test_a_products_halogen_is_chosen(data: Path) -> None:
+def test_a_products_halogen_is_chosen(data):
     """Its worlds are the other products' yields with the same components."""
     found = measured.target(data, "amination-1")
     assert [*found.columns] == ["ligand", "additive", "base", "halogen"]
@@ -139,7 +133,7 @@ def test_a_products_halogen_is_chosen(data: Path) -> None:
     assert found.regret(found.cost).min() == 0.0
 
 
-def test_a_pair_of_substrates_is_a_machine(data: Path) -> None:
+def test_a_pair_of_substrates_is_a_machine(data):
     found = measured.target(data, "coupling-2")
     assert found.machine == "y + B" and found.outcomes.shape == (12, 2)
     row = found.row_nearest_to({"ligand": "R", "base": "N", "solvent": "v"})
@@ -157,18 +151,18 @@ def test_a_pair_of_substrates_is_a_machine(data: Path) -> None:
         (["b", "a"], CategoricalDistribution(("a", "b"))),
     ],
 )
-def test_a_parameters_values_tell_its_scale(values: list[Any], expected: Any) -> None:
+def test_a_parameters_values_tell_its_scale(values, expected):
     assert measured._space(np.array(values)) == expected
 
 
-def refused(data: Path, family: str, message: str) -> None:
+def refused(data, family, message):
     measured.measurements.cache_clear()
     with pytest.raises(InputError, match=message) as error:
         measured.measurements(data, family)
     assert "\n" not in str(error.value)
 
 
-def test_bad_kernels_are_one_line(data: Path) -> None:
+def test_bad_kernels_are_one_line(data):
     other = {"block": [16], "unroll": [1]}
     file = write_gpu(data, "new", {}, tune_params=other)
     refused(
@@ -192,9 +186,7 @@ def test_bad_kernels_are_one_line(data: Path) -> None:
     refused(data, "convolution", "two machines or more")
 
 
-def test_units_that_differ_by_a_thousand_are_said(
-    data: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_units_that_differ_by_a_thousand_are_said(data, capsys):
     """They change nothing: a world is told as times of its own best."""
     before = measured.target(data, "convolution-odd").outcomes
     assert capsys.readouterr().err == ""
@@ -218,7 +210,7 @@ def test_units_that_differ_by_a_thousand_are_said(
         ("90,c1I,a,CN,P,3", r"c1\*: P, a, CN, I' .* each reaction once"),
     ],
 )
-def test_bad_reactions_are_one_line(data: Path, row: str, message: str) -> None:
+def test_bad_reactions_are_one_line(data, row, message):
     file = data / "reactions" / "aryl_amination" / "experiment_index.csv"
     file.write_text(f"{file.read_text()}{row}\n")
     refused(data, "amination", message)
@@ -226,9 +218,7 @@ def test_bad_reactions_are_one_line(data: Path, row: str, message: str) -> None:
     refused(data, "amination", "Base_SMILES")
 
 
-def test_missing_families_are_left_out_with_a_line(
-    data: Path, tmp_path: Path, tool: Tool
-) -> None:
+def test_missing_families_are_left_out_with_a_line(data, tmp_path, tool):
     words = ("--out", tmp_path / "new", "--cache", tmp_path / "new", "--trials", 9)
     tool.refuses("data: .*reactions/suzuki", "compare_measured", *words, "--data", ".")
     for target, message in (
@@ -248,12 +238,12 @@ def test_missing_families_are_left_out_with_a_line(
     assert not (tmp_path / "new").exists()
 
 
-def run_on(target: Target, arm: str, trials: int = 6) -> list[float]:
+def run_on(target, arm, trials=6):
     return ARMS[arm].costs(target, 1, Batches(trials)).tolist()
 
 
 @pytest.mark.filterwarnings("ignore:.*rows repeat:UserWarning")
-def test_arms_begin_with_their_rows(data: Path) -> None:
+def test_arms_begin_with_their_rows(data):
     """By the mean, or by the mean rank, of the worlds; ours with the mean."""
     found = measured.target(data, "convolution-fast")
     by_mean = found.cost[np.argsort(found.outcomes.mean(axis=1), kind="stable")]
@@ -330,9 +320,7 @@ def test_a_peer_that_cannot_be_loaded_is_left_out_with_a_line(
 
 
 @pytest.mark.slow
-def test_the_command_writes_a_page_and_a_picture(
-    data: Path, tmp_path: Path, tool: Tool
-) -> None:
+def test_the_command_writes_a_page_and_a_picture(data, tmp_path, tool):
     out, cache = tmp_path / "out", tmp_path / "cache"
     words = ("--data", data, "--out", out, "--cache", cache, "--processes", 1)
     words = (*words, "--seeds", 2, "--trials", 6, "--targets", "convolution,coupling-2")
@@ -345,7 +333,6 @@ def test_the_command_writes_a_page_and_a_picture(
     for name, arm, seed in product(names, arms, range(2)):
         run = MeasuredRun(name, arm, seed, Batches(6), data)
         costs = run.kept(cache)
-        assert costs is not None
         assert set(costs) <= set(measured.target(data, name).drawn(seed).cost)
     text = (out / "sampler-measured.md").read_text()
     wanted = [
@@ -370,7 +357,7 @@ def test_the_command_writes_a_page_and_a_picture(
     assert (out / "sampler-measured-by-4.md").exists()
 
 
-def compared(mine: list[list[float]], theirs: list[list[float]]) -> Any:
+def compared(mine, theirs):
     """Targets of ten seeds and two trials; costs of their seeds are alike."""
     targets, best = [], {}
     for place, costs in enumerate(zip(mine, theirs, strict=True)):
@@ -391,7 +378,7 @@ def compared(mine: list[list[float]], theirs: list[list[float]]) -> Any:
     return TOOL.Comparison(targets, best, seconds)
 
 
-def test_a_target_is_won_by_its_seeds() -> None:
+def test_a_target_is_won_by_its_seeds():
     good, bad = [[3.0, 1.0]] * 7, [[3.0, 2.0]] * 7
     lines = compared(good, bad).figures()
     assert "| hill climber after 3 | 0:0 | 1 | 7:0 | 0.016 |" in lines

@@ -8,8 +8,8 @@ import pytest
 from storage import open_store
 from tests.cases import ASSETS
 from tests.storage.fake import content
-from tests.tools.conftest import Command, Simulator, Tool
-from tests.tools.running import INTERRUPTED, Done, finish, start
+from tests.tools.conftest import Command
+from tests.tools.running import INTERRUPTED, finish, start
 
 pytestmark = pytest.mark.slow
 
@@ -17,29 +17,29 @@ CONFIG = (ASSETS / "interrupted-store.toml").read_text()
 SHARDS = 12
 
 
-def run(command: Command, *more: str, **accidents: object) -> Done:
+def run(command, *more, **accidents):
     """The command in a process of its own; the accidents are those of fake_command.py."""
     return finish(start(*command.words(), *more, **accidents))
 
 
-def shards(out: Path) -> int:
+def shards(out):
     return len(list(out.glob("part-*.parquet")))
 
 
 @pytest.fixture
-def command(simulator: Simulator, tool: Tool, tmp_path: Path) -> Command:
+def command(simulator, tool, tmp_path):
     config = tmp_path / "store.toml"
     config.write_text(CONFIG)
     return Command(tool, tmp_path, "precompute", workers=1, config=config)
 
 
 @pytest.fixture
-def uninterrupted(command: Command) -> dict[str, bytes]:
+def uninterrupted(command):
     assert command.run(out=command.folder / "whole") == 0
     return content(command.folder / "whole")
 
 
-def test_json_is_one_object(command: Command) -> None:
+def test_json_is_one_object(command):
     summary = command.json(samples=20)
     assert (summary["points"], summary["points_computed"], summary["shards"]) == (
         20,
@@ -57,9 +57,7 @@ def test_json_is_one_object(command: Command) -> None:
     assert (again["points_computed"], again["walkers_per_s"]) == (0, 0.0)
 
 
-def test_text_says_what_was_done_where(
-    command: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_text_says_what_was_done_where(command, monkeypatch):
     robust = "[robust]\nsettings = 2\nbody.disturbance = 0.1\n"
     (command.folder / "store.toml").write_text(CONFIG + robust)
     monkeypatch.chdir(command.folder)
@@ -72,9 +70,7 @@ def test_text_says_what_was_done_where(
     assert (command.folder / "out" / "store" / "manifest.json").is_file()
 
 
-def test_interrupt_exits_130_and_resumes(
-    command: Command, uninterrupted: dict[str, bytes]
-) -> None:
+def test_interrupt_exits_130_and_resumes(command, uninterrupted):
     done = run(command, signal="5:SIGINT")  # a shard takes two, for its family
     assert (done.code, done.last) == (130, INTERRUPTED) and shards(command.out) == 2
     assert json.loads(run(command, "--json").out)["points_computed"] == 8 * (SHARDS - 2)

@@ -3,7 +3,6 @@
 import io
 import json
 import shlex
-import sqlite3
 import subprocess
 from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
@@ -15,19 +14,18 @@ import taichi_nmm
 from storage.databases.studies import only_run, read_studies
 from taichi_nmm.parameters import GAIN_NAMES
 from tests.study import fake_walker
-from tests.tools.conftest import Simulator, Tool
 from tests.tools.running import ROOT, run_tool
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("quickstart")
 
 
 @pytest.fixture(scope="module")
-def lines(folder: Path) -> list[str]:
+def lines(folder):
     """What it says, in the root of the repository, run twice: then everything is there."""
     said = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
@@ -44,13 +42,12 @@ def lines(folder: Path) -> list[str]:
     return said.getvalue().splitlines()
 
 
-def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -> None:
+def test_it_ends_with_what_was_found_and_where(folder, lines):
     assert lines[-2].endswith(f" explore {folder / 'store'}")
     assert lines[-1].endswith(f"dashboard --storage sqlite:///{folder / 'studies.db'}")
     for place, arm in ((-8, "worlds"), (-7, "dog"), (-6, "random")):
         assert lines[place].startswith(f"rough8/{arm}/run-000: ")
     with read_studies(f"sqlite:///{folder / 'studies.db'}") as storage:
-        assert storage is not None
         found = optuna.get_all_study_summaries(storage)
         assert [study.n_trials for study in found] == [30, 30, 30]  # none was run again
         costs = {
@@ -65,7 +62,7 @@ def test_it_ends_with_what_was_found_and_where(folder: Path, lines: list[str]) -
     }
 
 
-def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> None:
+def test_the_line_for_a_film_makes_a_film(lines, tmp_path):
     """The very line, as a user pastes it; only shorter, and to another folder."""
     title, _, command = lines[-3].partition(": ")
     assert title == "A film of it"
@@ -89,9 +86,7 @@ def test_the_line_for_a_film_makes_a_film(lines: list[str], tmp_path: Path) -> N
     assert Path(json.loads(done.stdout)["pictures"]["movie"]).stat().st_size > 1000
 
 
-def test_a_store_of_something_else(
-    tmp_path: Path, tool: Tool, simulator: Simulator
-) -> None:
+def test_a_store_of_something_else(tmp_path, tool, simulator):
     fake_walker.write_plain_store(tmp_path / "store", samples=20)
     assert tool("quickstart", "--out", tmp_path) == 2
     assert tool.err.startswith("error: samples: 4000 ") and tool.err.count("\n") == 1
@@ -99,12 +94,8 @@ def test_a_store_of_something_else(
 
 @pytest.mark.parametrize("field", ["study", "storage"])
 def test_studies_that_cannot_go_on_are_refused_before_the_store_is_made(
-    field: str,
-    database: sqlite3.Connection,
-    tmp_path: Path,
-    tool: Tool,
-    simulator: Simulator,
-) -> None:
+    field, database, tmp_path, tool, simulator
+):
     """Another process runs one of them; the database is another program's."""
     database.execute("CREATE TABLE studies (title TEXT)")
     taken = only_run(f"sqlite:///{tmp_path / 'studies.db'}", "rough8/dog/run-000")

@@ -3,25 +3,21 @@
 import json
 import re
 import shlex
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
-from taichi_nmm import GAIN_NAMES, PUBLISHED_GAINS, InputError, Settings
+from taichi_nmm import GAIN_NAMES, PUBLISHED_GAINS, InputError
 from tests.cases import asset
 from tests.study import fake_walker
-from tests.tools.conftest import Tool
 
 GAINS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 
 # Commands, their words and the beginning of the line; they are run in a folder with the
 # files.
-REFUSED: dict[str, dict[str, str]] = asset("refusals.toml")
+REFUSED = asset("refusals.toml")
 BASE, TEXTS = REFUSED.pop("base"), REFUSED.pop("files")
-FILES: dict[str, Any] = TEXTS | {
+FILES = TEXTS | {
     "low-level.json": GAINS | {"theta_ref": 3.0},
     "result.json": {"gains": GAINS | {"K_SOL": 99}},
     "missing.json": {name: value for name, value in GAINS.items() if name != "l_clr"},
@@ -30,7 +26,7 @@ REFUSED["compare"][f"--runs {'9' * 5000}"] = "runs: '999"
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A folder with the files, and a store of 20 rows."""
     folder = tmp_path_factory.mktemp("refusals")
     for name, content in FILES.items():
@@ -42,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def untouched(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def untouched(folder, monkeypatch):
     """The current folder, in which nothing may be written."""
     monkeypatch.chdir(folder)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
@@ -50,7 +46,7 @@ def untouched(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
-def words_of(name: str, words: str) -> list[str]:
+def words_of(name, words):
     return [
         name.partition(" of ")[0],
         *shlex.split(BASE.get(name, "")),
@@ -66,9 +62,7 @@ def words_of(name: str, words: str) -> list[str]:
         for words, line in lines.items()
     ],
 )
-def test_refused_in_one_line(
-    name: str, words: str, line: str, untouched: Path, tool: Tool
-) -> None:
+def test_refused_in_one_line(name, words, line, untouched, tool):
     anywhere = ".*" if line.startswith("... ") else ""
     tool.refuses(
         anywhere + re.escape(line.removeprefix("... ")), *words_of(name, words)
@@ -76,7 +70,7 @@ def test_refused_in_one_line(
     assert "secret" not in tool.err
 
 
-def no_gpu(settings: Settings) -> None:
+def no_gpu(settings):
     raise InputError(
         "simulation.arch", settings.arch, "an architecture of this machine"
     )
@@ -108,22 +102,13 @@ def no_gpu(settings: Settings) -> None:
     ],
 )
 def test_what_a_machine_lacks_is_said(
-    patched: str,
-    value: object,
-    name: str,
-    words: str,
-    line: str,
-    untouched: Path,
-    tool: Tool,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    patched, value, name, words, line, untouched, tool, monkeypatch
+):
     monkeypatch.setattr(patched, value, raising=False)
     tool.refuses(line, *words_of(name, words))
 
 
-def test_without_ffmpeg(
-    untouched: Path, tool: Tool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_ffmpeg(untouched, tool, monkeypatch):
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
     tool.refuses(
         "ffmpeg: .*allowed: a working ffmpeg", *words_of("walk of published", "")

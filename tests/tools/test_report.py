@@ -3,14 +3,12 @@
 import json
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
-from pathlib import Path
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
 from tests.study.report import synthetic
-from tests.tools.conftest import Tool
 from tests.tools.running import run_tool
 
 pytestmark = pytest.mark.slow
@@ -18,12 +16,12 @@ pytestmark = pytest.mark.slow
 ARMS = {"dog": (0.05, 0.01), "random": (0.01, 0.0), "worlds-stairs": (0.9, 0.0)}
 
 
-def write(folder: Path, cost: str = "smooth") -> Path:
+def write(folder, cost="smooth"):
     return synthetic.write(folder, ARMS, runs=5, trials=12, cost=cost, name=folder.name)
 
 
 @pytest.fixture(scope="module")
-def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reported(tmp_path_factory):
     """A finished and an unfinished folder, reported together; what was printed."""
     root = tmp_path_factory.mktemp("reported")
     write(root / "one")
@@ -48,7 +46,7 @@ def reported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_a_report_has_its_figures_and_its_numbers(reported: Path) -> None:
+def test_a_report_has_its_figures_and_its_numbers(reported):
     folder = reported / "one" / "report"
     names = {"best-cost.png", "first-walker.png", "report.md", "summary.json"}
     assert {file.name for file in folder.iterdir()} == names
@@ -59,7 +57,7 @@ def test_a_report_has_its_figures_and_its_numbers(reported: Path) -> None:
     assert f"{folder}: one\n" in (reported / "out.txt").read_text()
 
 
-def test_an_unfinished_folder_is_reported_as_far_as_it_is(reported: Path) -> None:
+def test_an_unfinished_folder_is_reported_as_far_as_it_is(reported):
     assert "two (140 of 180 trials)" in (reported / "out.txt").read_text()
     assert (
         "Unfinished: 140 of 180"
@@ -68,7 +66,7 @@ def test_an_unfinished_folder_is_reported_as_far_as_it_is(reported: Path) -> Non
     assert (reported / "err.txt").read_text() == ""
 
 
-def test_several_folders_share_an_overview(reported: Path) -> None:
+def test_several_folders_share_an_overview(reported):
     folder = reported / "all"
     text = (folder / "overview.md").read_text()
     assert "| one |" in text and "| two |" in text
@@ -78,7 +76,7 @@ def test_several_folders_share_an_overview(reported: Path) -> None:
     assert [each["experiment"] for each in known["experiments"]] == ["one", "two"]
 
 
-def test_bad_input_is_one_line(tmp_path: Path, tool: Tool) -> None:
+def test_bad_input_is_one_line(tmp_path, tool):
     folder = write(tmp_path / "rough8")
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("")

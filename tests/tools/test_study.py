@@ -3,12 +3,9 @@
 import json
 import re
 import shlex
-import sqlite3
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -19,10 +16,10 @@ from optuna_dashboard import get_note
 
 from storage.databases.studies import only_run
 from study.experiment.walker import read_experiment
-from taichi_nmm import GAIN_NAMES, Result, load_gains
+from taichi_nmm import GAIN_NAMES, load_gains
 from taichi_nmm.parameters import PUBLISHED_GAINS, load_all_gains
 from tests.study import fake_walker, synthetic_gait
-from tests.tools.conftest import Command, Simulator, Tool
+from tests.tools.conftest import Command
 from tests.tools.running import ROOT, load_command
 
 ROUGH8 = ROOT / "configs" / "rough8.toml"
@@ -32,16 +29,16 @@ NAME = "rough8/dog/run-000"
 class Study(Command):
     """The command, and what it leaves in its database."""
 
-    def study(self, name: str = NAME, url: str | None = None) -> optuna.Study:
+    def study(self, name=NAME, url=None):
         return optuna.load_study(study_name=name, storage=url or self.url)
 
-    def rows(self, name: str = NAME, url: str | None = None) -> list[int]:
+    def rows(self, name=NAME, url=None):
         trials = self.study(name, url).get_trials(states=(TrialState.COMPLETE,))
         return [trial.user_attrs["row"] for trial in trials]
 
 
 @pytest.fixture
-def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Study:
+def command(tmp_path, tool, simulator):
     fake_walker.write_plain_store(tmp_path / "store")
     places = {
         "storage": f"sqlite:///{tmp_path / 'studies.db'}",
@@ -50,7 +47,7 @@ def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Study:
     return Study(tool, tmp_path, "study", config=ROUGH8, arm="dog", trials=4, **places)
 
 
-def test_json_is_one_object(command: Study) -> None:
+def test_json_is_one_object(command):
     found = command.json()
     assert found["study"] == NAME
     assert found["trials"] == 4
@@ -66,12 +63,12 @@ def test_json_is_one_object(command: Study) -> None:
 
 
 @pytest.fixture
-def walks(simulator: Simulator) -> list[int]:
+def walks(simulator):
     """Walks that can be drawn, and how many were recorded in each call."""
-    recorded: list[int] = []
+    recorded = []
     glimpse = synthetic_gait.walk(0.3, 50.0)
 
-    def simulate(gains: Any, record: Sequence[int] = (), **options: Any) -> Result:
+    def simulate(gains, record=(), **options):
         made = fake_walker.simulate(gains, **options)
         recorded.extend([len(record)] if record else [])
         return replace(made, trajectories=(glimpse,) * len(record))
@@ -80,9 +77,7 @@ def walks(simulator: Simulator) -> list[int]:
     return recorded
 
 
-def test_the_best_trial_has_its_picture_in_the_dashboard(
-    command: Study, walks: list[int]
-) -> None:
+def test_the_best_trial_has_its_picture_in_the_dashboard(command, walks):
     """Beside the database, where our dashboard looks; and once."""
     best = command.json()["best_trial"]
     study = command.study()
@@ -103,7 +98,7 @@ def test_the_best_trial_has_its_picture_in_the_dashboard(
 
 
 @pytest.mark.slow
-def test_fixed_gains_stand_beside_the_best(command: Study, walks: list[int]) -> None:
+def test_fixed_gains_stand_beside_the_best(command, walks):
     top = 'fixed_gains = "published"\nsearched = ["exo_torque"]'
     config = fake_walker.write_config(command.folder, top)
     found = command.json(config=config, store="", arm="random")
@@ -112,18 +107,16 @@ def test_fixed_gains_stand_beside_the_best(command: Study, walks: list[int]) -> 
 
 
 @pytest.mark.slow
-def test_lines_are_taken(
-    command: Study, walks: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lines_are_taken(command, walks, monkeypatch):
     """Film and dashboard, as a user pastes them."""
     config = fake_walker.write_config(command.folder)
     found = command.json(config=config, store="", arm="random", run=2, seed=7)
     film, dashboard = (shlex.split(found[name]) for name in ("film", "dashboard"))
     assert film[1:4] == ["-m", "taichi_nmm", "walk"]
     assert dashboard[1:4] == ["-m", "taichi_nmm", "dashboard"]
-    films: list[Any] = []
+    films = []
 
-    def write_movies(path: Path, *shown: Any) -> Path:
+    def write_movies(path, *shown):
         films.append((path, *shown))
         return path
 
@@ -135,7 +128,7 @@ def test_lines_are_taken(
     assert path == command.folder / "film" / "movie.mp4"
     terrain = read_experiment(config, None, 7).terrain(2)
     np.testing.assert_array_equal(ground.height_m, terrain.height_m)
-    served: list[None] = []
+    served = []
     monkeypatch.setattr(
         "socketserver.BaseServer.serve_forever", lambda *_: served.append(None)
     )
@@ -144,9 +137,7 @@ def test_lines_are_taken(
 
 
 @pytest.mark.slow
-def test_what_is_not_said_is_the_configs(
-    command: Study, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_not_said_is_the_configs(command, monkeypatch):
     """Trials, store and folder; and the study of another run and seed is another one."""
     config = fake_walker.write_config(command.folder / "out")
     monkeypatch.chdir(command.folder)
@@ -164,12 +155,10 @@ def test_what_is_not_said_is_the_configs(
     assert (Path("out") / "toy" / "dog-run-002-best.json").is_file()
 
 
-def test_locked_midway(
-    command: Study, database: sqlite3.Connection, simulator: Simulator
-) -> None:
+def test_locked_midway(command, database, simulator):
     calls = count()
 
-    def simulate_and_lock(*args: Any, **options: Any) -> Result:
+    def simulate_and_lock(*args, **options):
         if next(calls) == 2:
             database.execute("BEGIN EXCLUSIVE")
         return fake_walker.simulate(*args, **options)
@@ -184,9 +173,7 @@ def test_locked_midway(
 
 
 @pytest.mark.parametrize("writing", [False, True])
-def test_no_study_runs_twice(
-    writing: bool, command: Study, database: sqlite3.Connection
-) -> None:
+def test_no_study_runs_twice(writing, command, database):
     assert command.run(trials=1) == 0
     with only_run(command.url, NAME):
         if writing:  # as a process that was stopped in the middle of it
@@ -194,7 +181,7 @@ def test_no_study_runs_twice(
         command.refuses(f"study: '{NAME}'.*another process")
 
 
-def test_ctrl_c_says_that_work_is_kept(command: Study, simulator: Simulator) -> None:
+def test_ctrl_c_says_that_work_is_kept(command, simulator):
     simulator(fake_walker.stopped_in_call(1))
     assert command.run() == 130
     assert "resumes" in command.tool.err

@@ -5,25 +5,24 @@ import json
 from pathlib import Path
 
 import pytest
-from matplotlib.figure import Figure
 
 from study.pictures import style
 from tests.study import fake_walker
 from tests.study.synthetic_gait import walk
-from tests.tools.conftest import Command, Simulator, Tool
+from tests.tools.conftest import Command
 
 REPORT = {"best-cost.png", "best.csv", "report.md", "summary.json"}
 
 
 @pytest.fixture
-def command(tmp_path: Path, tool: Tool, simulator: Simulator) -> Command:
+def command(tmp_path, tool, simulator):
     config = fake_walker.write_config(tmp_path)
     over = "body.disturbance=0.1:0.2:0.1"
     one = {"arm": "ranking", "workers": 1, "runs": 2, "trials": 3}
     return Command(tool, tmp_path, "sweep", config=config, over=over, **one)
 
 
-def test_a_report_of_all_values(command: Command) -> None:
+def test_a_report_of_all_values(command):
     found = command.json()
     assert found["out"] == str(command.out)
     assert (found["key"], found["arm"]) == ("body.disturbance", "ranking")
@@ -49,7 +48,7 @@ def test_a_report_of_all_values(command: Command) -> None:
     assert "takes few steps" not in text  # fakes have no step to be judged by
 
 
-def test_a_table_for_people(command: Command) -> None:
+def test_a_table_for_people(command):
     assert command.run() == 0
     head, *lines, last = command.tool.out.splitlines()
     assert head.split()[0] == "body.disturbance"
@@ -57,9 +56,7 @@ def test_a_table_for_people(command: Command) -> None:
     assert Path(last) == command.out / "report" / "report.md"
 
 
-def test_stopped_and_resumed_it_is_the_same(
-    command: Command, simulator: Simulator
-) -> None:
+def test_stopped_and_resumed_it_is_the_same(command, simulator):
     assert command.run() == 0
     files = sorted(file.relative_to(command.out) for file in command.out.rglob("*.*"))
     whole = {
@@ -80,7 +77,7 @@ def test_stopped_and_resumed_it_is_the_same(
         assert found == content, file
 
 
-def test_the_arm_is_ours_where_there_is_one(command: Command) -> None:
+def test_the_arm_is_ours_where_there_is_one(command):
     assert command.json(arm="", runs=1, trials=1)["arm"] == "random"  # the first
     config = command.folder / "toy.toml"
     text = config.read_text()
@@ -91,13 +88,11 @@ def test_the_arm_is_ours_where_there_is_one(command: Command) -> None:
     )
 
 
-def test_gaits_are_drawn(
-    command: Command, monkeypatch: pytest.MonkeyPatch, simulator: Simulator
-) -> None:
-    drawn: list[Figure] = []
+def test_gaits_are_drawn(command, monkeypatch, simulator):
+    drawn = []
     save = style.save_png
 
-    def keep(figure: Figure, path: Path) -> Path:
+    def keep(figure, path):
         drawn.append(figure)
         return save(figure, path)
 

@@ -5,8 +5,6 @@ import re
 import runpy
 import sys
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import numpy as np
 import optuna
@@ -23,9 +21,7 @@ MOST_FILES, MOST_CLASSES = 11, 10  # of a proposal; 34 and 26 in 0.2.0
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", TOOLS)
-def test_a_tool_explains_itself(
-    tool: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_tool_explains_itself(tool, monkeypatch, capsys):
     file = ROOT / "tools" / f"{tool}.py"
     monkeypatch.setattr(sys, "argv", [str(file), "--help"])
     monkeypatch.setattr(sys, "path", [str(file.parent), *sys.path])
@@ -35,19 +31,19 @@ def test_a_tool_explains_itself(
     assert text and text in capsys.readouterr().out
 
 
-def test_a_proposal_passes_few_files_and_classes() -> None:
+def test_a_proposal_passes_few_files_and_classes():
     """It is followed on a few screens."""
     rng, called = np.random.default_rng(1), set()
     columns = dict(zip("abcd", rng.random((4, 200)), strict=True))
     table = FeatureTable.from_arrays(columns, rng.random((200, 3)))
     study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
 
-    def count(frame: FrameType, event: str, argument: Any) -> None:
+    def count(frame, event, argument):
         file = Path(frame.f_code.co_filename)
         if event == "call" and file.is_relative_to(ROOT) and ".venv" not in file.parts:
             called.add((file, frame.f_code.co_qualname.partition(".<locals>")[0]))
 
-    def objective(trial: optuna.Trial) -> float:
+    def objective(trial):
         return sum(
             trial.suggest_float(name, x.min(), x.max()) for name, x in columns.items()
         )
@@ -75,7 +71,7 @@ FIGURES = (
 )
 
 
-def test_figures_are_a_table_or_one_list(capsys: pytest.CaptureFixture[str]) -> None:
+def test_figures_are_a_table_or_one_list(capsys):
     show(iter(FIGURES), "20 points", as_json=False)
     head, _, *table = capsys.readouterr().out.splitlines()
     assert head.startswith("20 points; 20") and "Python 3." in head
@@ -99,10 +95,10 @@ SAMPLES = 64
 
 
 @pytest.mark.campaign
-def test_start_and_run_are_timed_apart() -> None:
+def test_start_and_run_are_timed_apart():
     said = printed("tools/time_walks.py", "--samples", SAMPLES, "--arch", "cpu")
 
-    def numbers(start: str) -> list[float]:
+    def numbers(start):
         (line,) = re.findall(rf"^{start} .*", said, re.MULTILINE)
         return [
             float(word) for word in re.findall(r"[\d.]+\d|\d", line.replace(",", ""))
@@ -119,7 +115,7 @@ def test_start_and_run_are_timed_apart() -> None:
     assert 50 < numbers("peak memory")[0] < 4096
 
 
-def test_checkouts_are_compared_by_median_turns() -> None:
+def test_checkouts_are_compared_by_median_turns():
     ours, theirs = [100.0, 300.0, 120.0], [200.0, 400.0, 240.0]
     line = load_tool("time_walks").turns_line("steady", ours, theirs)
     assert line.split() == ["steady", "120.0", "240.0", "0.500"]
@@ -130,7 +126,7 @@ TIMES = load_tool("time_sampler")
 
 
 @pytest.mark.slow
-def test_every_case_is_measured() -> None:
+def test_every_case_is_measured():
     _, _, *rows = printed("tools/time_sampler.py", "--rows", 5000).splitlines()
     for row, case in zip(rows, TIMES.cases(5000), strict=True):
         sizes = f"{case.rows:,} | {case.features} | {case.observations:,}"
@@ -143,7 +139,7 @@ def test_every_case_is_measured() -> None:
     assert 50_000 * (16 + 5) * 8 / 2**20 < peak_mib < 1000
 
 
-def test_a_number_above_its_bar_is_bold() -> None:
+def test_a_number_above_its_bar_is_bold():
     case = TIMES.Case("rbf", 100_000, 1, 100, bars=(10.0, 45.0, TIMES.NO_BAR))
     assert TIMES.row(case, TIMES.Measured(10.2, 45.0, 5000.0)) == (
         "| ours, the paper's kernel | 100,000 | 1 | 100 | **10** | 10 | 45 | 45 | 5,000 | - |"

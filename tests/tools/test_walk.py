@@ -2,10 +2,8 @@
 
 import json
 import re
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import imageio_ffmpeg
@@ -29,7 +27,6 @@ ROUGH8 = ROOT / "configs" / "rough8.toml"
 HARD = ROOT / "configs" / "mujoco-rough8-hard.toml"
 
 PICTURES = {"strip.png", "gait_cycle.png", "movie.mp4"}
-Walk = Callable[..., dict[str, Any]]
 WALKS = dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True))
 FALLS = WALKS | {"K_SOL": 0.5, "K_VAS": 0.2}
 

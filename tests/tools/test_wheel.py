@@ -9,7 +9,6 @@ import sysconfig
 import venv
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -26,7 +25,7 @@ PIP = ("-m", "pip", "--disable-pip-version-check")
 
 
 @pytest.fixture(scope="module")
-def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def source(tmp_path_factory):
     """A copy of what wheels are built of: a build leaves folders in its source."""
     source = tmp_path_factory.mktemp("source")
     for name in SOURCES:
@@ -35,7 +34,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return source
 
 
-def built(source: Path, folder: Path) -> Path:
+def built(source, folder):
     """The wheel of a folder with a pyproject.toml."""
     offline = ("--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder)
     printed(*PIP, "wheel", source, *offline)
@@ -43,14 +42,14 @@ def built(source: Path, folder: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wheel(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(source, tmp_path_factory):
     return built(source, tmp_path_factory.mktemp("wheel"))
 
 
 class Installed:
     """A fresh environment with the wheel, and an empty folder to work in."""
 
-    def __init__(self, folder: Path, wheel: Path) -> None:
+    def __init__(self, folder, wheel):
         self.folder = folder / "work"
         self.folder.mkdir()
         self.bin = folder / "env" / "bin"
@@ -65,7 +64,7 @@ class Installed:
         options = ("--no-deps", "--no-index", "--ignore-installed", wheel)
         printed(*PIP, "--python", python, "install", *options)
 
-    def run(self, line: str) -> str:
+    def run(self, line):
         """What a command line prints, of a program of the environment in the empty folder."""
         program, *words = shlex.split(line)
         with pytest.MonkeyPatch.context() as patch:
@@ -79,13 +78,11 @@ class Installed:
 
 
 @pytest.fixture(scope="module")
-def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+def installed(wheel, tmp_path_factory):
     return Installed(tmp_path_factory.mktemp("installed"), wheel)
 
 
-def test_it_holds_every_configuration_and_every_file_of_the_packages(
-    wheel: Path,
-) -> None:
+def test_it_holds_every_configuration_and_every_file_of_the_packages(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     for path in (ROOT / "configs").glob("*.toml"):
         assert f"study/configs/{path.name}" in names
@@ -98,7 +95,7 @@ def test_it_holds_every_configuration_and_every_file_of_the_packages(
     assert wheel.stat().st_size < MOST_BYTES
 
 
-def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
+def test_it_is_not_the_checkout_that_is_run(installed):
     for package in ("taichi_nmm", "storage", "study"):
         place = installed.run(
             f"python -c 'import {package}; print({package}.__file__)'"
@@ -106,9 +103,7 @@ def test_it_is_not_the_checkout_that_is_run(installed: Installed) -> None:
         assert Path(place).is_relative_to(installed.bin.parent)
 
 
-def test_the_commands_explain_themselves_and_list_configurations(
-    installed: Installed,
-) -> None:
+def test_the_commands_explain_themselves_and_list_configurations(installed):
     for line in ("taichi-nmm --help", "python -m taichi_nmm"):
         said = installed.run(line)
         assert "walk  " in said and "validate  " in said
@@ -120,10 +115,10 @@ def test_the_commands_explain_themselves_and_list_configurations(
     assert "first experiment" in listed["rough8-smooth"]
 
 
-def test_the_main_job_is_done_by_name(installed: Installed) -> None:
+def test_the_main_job_is_done_by_name(installed):
     """A store, a study that reads it, and a walk of what was found."""
 
-    def printed(line: str) -> Any:
+    def printed(line):
         return json.loads(installed.run(f"taichi-nmm {line} --json"))
 
     made = printed("precompute --config store --samples 64 --workers 1")
@@ -135,7 +130,7 @@ def test_the_main_job_is_done_by_name(installed: Installed) -> None:
     assert (installed.folder / walked["pictures"]["strip"]).is_file()
 
 
-def test_all_say_the_same_version(wheel: Path) -> None:
+def test_all_say_the_same_version(wheel):
     assert wheel.name.split("-")[1] == taichi_nmm.__version__
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert citation["version"] == taichi_nmm.__version__
@@ -164,9 +159,7 @@ for names in {"parameters": ["x"]}, {}:
 """
 
 
-def test_the_sampler_alone_is_light(
-    source: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_the_sampler_alone_is_light(source, tmp_path_factory):
     wheel = built(source / "study" / "hub", tmp_path_factory.mktemp("alone"))
     parts = zipfile.ZipFile(wheel)
     assert not [name for name in parts.namelist() if name.startswith("taichi_nmm/")]

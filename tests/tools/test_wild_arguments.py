@@ -1,9 +1,7 @@
 """What nobody means to type, in every option of every command: one line, exit code 2, no file."""
 
 from argparse import Action
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NoReturn
 
 import pytest
 
@@ -37,7 +35,7 @@ COMPLETE, BESIDE, FORMS = asset("wild-arguments.toml").values()
 
 
 @pytest.fixture(scope="module")
-def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def places(tmp_path_factory):
     """A configuration with its store, a finished comparison, and files that nobody should read."""
     folder = tmp_path_factory.mktemp("places")
     places = {name: folder / name for name in DEEP}
@@ -52,9 +50,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return places | {"STORE": folder / "store", "DONE": folder / "done"}
 
 
-def tries(
-    command: str, action: Action, is_whole: bool, places: dict[str, Path]
-) -> Iterator[tuple[str, list[str]]]:
+def tries(command, action, is_whole, places):
     """What is tried with an option: what it is called, and all words of the command."""
     flag = action.option_strings[-1] if action.option_strings else ""
     of_text = action.type in (None, Path, config_path) and not is_whole
@@ -73,11 +69,11 @@ def tries(
             yield said, [*before, f"{flag}={tried}"] if flag else [tried]
 
 
-def refuse_work(*_: Any, **__: Any) -> NoReturn:
+def refuse_work(*_, **__):
     raise AssertionError("it went on to work")
 
 
-def is_safe(said: str, of_a_file: bool) -> bool:
+def is_safe(said, of_a_file):
     """One line that can be printed; of a file's mistakes a line each."""
     lines = said.removesuffix("\n").split("\n")
     if len(lines) > 1 and not of_a_file:
@@ -87,13 +83,7 @@ def is_safe(said: str, of_a_file: bool) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
-def test_it_is_refused_in_one_line(
-    command: str,
-    places: dict[str, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_it_is_refused_in_one_line(command, places, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(vars(taichi_nmm), "simulate", refuse_work)
     monkeypatch.setattr("socketserver.BaseServer.serve_forever", refuse_work)
@@ -105,7 +95,7 @@ def test_it_is_refused_in_one_line(
             tried += 1
             try:
                 main([command, *words])
-                code: object = None
+                code = None
             except SystemExit as end:
                 code = end.code
             except BaseException as error:

@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import tempfile
-from collections.abc import Iterator
 from itertools import count
 from pathlib import Path
 
@@ -19,7 +18,7 @@ START_TIMEOUT_S = 30.0
 UNPRIVILEGED = "nobody"  # PostgreSQL refuses to run as root
 
 
-def find_programs() -> Path | None:
+def find_programs():
     """Folder of initdb and postgres: Debian keeps them out of the PATH."""
     debian = sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)
     on_path = shutil.which("initdb")
@@ -30,7 +29,7 @@ def find_programs() -> Path | None:
 class Server:
     """A server that listens on a socket file in a folder of its own."""
 
-    def __init__(self, folder: Path, programs: Path) -> None:
+    def __init__(self, folder, programs):
         self.folder, self._programs = folder, programs
         self._user = UNPRIVILEGED if os.geteuid() == 0 else None
         if self._user:
@@ -46,7 +45,7 @@ class Server:
         )
         self.start()
 
-    def start(self) -> None:
+    def start(self):
         options = ["-k", str(self.folder), "-c", "listen_addresses=", "-c", "fsync=off"]
         self._process = subprocess.Popen(
             [self._programs / "postgres", "-D", self.folder / "data", *options],
@@ -56,36 +55,36 @@ class Server:
         )
         until(self._answers, START_TIMEOUT_S)
 
-    def stop(self) -> None:
+    def stop(self):
         self._process.send_signal(signal.SIGINT)  # fast: sends its clients away
         self._process.wait(START_TIMEOUT_S)
 
-    def url(self, database: str) -> str:
+    def url(self, database):
         return (
             f"postgresql+psycopg://{self.owner}:secret@/{database}?host={self.folder}"
         )
 
-    def new_database(self) -> str:
+    def new_database(self):
         name = f"studies{next(self._numbers)}"
         self._execute(f"CREATE DATABASE {name}")
         return self.url(name)
 
-    def require_password(self, role: str, password: str) -> None:
+    def require_password(self, role, password):
         """Make a role that may do anything, by this password alone."""
         rules = self.folder / "data" / "pg_hba.conf"
         rules.write_text(f"local all {role} scram-sha-256\n{rules.read_text()}")
         self._execute(f"CREATE ROLE {role} SUPERUSER LOGIN PASSWORD '{password}'")
         self._execute("SELECT pg_reload_conf()")
 
-    def _execute(self, statement: str) -> None:
+    def _execute(self, statement):
         with self._engine().connect() as connection:
             connection.execution_options(isolation_level="AUTOCOMMIT")
             connection.execute(sql.text(statement))
 
-    def _engine(self) -> sql.Engine:
+    def _engine(self):
         return sql.create_engine(self.url("postgres"), poolclass=sql.NullPool)
 
-    def _answers(self) -> bool:
+    def _answers(self):
         assert self._process.poll() is None, "the server did not start"
         try:
             self._engine().connect().close()
@@ -95,7 +94,7 @@ class Server:
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
+def server():
     pytest.importorskip(
         "psycopg", reason="no psycopg: pip install 'taichi-nmm[postgres]'"
     )
@@ -114,12 +113,12 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture
-def url(server: Server) -> str:
+def url(server):
     return server.new_database()
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.slow)])
-def any_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+def any_url(request, tmp_path):
     """A database of each kind; on PostgreSQL, keys are drawn from sequences of the server."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path}/studies.db"

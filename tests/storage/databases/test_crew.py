@@ -2,7 +2,6 @@
 
 import signal
 from collections import Counter
-from pathlib import Path
 
 import optuna
 import pytest
@@ -11,9 +10,8 @@ from optuna.trial import TrialState
 
 from storage.databases.postgresql import Crew
 from storage.databases.studies import only_run, open_studies
-from storage.inputs.errors import InputError
+from tests.cases import refused
 from tests.processes import until
-from tests.storage.databases.conftest import Server
 from tests.study import fake_walker
 from tests.tools.running import WAIT_S, finish, start
 
@@ -36,7 +34,7 @@ for number in range(5):
 """
 
 
-def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None:
+def test_four_processes_of_which_one_is_killed(url, tmp_path):
     fake_walker.write_plain_store(tmp_path / "store")
     words = ["--config", "rough8", "--arm", "dog", "--trials", TRIALS, "--storage", url]
     words += ["--store", tmp_path / "store"]
@@ -76,7 +74,7 @@ def test_four_processes_of_which_one_is_killed(url: str, tmp_path: Path) -> None
     assert all(params in done for params in lost)  # run again
 
 
-def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path: Path) -> None:
+def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path):
     processes = [start(tmp_path, number, program=("-c", OPEN)) for number in range(4)]
     done = [finish(process) for process in processes]
     assert [each.code for each in done] == [0] * 4, done
@@ -85,7 +83,7 @@ def test_a_new_file_is_opened_by_four_processes_at_once(tmp_path: Path) -> None:
         optuna.create_study(storage=open_studies(f"sqlite:///{file}"), study_name="a")
 
 
-def test_a_trial_whose_process_is_gone_is_dead(server: Server, url: str) -> None:
+def test_a_trial_whose_process_is_gone_is_dead(server, url):
     """Its lock is of this study, in this database, and ends with the connection."""
     storage = open_studies(url)
     study = optuna.create_study(storage=storage, study_name="a")
@@ -109,10 +107,10 @@ def test_a_trial_whose_process_is_gone_is_dead(server: Server, url: str) -> None
             until(lambda: mine.dead() == [number])
 
 
-def test_a_study_is_for_one_process_or_for_a_crew(url: str) -> None:
-    refused = pytest.raises(InputError, match=r"^study: 'a' .* one is running this one")
-    with only_run(url, "a"), Crew.joined(url, "b"), refused, Crew.joined(url, "a"):
+def test_a_study_is_for_one_process_or_for_a_crew(url):
+    error = refused(r"^study: 'a' .* one is running this one")
+    with only_run(url, "a"), Crew.joined(url, "b"), error, Crew.joined(url, "a"):
         pass
-    other = pytest.raises(InputError, match=r"^study: 'a' .* another process")
+    other = refused(r"^study: 'a' .* another process")
     with Crew.joined(url, "a"), other, only_run(url, "a"):
         pass

@@ -1,12 +1,10 @@
 """Errors of arrays name the place of what is no number."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from storage.inputs import checks
-from storage.inputs.errors import InputError
+from tests.cases import refused
 
 
 @pytest.mark.parametrize(
@@ -21,13 +19,11 @@ from storage.inputs.errors import InputError
         ([[1.0], [1.0, 2.0]], r"x\[0\]: \[1.0\]"),
     ],
 )
-def test_what_is_no_number_is_named_by_its_place(values: Any, said: str) -> None:
-    with pytest.raises(
-        InputError, match=f"^{said}.* cannot be used; allowed: an array of numbers"
-    ):
+def test_what_is_no_number_is_named_by_its_place(values, said):
+    with refused(f"^{said}.* cannot be used; allowed: an array of numbers"):
         checks.numbers("x", values)
 
 
-def test_gaps_and_flags_are_numbers() -> None:
+def test_gaps_and_flags_are_numbers():
     assert np.isnan(checks.numbers("x", [1.0, None])[1])
     assert checks.numbers("x", [True, False]).tolist() == [1.0, 0.0]

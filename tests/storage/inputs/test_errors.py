@@ -8,19 +8,19 @@ from storage.inputs.errors import MOST_LISTED, InputError, listed
 
 
 class Unspeakable:
-    def __repr__(self) -> str:
+    def __repr__(self):
         raise RuntimeError
 
 
-def test_it_has_field_value_and_allowed_values() -> None:
+def test_it_has_field_value_and_allowed_values():
     error = InputError("field", 3, "4 or more")
     assert str(error) == "field: 3 cannot be used; allowed: 4 or more"
     again = pickle.loads(pickle.dumps(error))
     assert (again.field, again.value, again.allowed) == ("field", 3, "4 or more")
 
 
-def test_it_is_one_printable_line_of_bounded_length() -> None:
-    nested: list[object] = []
+def test_it_is_one_printable_line_of_bounded_length():
+    nested = []
     for _ in range(100_000):
         nested = [nested]
     values = [
@@ -41,7 +41,7 @@ def test_it_is_one_printable_line_of_bounded_length() -> None:
     assert "/begin/" in line and "/end.json'" in line  # both ends
 
 
-def test_of_many_names_the_nearest_are_listed_and_the_others_counted() -> None:
+def test_of_many_names_the_nearest_are_listed_and_the_others_counted():
     names = [f"world{number}" for number in range(300)]
     few = names[:MOST_LISTED]
     assert listed(few, "world7") == ", ".join(few)

@@ -6,9 +6,7 @@ import json
 import lzma
 import os
 import signal
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,11 +18,10 @@ from study.experiment.gains import gains_of_row
 from taichi_nmm import InputError, load_all_gains, load_gains, terrain
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 
-Door = Callable[[Path], Any]
 SLOW_S = 60  # a pipe without a writer would hold a test for ever
 GAINS = json.dumps(dict(zip(GAIN_NAMES, PUBLISHED_GAINS.tolist(), strict=True)))
 TABLE = FeatureTable.from_parquet
-DOORS: dict[str, Door] = {
+DOORS = {
     "gains": lambda path: load_gains(str(path)),
     "all gains": lambda path: load_all_gains(str(path)),
     "toml": read_toml,
@@ -37,8 +34,8 @@ DOORS: dict[str, Door] = {
 
 
 @pytest.fixture(autouse=True)
-def no_hang() -> Iterator[None]:
-    def stop(*_: object) -> None:
+def no_hang():
+    def stop(*_):
         raise TimeoutError("hangs")
 
     before = signal.signal(signal.SIGALRM, stop)
@@ -48,7 +45,7 @@ def no_hang() -> Iterator[None]:
     signal.signal(signal.SIGALRM, before)
 
 
-def refused(read: Door, path: Path) -> str:
+def refused(read, path):
     with pytest.raises(InputError) as caught:
         read(path)
     line = str(caught.value)
@@ -60,12 +57,12 @@ def refused(read: Door, path: Path) -> str:
 @pytest.mark.parametrize(
     "name", ["x" * 300, "x/" * 3000, "nul\0.json", "new\nline", "\udcff", "."]
 )
-def test_names_that_no_file_can_have(tmp_path: Path, door: str, name: str) -> None:
+def test_names_that_no_file_can_have(tmp_path, door, name):
     refused(DOORS[door], tmp_path / name)
 
 
 @pytest.mark.parametrize("door", DOORS)
-def test_a_pipe_is_not_waited_for(tmp_path: Path, door: str) -> None:
+def test_a_pipe_is_not_waited_for(tmp_path, door):
     os.mkfifo(tmp_path / "pipe")
     refused(DOORS[door], tmp_path / "pipe")
     refused(DOORS[door], Path("/dev/zero"))
@@ -88,7 +85,7 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path, door: str) -> None:
         b"",
     ],
 )
-def test_content_that_breaks_parsers(tmp_path: Path, door: str, content: bytes) -> None:
+def test_content_that_breaks_parsers(tmp_path, door, content):
     path = tmp_path / "file"
     path.write_bytes(content)
     if content or door != "toml":  # an empty configuration is one
@@ -96,7 +93,7 @@ def test_content_that_breaks_parsers(tmp_path: Path, door: str, content: bytes) 
 
 
 @pytest.mark.parametrize("digits", [310, 400, 4000, 5000])
-def test_whole_numbers_beyond_any_float(tmp_path: Path, digits: int) -> None:
+def test_whole_numbers_beyond_any_float(tmp_path, digits):
     path = tmp_path / "gains.json"
     path.write_text(GAINS.replace("3.874", "9" * digits))
     refused(DOORS["gains"], path)
@@ -108,7 +105,7 @@ def test_whole_numbers_beyond_any_float(tmp_path: Path, digits: int) -> None:
     refused(lambda path: read_toml(path).integer("samples"), path)
 
 
-def test_keys_that_come_twice_and_shapes(tmp_path: Path) -> None:
+def test_keys_that_come_twice_and_shapes(tmp_path):
     path = tmp_path / "gains.json"
     path.write_text(GAINS.replace("{", '{"K_GAS": 1.0, '))
     assert "K_GAS" in refused(DOORS["gains"], path)
@@ -131,7 +128,7 @@ def test_keys_that_come_twice_and_shapes(tmp_path: Path) -> None:
         refused(DOORS["gains"], path)
 
 
-PACK: dict[str, Any] = {
+PACK = {
     ".gz": gzip.compress,
     ".bz2": bz2.compress,
     ".xz": lzma.compress,
@@ -139,9 +136,7 @@ PACK: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("suffix", PACK)
-def test_no_bomb_is_unpacked(
-    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_bomb_is_unpacked(tmp_path, suffix, monkeypatch):
     path = tmp_path / f"hill.csv{suffix}"
     whole = PACK[suffix](b"0,0\n10,1\n")
     path.write_bytes(whole)
@@ -161,7 +156,7 @@ def test_no_bomb_is_unpacked(
     assert "MiB" in refused(terrain.from_file, path)
 
 
-def test_a_file_that_is_too_long(tmp_path: Path) -> None:
+def test_a_file_that_is_too_long(tmp_path):
     path = tmp_path / "long"
     with path.open("wb") as file:
         # of zeros, and takes no place on the disk

@@ -28,7 +28,7 @@ import optuna
 
 from study.bench.bench import Bench
 from study.bench.journal import Trial
-from study.experiment.experiment import Experiment, store_path
+from study.experiment.experiment import store_path
 from study.experiment.robots import is_of_robots, read_robots
 from study.experiment.walker import read_experiment
 from study.options import config_path
@@ -56,7 +56,7 @@ class Machine:
     cost: Callable[[int, Trial], float]  # of a trial on a robot
 
     @classmethod
-    def of(cls, config: str, seed: int) -> "Machine":
+    def of(cls, config, seed):
         """The robots of a configuration of `compare`."""
         path = config_path(config)
         if is_of_robots(path):
@@ -80,7 +80,7 @@ class Machine:
         return cls(toml, partial(cost_of, walkers))
 
 
-def cost_of(experiment: Experiment, robot: int, trial: Trial) -> float:
+def cost_of(experiment, robot, trial):
     """What a trial on a robot costs, without noise."""
     point = [
         of.to_internal_repr(trial.params[name]) for name, of in experiment.space.items()
@@ -89,7 +89,7 @@ def cost_of(experiment: Experiment, robot: int, trial: Trial) -> float:
     return float(experiment.objective.costs(rows)[0])
 
 
-def run(bench: Bench, machine: Machine, robot: int, trials: int) -> list[float]:
+def run(bench, machine, robot, trials):
     """Costs of the next trials on a robot."""
     found = []
     for _ in range(trials):
@@ -99,9 +99,7 @@ def run(bench: Bench, machine: Machine, robot: int, trials: int) -> list[float]:
     return found
 
 
-def clumsily(
-    path: Path, machine: Machine, robot: int, trials: int, rng: np.random.Generator
-) -> list[float]:
+def clumsily(path, machine, robot, trials, rng):
     """The same from three computers, with mistakes that are put right."""
     found = []
     for turn in range(trials):
@@ -121,7 +119,7 @@ def clumsily(
     return found
 
 
-def assert_same_as_quiet(clumsy: Path, quiet: Path) -> None:
+def assert_same_as_quiet(clumsy, quiet):
     """Give a quiet bench the results of the other one: it must ask for the same trials."""
     told, bench, context = Bench(clumsy).state.trials.values(), Bench.new(quiet), ""
     for trial in told:
@@ -132,7 +130,7 @@ def assert_same_as_quiet(clumsy: Path, quiet: Path) -> None:
         bench.record(asked.number, trial.value)
 
 
-def rehearse(folder: Path, robot: int, before: Machine, after: Machine) -> np.ndarray:
+def rehearse(folder, robot, before, after):
     """Least costs after some trials on the new ground, [ways, len(AFTER)]."""
     rng = np.random.default_rng(robot)
     for way in (*WAYS[:2], "quiet"):
@@ -152,7 +150,7 @@ def rehearse(folder: Path, robot: int, before: Machine, after: Machine) -> np.nd
     return np.minimum.accumulate(found, axis=1)[:, np.array(AFTER) - 1]
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=20)
     parser.add_argument("--seed", type=int, default=3301)

@@ -1,12 +1,6 @@
 """A robot: two parameters, six simulated worlds, and the truth, which is none of them."""
 
-from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-
-from study.bench.bench import Bench
 
 ROWS, DURATION_S = 150, 30.0
 TOML = """
@@ -31,7 +25,7 @@ WORLDS = 'outcomes = ["world*"]'
 FEATURES = 'features = ["world0", "world1"]'
 
 
-def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:
+def write(folder, known=WORLDS, more=""):
     """The candidates and the file of a bench."""
     rng = np.random.default_rng(1)
     stiffness, damping = 10 ** rng.uniform(1, 3, ROWS), rng.uniform(0.1, 2.0, ROWS)
@@ -47,32 +41,32 @@ def write(folder: Path, known: str = WORLDS, more: str = "") -> Path:
     return path
 
 
-def change(file: Path, old: str, new: str) -> None:
+def change(file, old, new):
     """Replace some words of a file."""
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, new))
 
 
-def cost(params: dict[str, float], stiffness: float = 150.0) -> float:
+def cost(params, stiffness=150.0):
     """What a trial shows, on a ground that wants this stiffness."""
     softness = abs(np.log(params["stiffness"] / stiffness))
     return 0.2 + softness + abs(params["damping"] - 0.9)
 
 
-def tell(bench: Bench, value: float, **columns: float) -> int:
+def tell(bench, value, **columns):
     """Run the next trial; its number."""
     (trial,) = bench.next()
     bench.record(trial.number, value, columns=columns)
     return trial.number
 
 
-def enter(bench: Bench, call: str, given: Iterable[Any], **named: Any) -> None:
+def enter(bench, call, given, **named):
     """Make an entry, as tests/assets/bench-entries.toml has it."""
     getattr(bench, call)(*given, **named)
 
 
-def run(bench: Bench, trials: int, stiffness: float = 150.0) -> list[dict[str, float]]:
+def run(bench, trials, stiffness=150.0):
     """Run the next trials one after another; their parameters."""
     tried = []
     for _ in range(trials):

@@ -9,9 +9,9 @@ import pytest
 from storage.inputs.errors import InputError
 from study.bench.bench import Bench
 from study.commands import bench as command
+from tests.cases import refused
 from tests.study.bench import robot
 from tests.study.bench.robot import change, tell
-from tests.study.conftest import refused
 
 MORE_LIMITS = "\n[columns.force]\nleast = 1"
 

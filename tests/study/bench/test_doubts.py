@@ -10,31 +10,13 @@ from study.bench.bench import Bench
 from study.bench.doubts import doubts, odd_failures, odd_value
 from study.bench.journal import Journal, State, Trial
 from study.bench.plan import read_plan
+from tests.cases import cases, refused
 from tests.study.bench import robot
-from tests.study.conftest import refused
 
 AMONG = (5.0, 7.0, 9.0, 13.0)
 
 
-@pytest.mark.parametrize(
-    ("value", "others", "odd"),
-    [
-        (1e300, AMONG, True),
-        (1e300, (), True),
-        (math.inf, (), True),
-        (math.nan, (), True),
-        (1.357e9, AMONG, True),
-        (-8.0, AMONG, True),
-        (0.08, AMONG, False),
-        (92.0, (0.9, 1.1), False),
-        (92.0, (0.9, 1.0, 1.1), True),
-        (1.2, (0.5, 0.51, 0.52), False),
-        (30.0, AMONG, False),
-        (100.0, (-3.0, 1.0, 4.0), True),
-        (20.0, (-3.0, 1.0, 4.0), False),
-        (9.0, AMONG, False),
-    ],
-)
+@cases("odd-values.toml", "value", "others", "odd")
 def test_without_worlds_a_value_is_compared_with_the_other_trials(value, others, odd):
     assert bool(odd_value(value, None, others)) is odd
 

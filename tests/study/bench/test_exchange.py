@@ -8,9 +8,8 @@ import pytest
 
 from study.bench.bench import Bench
 from study.bench.exchange import export_text, read_trials
-from tests.cases import cases
+from tests.cases import cases, refused
 from tests.study.bench import robot
-from tests.study.conftest import refused
 
 
 @pytest.fixture

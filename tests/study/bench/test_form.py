@@ -5,10 +5,8 @@ import threading
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
 from unittest.mock import Mock
 
 import bottle
@@ -24,10 +22,10 @@ from study.loopback import HOST, wsgi_server
 from study.pictures.movie import film_run
 from taichi_nmm.parameters import GAIN_NAMES, load_gains
 from tests.browser import opened_page, save
+from tests.cases import refused
 from tests.storage import rail
 from tests.storage import robot as own
 from tests.study.bench import robot
-from tests.study.conftest import refused
 
 
 class Served:
@@ -35,7 +33,7 @@ class Served:
 
     def __init__(self, folder, address):
         self.bench = Bench.new(robot.write(folder), "me")
-        self.filmed = list[Mapping[str, Any]]()
+        self.filmed = []
         films = Films(self.film, ThreadPoolExecutor(1), folder)
         app, self.token = application(self.bench, address, films)
         self.server = wsgi_server(app, HOST, 0)
@@ -65,9 +63,6 @@ class Served:
         status, text = self.ask(place, form)
         assert status == 200
         return text
-
-
-Serve = Callable[[str], Served]
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose
 
 from storage import make_store
 from study.bench.bench import Bench
+from tests.cases import refused
 from tests.storage import robot as own
 from tests.study.bench import robot
 from tests.study.bench.robot import change
-from tests.study.conftest import refused
 
 FALL = "\n[limit]\nfall = {risk}\n"
 

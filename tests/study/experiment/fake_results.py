@@ -1,8 +1,5 @@
 """An experiment and a table of its results as the engine would write it, without simulating."""
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 
@@ -19,16 +16,16 @@ ARMS = ("dog", "random")
 STATE_SCHEMA = state_schema({"searched": (), "objective": {}})
 
 
-def experiment(**changes: Any) -> WalkerExperiment:
+def experiment(**changes):
     """Rough ground, disturbed bodies, two runs of three trials; `changes` may be of conditions."""
-    conditions: dict[str, Any] = {
+    conditions = {
         "duration_s": 2.0,
         "settings": Settings(arch="cpu"),
         "build": Build(0.1),
         "ground": Ground("rough", {"amplitude_m": 0.02}),
     }
     conditions |= {name: changes.pop(name) for name in conditions if name in changes}
-    fields: dict[str, Any] = {
+    fields = {
         "name": "tiny",
         "seed": 7,
         "searched": (),
@@ -41,9 +38,7 @@ def experiment(**changes: Any) -> WalkerExperiment:
     return WalkerExperiment(**(fields | changes))
 
 
-def results(
-    of: WalkerExperiment, runs: int = 2, trials: int = 3, arms: Sequence[str] = ARMS
-) -> pa.Table:
+def results(of, runs=2, trials=3, arms=ARMS):
     """Rows of the results table, in its order; the numbers follow from their places."""
     rows = [
         _row(of, arm, run, trial)
@@ -56,7 +51,7 @@ def results(
     return pa.Table.from_pylist([numbers | row for row in rows], schema=schema)
 
 
-def _row(of: WalkerExperiment, arm: str, run: int, trial: int) -> dict[str, Any]:
+def _row(of, arm, run, trial):
     rng = np.random.default_rng([len(arm), run, trial])
     gains = {gain.name: float(rng.uniform(gain.low, gain.high)) for gain in GAINS}
     # The arm dog gets below 100, and so walks, at trial 1 of run 0 only.

@@ -12,17 +12,14 @@ from study.experiment import samplers
 from study.experiment.arms import ARMS, NOTHING, find_arm, saw
 from study.experiment.one_study import new_sampler
 from study.experiment.samplers import Task, score_order
-from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import GAIN_NAMES, lower_bounds, upper_bounds
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import Comparisons, refused
 
 pytestmark = pytest.mark.slow
 
 
-def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(
-    comparisons: Comparisons,
-) -> None:
+def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(comparisons):
     """Beyond a generation of 12."""
     for out, steps in (("parts", (2, 14, 15)), ("whole", (15,))):
         for trials in steps:
@@ -40,12 +37,12 @@ def test_all_arms_stay_in_bounds_and_go_on_after_a_restart(
         assert arm == "ranking" or not np.array_equal(one, other)
 
 
-def table_of(experiment: WalkerExperiment, arm: str) -> FeatureTable:
+def table_of(experiment, arm):
     found = find_arm(arm)
     return Task(experiment, 0, 0, found.store, found.feature).table
 
 
-def test_the_ranking_goes_down_the_scores_then_rows(comparisons: Comparisons) -> None:
+def test_the_ranking_goes_down_the_scores_then_rows(comparisons):
     comparisons.run("out", arms=("ranking",), runs=2, trials=30)
     frame = comparisons.table("out").to_pandas()
     rows = frame.row[frame.run == 0].to_numpy()
@@ -62,8 +59,8 @@ def test_the_ranking_goes_down_the_scores_then_rows(comparisons: Comparisons) ->
 
 
 def test_the_hill_climber_steps_from_the_best_trial_and_first_from_the_best_row(
-    comparisons: Comparisons,
-) -> None:
+    comparisons,
+):
     """As long as no trial is finished: where workers share a study, or trials fail."""
     experiment = comparisons.experiment
     sampler = new_sampler(experiment, find_arm("hill-ranking"), 0)
@@ -78,7 +75,7 @@ def test_the_hill_climber_steps_from_the_best_trial_and_first_from_the_best_row(
         assert 0.0 < np.std(step) < 2.0 * samplers.HILL_SIGMA
 
 
-def test_rows_of_the_residual_process_are_those_of_its_store() -> None:
+def test_rows_of_the_residual_process_are_those_of_its_store():
     """Also where no world ran some rows, and where parameters are choices."""
     columns = {"x": range(9), "grip": [*"ababababa"]}
     with pytest.warns(UserWarning, match="7 rows .* are not proposed"):
@@ -89,9 +86,7 @@ def test_rows_of_the_residual_process_are_those_of_its_store() -> None:
     assert trial.params == table.rows.as_parameters(trial.user_attrs["row"])
 
 
-def test_the_start_of_warm_cmaes(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_start_of_warm_cmaes(comparisons, monkeypatch):
     monkeypatch.setattr(samplers, "START_ROWS", 5)
     comparisons.run("out", arms=("cmaes-warm",), runs=6, trials=2)
     frame = comparisons.table("out").to_pandas()
@@ -103,16 +98,14 @@ def test_the_start_of_warm_cmaes(
     assert (frame.row[frame.trial == 1] == -1).all()
 
 
-def test_warm_cmaes_moves_towards_better_costs(comparisons: Comparisons) -> None:
+def test_warm_cmaes_moves_towards_better_costs(comparisons):
     comparisons.run("out", arms=("cmaes-warm",), runs=3, trials=100)
     frame = comparisons.table("out").to_pandas()
     early = frame.cost[frame.trial.between(1, 12)].mean()
     assert frame.cost[frame.trial >= 85].mean() < early
 
 
-def test_every_arm_is_found_by_its_name_and_says_what_it_is(
-    toy: WalkerExperiment,
-) -> None:
+def test_every_arm_is_found_by_its_name_and_says_what_it_is(toy):
     for name, arm in ARMS.items():
         assert find_arm(name) is arm and arm.name == name
         assert arm.label and arm.summary
@@ -125,7 +118,7 @@ def test_every_arm_is_found_by_its_name_and_says_what_it_is(
         find_arm("cat")
 
 
-def test_arms_say_what_their_stores_saw(toy: WalkerExperiment) -> None:
+def test_arms_say_what_their_stores_saw(toy):
     level, rough = "undisturbed body: level ground", "rough +-0.08 m every 1 m"
     assert saw(ARMS["dog"], toy.stores) == level
     disturbed = f"bodies disturbed by 15 %: {rough}"  # of all families, named once

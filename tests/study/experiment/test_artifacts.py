@@ -1,8 +1,6 @@
 """The picture of the best trial of a live study, as Optuna and its dashboard find it."""
 
 import json
-from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -21,8 +19,8 @@ from study.experiment.artifacts import draw_best
 from study.experiment.database import export
 from study.experiment.gains import named_gains, recorded_walk
 from taichi_nmm.result import Result
+from tests.cases import refused
 from tests.study import synthetic_gait
-from tests.study.conftest import refused
 from tests.study.experiment.fake_results import experiment, results
 
 pytestmark = pytest.mark.slow
@@ -32,7 +30,7 @@ NAME, BEST = "tiny/dog/run-000", 1
 
 
 @pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> Mock:
+def fake(monkeypatch):
     """Stands for the simulator, and remembers what it was asked for."""
     fake = Mock(return_value=Result(np.zeros(0), (synthetic_gait.walk(0.3, 50.0),)))
     monkeypatch.setattr(artifacts, "recorded_walk", fake)
@@ -40,30 +38,28 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> Mock:
 
 
 @pytest.fixture
-def url(tmp_path: Path) -> str:
+def url(tmp_path):
     """A database of studies."""
     url = f"sqlite:///{tmp_path}/studies.db"
     export(TINY, results(TINY), url, None, final=True)
     return url
 
 
-def load(url: str) -> optuna.Study:
+def load(url):
     return optuna.load_study(study_name=NAME, storage=open_studies(url))
 
 
-def make(url: str, folder: Path) -> optuna.Study:
+def make(url, folder):
     """Draw; the study afterwards."""
     draw_best(TINY, 0, load(url), url, folder)
     return load(url)
 
 
-def best_note(study: optuna.Study) -> str:
+def best_note(study):
     return str(get_note(optuna.trial.Trial(study, study.best_trial._trial_id)))
 
 
-def test_the_best_trial_is_simulated_and_registered(
-    tmp_path: Path, url: str, fake: Mock
-) -> None:
+def test_the_best_trial_is_simulated_and_registered(tmp_path, url, fake):
     study = make(url, tmp_path)
     ((gains, simulated, *asked),) = (call.args for call in fake.call_args_list)
     assert gains.gains.tolist() == [study.best_params[name] for name in TINY.names]
@@ -93,7 +89,7 @@ def test_the_best_trial_is_simulated_and_registered(
     assert json.loads(ours)["encoding"] == json.loads(theirs)["encoding"]
 
 
-def test_what_is_there_is_kept(tmp_path: Path, url: str, fake: Mock) -> None:
+def test_what_is_there_is_kept(tmp_path, url, fake):
     make(url, tmp_path)
     (file,) = (tmp_path / "artifacts").iterdir()
     written = file.stat().st_mtime_ns
@@ -106,10 +102,8 @@ def test_what_is_there_is_kept(tmp_path: Path, url: str, fake: Mock) -> None:
     assert file.exists()
 
 
-def test_a_lost_note(
-    tmp_path: Path, url: str, fake: Mock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupt(*_: object) -> None:
+def test_a_lost_note(tmp_path, url, fake, monkeypatch):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
@@ -121,32 +115,26 @@ def test_a_lost_note(
     assert len(get_all_artifact_meta(study.best_trial, storage=study._storage)) == 1
 
 
-def test_a_note_of_the_users_stays(tmp_path: Path, url: str, fake: Mock) -> None:
+def test_a_note_of_the_users_stays(tmp_path, url, fake):
     study = load(url)
     save_note(optuna.trial.Trial(study, study.best_trial._trial_id), "mine")
     assert best_note(make(url, tmp_path)) == "mine"
 
 
-def test_whoever_diverged_at_once_has_no_picture(
-    tmp_path: Path, url: str, fake: Mock
-) -> None:
+def test_whoever_diverged_at_once_has_no_picture(tmp_path, url, fake):
     fake.return_value.trajectories[0].q[:] = np.nan
     assert not make(url, tmp_path).best_trial.system_attrs
     assert not list((tmp_path / "artifacts").iterdir())
 
 
-def test_a_place_that_cannot_be_written_is_one_line(
-    tmp_path: Path, url: str, fake: Mock
-) -> None:
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path, url, fake):
     (tmp_path / "artifacts").touch()
     with refused("out: .* a place that can be written"):
         make(url, tmp_path)
 
 
-def test_the_real_one_repeats_it(
-    tmp_path: Path, url: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    walks: list[Any] = []
+def test_the_real_one_repeats_it(tmp_path, url, monkeypatch):
+    walks = []
     monkeypatch.setattr(artifacts, "write_strip", lambda _, *made: walks.append(made))
     study = make(url, tmp_path)
     ((trajectory, terrain, title, _),) = walks

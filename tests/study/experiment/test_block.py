@@ -7,7 +7,7 @@ import pytest
 
 from study.experiment.block import Block, advance
 from study.experiment.folder import NOTES, PROPOSAL_TIME, in_order
-from study.experiment.walker import KEPT, WalkerExperiment
+from study.experiment.walker import KEPT
 from taichi_nmm.parameters import GAIN_NAMES
 from taichi_nmm.result import COMPLETED
 from tests.study import fake_walker
@@ -16,15 +16,13 @@ from tests.study.experiment.fake_results import STATE_SCHEMA
 NOTHING = STATE_SCHEMA.empty_table()
 
 
-def sorted_rows(*tables: pa.Table) -> list[dict[str, object]]:
+def sorted_rows(*tables):
     """Rows of tables by study, without what no two runs agree upon."""
-    rows: list[dict[str, object]] = (
-        in_order(list(tables)).drop_columns(PROPOSAL_TIME).to_pylist()
-    )
+    rows = in_order(list(tables)).drop_columns(PROPOSAL_TIME).to_pylist()
     return rows
 
 
-def test_a_table_holds_what_the_simulator_said(toy: WalkerExperiment) -> None:
+def test_a_table_holds_what_the_simulator_said(toy):
     table = advance(Block(toy, (("random", 0),), NOTHING, 1)).table
     call = fake_walker.calls[-1]
     gains = call.pop("gains")
@@ -43,7 +41,7 @@ def test_a_table_holds_what_the_simulator_said(toy: WalkerExperiment) -> None:
 
 
 @pytest.mark.slow
-def test_a_block_that_is_handed_on_travels_and_goes_on(toy: WalkerExperiment) -> None:
+def test_a_block_that_is_handed_on_travels_and_goes_on(toy):
     """All arms: what a library keeps in its trials comes along, what does not pickle stays."""
     studies = tuple((name, 1) for name in fake_walker.ABLE)
     whole = advance(Block(toy, studies, NOTHING, 6)).table
@@ -59,19 +57,19 @@ ALIKE = ("worlds", "bo-ranking", "ranking", "random")
 SHARING = tuple((arm, run) for run in range(2) for arm in ALIKE)
 
 
-def different(table: pa.Table) -> int:
+def different(table):
     """How many walks of a table have another robot or other gains."""
     return len(
         {tuple(row.values()) for row in table.select(["run", *GAIN_NAMES]).to_pylist()}
     )
 
 
-def simulated() -> int:
+def simulated():
     return sum(len(call["gains"]) for call in fake_walker.calls)
 
 
 @pytest.mark.slow
-def test_what_several_arms_try_is_simulated_once(toy: WalkerExperiment) -> None:
+def test_what_several_arms_try_is_simulated_once(toy):
     """Also when it was tried in the stretch or the session before."""
     fake_walker.calls.clear()
     whole = advance(Block(toy, SHARING, NOTHING, 8)).table

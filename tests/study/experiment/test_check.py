@@ -1,18 +1,16 @@
 """What is refused of an experiment and its arms before any work: always one line."""
 
 from dataclasses import replace
-from pathlib import Path
 
 from study.experiment.arms import check_arms, find_arm, with_store
 from study.experiment.experiment import candidates, store_path
-from study.experiment.walker import WalkerExperiment
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
 ROWS = fake_walker.STORE_ROWS
 
 
-def test_arms_are_found_each_once_in_their_order(toy: WalkerExperiment) -> None:
+def test_arms_are_found_each_once_in_their_order(toy):
     assert len(check_arms(toy, fake_walker.ABLE, 20)) == len(fake_walker.ABLE)
     assert check_arms(replace(toy, stores={}), ("random", "cmaes-cold"), 100_000)
     found = check_arms(toy, ("dog", "random", "dog"), ROWS)
@@ -21,9 +19,7 @@ def test_arms_are_found_each_once_in_their_order(toy: WalkerExperiment) -> None:
         check_arms(toy, (), 8)
 
 
-def test_a_store_that_is_not_there_or_not_named(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_a_store_that_is_not_there_or_not_named(toy, tmp_path):
     experiment = replace(
         toy, stores={n: path for n, path in toy.stores.items() if n != "flat"}
     )
@@ -40,7 +36,7 @@ def test_a_store_that_is_not_there_or_not_named(
         )
 
 
-def test_a_store_without_a_feature(toy: WalkerExperiment, tmp_path: Path) -> None:
+def test_a_store_without_a_feature(toy, tmp_path):
     fake_walker.write_plain_store(tmp_path / "plain")
     experiment = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "plain"))
     assert check_arms(experiment, ("dog", "cmaes-warm"), 3)
@@ -51,9 +47,7 @@ def test_a_store_without_a_feature(toy: WalkerExperiment, tmp_path: Path) -> Non
             check_arms(experiment, (arm,), 3)
 
 
-def test_a_store_is_read_once_and_anew_when_made_anew(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_a_store_is_read_once_and_anew_when_made_anew(toy, tmp_path):
     feature = find_arm("ranking").feature
     before = candidates(toy, "worlds", feature)
     assert candidates(toy, "worlds", feature) is before
@@ -62,7 +56,7 @@ def test_a_store_is_read_once_and_anew_when_made_anew(
     assert len(before) != len(candidates(toy, "worlds", feature))
 
 
-def test_a_store_of_other_parameters(toy: WalkerExperiment, tmp_path: Path) -> None:
+def test_a_store_of_other_parameters(toy, tmp_path):
     with refused(r"stores.flat: .*store without theta_ref"):
         check_arms(replace(toy, searched=("theta_ref",)), ("dog",), 3)
     fake_walker.write_store(tmp_path / "torso", searched=["theta_ref"])
@@ -72,9 +66,7 @@ def test_a_store_of_other_parameters(toy: WalkerExperiment, tmp_path: Path) -> N
     assert check_arms(replace(experiment, searched=("theta_ref",)), ("dog",), 3)
 
 
-def test_a_store_of_the_callers_is_that_of_the_arms(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_a_store_of_the_callers_is_that_of_the_arms(toy, tmp_path):
     experiment = with_store(toy, ("random", "dog", "cmaes-warm"), tmp_path)
     assert experiment.stores == {**toy.stores, "flat": tmp_path} != toy.stores
     assert replace(experiment, stores=toy.stores) == toy

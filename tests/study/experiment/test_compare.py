@@ -1,49 +1,41 @@
 """Comparisons: what arms share, and that nothing is lost or computed twice, however work is cut."""
 
 import json
-from collections.abc import Callable
 from contextlib import nullcontext
-from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from storage.pool import InProcess, Pool
 from study.experiment import compare as comparing
-from study.experiment.compare import Progress, Request, compare, cut
+from study.experiment.compare import Request, compare, cut
 from study.experiment.folder import results_of
 from study.experiment.one_study import OneStudy
-from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import GAIN_NAMES, LOW_LEVEL_GAINS
 from taichi_nmm.settings import Settings
 from tests.storage.fake import stopping
 from tests.study import fake_walker
-from tests.study.conftest import Comparisons
 from tests.study.experiment.fake_results import STATE_SCHEMA, experiment
 
 pytestmark = pytest.mark.slow
 
 # one of each way to keep a state
 STATEFUL = ("random", "dog", "cmaes-cold", "cmaes-warm")
-CutInto = Callable[[int, int], None]
 
 
 @pytest.fixture
-def cut_into(monkeypatch: pytest.MonkeyPatch) -> CutInto:
+def cut_into(monkeypatch):
     """Sets the sizes of units of work: studies of a block, trials of a stretch."""
 
-    def into(studies: int, trials: int) -> None:
+    def into(studies, trials):
         monkeypatch.setattr(comparing, "BLOCK_STUDIES", studies)
         monkeypatch.setattr(comparing, "STRETCH_TRIALS", trials)
 
     return into
 
 
-def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(
-    comparisons: Comparisons,
-) -> None:
+def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(comparisons):
     fake_walker.calls.clear()
     comparisons.run("out", arms=("random", "dog", "cmaes-cold"))  # which share no gains
     assert len(fake_walker.calls) == 8  # rounds, not 8 trials x 9 studies
@@ -62,7 +54,7 @@ def test_a_round_is_one_batch_and_arms_share_bodies_and_grounds(
     assert len(set(heights[0])) == 3  # another in every run
 
 
-def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) -> None:
+def test_the_table_has_every_trial_once_and_no_gaps(comparisons):
     outcome, table = comparisons.run("out"), comparisons.table("out")
     assert outcome.computed == len(table) == 3 * 3 * 8
     assert table.schema.remove_metadata().equals(
@@ -96,9 +88,7 @@ def test_the_table_has_every_trial_once_and_no_gaps(comparisons: Comparisons) ->
     assert written["arms"]["dog"]["options"] == {"kernel": "rbf"}
 
 
-def test_growing_an_experiment_is_the_same_as_all_at_once(
-    comparisons: Comparisons,
-) -> None:
+def test_growing_an_experiment_is_the_same_as_all_at_once(comparisons):
     comparisons.run("grown", arms=("random",), runs=1, trials=3)
     comparisons.run("grown", arms=("random", "cmaes-cold"), runs=2, trials=5)
     grown = comparisons.run("grown", arms=("random", "cmaes-cold", "dog"))
@@ -109,9 +99,7 @@ def test_growing_an_experiment_is_the_same_as_all_at_once(
     assert comparisons.content("grown") == comparisons.content("whole")
 
 
-def test_results_depend_on_no_cut_slot_or_stop(
-    comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_depend_on_no_cut_slot_or_stop(comparisons, cut_into, monkeypatch):
     comparisons.run("whole", arms=STATEFUL)
     for slots in (2, 5, 100):
         with monkeypatch.context() as patch:
@@ -135,9 +123,7 @@ def test_results_depend_on_no_cut_slot_or_stop(
 @pytest.mark.parametrize(
     "engine", ["taichi", pytest.param("mujoco", marks=pytest.mark.campaign)]
 )
-def test_results_do_not_depend_on_processes_and_stops(
-    engine: str, tmp_path: Path
-) -> None:
+def test_results_do_not_depend_on_processes_and_stops(engine, tmp_path):
     """The real simulator, in one process; and begun there, in two that are spawned."""
     settings = Settings(arch="cpu", engine=engine)
     tiny = experiment(duration_s=1.0, arms=("random", "cmaes-cold"), settings=settings)
@@ -152,7 +138,7 @@ def test_results_do_not_depend_on_processes_and_stops(
     assert frame.cost.nunique() > 6 and frame.duration_s.between(0.1, 1.0).all()
 
 
-def test_studies_are_cut_into_blocks_for_all_slots() -> None:
+def test_studies_are_cut_into_blocks_for_all_slots():
     studies = [(arm, run) for run in range(7) for arm in ("a", "b", "c")]
     for slots in (1, 2, 5, 21, 50):
         blocks = cut(studies, slots)
@@ -167,11 +153,11 @@ def test_studies_are_cut_into_blocks_for_all_slots() -> None:
 
 
 def test_checkpoints_and_the_database_are_written_on_the_way(
-    comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    exports: list[tuple[int, bool]] = []
+    comparisons, cut_into, monkeypatch
+):
+    exports = []
 
-    def export(of: WalkerExperiment, trials: pa.Table, *_: object, final: bool) -> None:
+    def export(of, trials, *_, final):
         assert trials.schema.remove_metadata().equals(
             results_of(STATE_SCHEMA.empty_table()).schema
         )
@@ -183,7 +169,7 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
     cut_into(2, 1)
     seen, told = [], []
 
-    def watch(progress: Progress) -> None:
+    def watch(progress):
         file = comparisons.folder / "out" / "arms" / "dog.parquet"
         seen.append(pq.read_metadata(file).num_rows if file.exists() else 0)
         assert not (comparisons.folder / "out" / "trials.parquet").exists()
@@ -198,7 +184,7 @@ def test_checkpoints_and_the_database_are_written_on_the_way(
     assert exports[-1] == (10, True)  # all arms of the folder
 
 
-def test_sessions_say_what_they_did(comparisons: Comparisons) -> None:
+def test_sessions_say_what_they_did(comparisons):
     for trials in (3, 8, 8):  # the last: nothing to do, nothing to say
         comparisons.run("out", trials=trials)
     sessions = json.loads((comparisons.folder / "out" / "run.json").read_text())[
@@ -209,8 +195,8 @@ def test_sessions_say_what_they_did(comparisons: Comparisons) -> None:
 
 
 def test_a_broken_sampler_stops_the_experiment_and_keeps_the_rest(
-    comparisons: Comparisons, cut_into: CutInto, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    comparisons, cut_into, monkeypatch
+):
     cut_into(3, 1)
     monkeypatch.setattr(OneStudy, "ask", stopping(6, OneStudy.ask, ZeroDivisionError))
     with pytest.raises(ZeroDivisionError):
@@ -220,9 +206,7 @@ def test_a_broken_sampler_stops_the_experiment_and_keeps_the_rest(
     )
 
 
-def test_a_seventeenth_parameter_is_searched_and_written(
-    comparisons: Comparisons,
-) -> None:
+def test_a_seventeenth_parameter_is_searched_and_written(comparisons):
     folder = comparisons.folder / "torso"
     folder.mkdir()
     experiment = fake_walker.experiment(folder, 'searched = ["theta_ref"]')

@@ -1,8 +1,5 @@
 """Results of an experiment as studies that Optuna and its dashboard read."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import optuna
 import pyarrow as pa
@@ -14,13 +11,12 @@ from storage.databases.studies import open_studies
 from study.experiment.database import check_database, export
 from study.experiment.folder import as_if_gone_on, fingerprint
 from study.experiment.objective import Objective
-from study.experiment.walker import WalkerExperiment
 from study.report.markdown import dashboard_summary
 from taichi_nmm.body import Build
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import Ground
-from tests.study.conftest import refused
+from tests.cases import refused
 from tests.study.experiment.fake_results import experiment, results
 
 TINY = experiment()
@@ -34,21 +30,19 @@ GONE = ("dog", 0, 2)  # after a trial that walked
 
 
 @pytest.fixture
-def url(tmp_path: Path) -> str:
+def url(tmp_path):
     return f"sqlite:///{tmp_path}/studies.db"
 
 
-def put(
-    url: str, table: pa.Table, final: bool = True, of: WalkerExperiment = TINY
-) -> None:
+def put(url, table, final=True, of=TINY):
     export(of, table, url, dashboard_summary, final=final)
 
 
-def load(url: str, name: str) -> optuna.Study:
+def load(url, name):
     return optuna.load_study(study_name=name, storage=open_studies(url))
 
 
-def test_every_arm_and_run_is_a_study(url: str, tmp_path: Path) -> None:
+def test_every_arm_and_run_is_a_study(url, tmp_path):
     put(url, results(TINY))
     assert trial_counts(open_studies(url)) == {
         **dict.fromkeys(SIX, 3),
@@ -68,7 +62,7 @@ def test_every_arm_and_run_is_a_study(url: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_studies_say_what_their_objective_is_called(url: str, tmp_path: Path) -> None:
+def test_studies_say_what_their_objective_is_called(url, tmp_path):
     """A name of the user's stays."""
     put(url, results(TINY), final=False)
     names = (*SIX, "tiny/summary")
@@ -84,7 +78,7 @@ def test_studies_say_what_their_objective_is_called(url: str, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("searched", [(), ("theta_ref",)])
-def test_trials_are_the_rows(url: str, searched: tuple[str, ...]) -> None:
+def test_trials_are_the_rows(url, searched):
     ours = experiment(searched=searched)
     table = results(ours)
     put(url, table, of=ours)
@@ -111,7 +105,7 @@ def test_trials_are_the_rows(url: str, searched: tuple[str, ...]) -> None:
 
 
 @pytest.mark.slow
-def test_later_exports_add_what_is_new(url: str) -> None:
+def test_later_exports_add_what_is_new(url):
     put(url, results(TINY, runs=1, trials=2, arms=("dog",)), final=False)
     before = load(url, SIX[0]).trials
     put(url, results(TINY, runs=1), final=False)
@@ -125,7 +119,7 @@ def test_later_exports_add_what_is_new(url: str) -> None:
     assert [trial.value for trial in load(url, SIX[0]).trials] == [300.0, 90.0, 280.0]
 
 
-def test_studies_that_ended_with_a_walker(url: str) -> None:
+def test_studies_that_ended_with_a_walker(url):
     """The database has the trials that were; the summary compares the arms as if all went on."""
     table = results(TINY)
     rows = [
@@ -143,9 +137,9 @@ def test_studies_that_ended_with_a_walker(url: str) -> None:
 
 
 @pytest.mark.slow
-def test_another_configuration_is_refused_and_nothing_written(url: str) -> None:
+def test_another_configuration_is_refused_and_nothing_written(url):
     put(url, results(TINY, trials=1), final=False)
-    changes: tuple[dict[str, Any], ...] = (
+    changes = (
         {"seed": 8},
         {"objective": Objective("walking")},
         {"build": Build(0.2)},

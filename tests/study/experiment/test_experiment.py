@@ -14,11 +14,10 @@ from study.bench.plan import read_plan
 from study.experiment.arms import find_arm
 from study.experiment.experiment import store_path
 from study.experiment.robots import is_of_robots
-from study.experiment.walker import WalkerExperiment, as_written, read_experiment
+from study.experiment.walker import as_written, read_experiment
 from study.options import config_path, shipped_configs
 from taichi_nmm.parameters import GAIN_NAMES
-from tests.cases import cases
-from tests.study.conftest import refused
+from tests.cases import cases, refused
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 ROUGH8 = CONFIGS / "rough8.toml"
@@ -32,7 +31,7 @@ PUBLISHED = [
 ]
 
 
-def edited(tmp_path: Path, old: str, new: str) -> Path:
+def edited(tmp_path, old, new):
     """rough8 with one line changed."""
     text = ROUGH8.read_text(encoding="utf-8")
     assert old in text
@@ -41,7 +40,7 @@ def edited(tmp_path: Path, old: str, new: str) -> Path:
     return path
 
 
-def test_rough8_is_the_papers_rough_ground() -> None:
+def test_rough8_is_the_papers_rough_ground():
     experiment = read_experiment(ROUGH8, arch="cpu")
     assert (experiment.name, experiment.objective.cost) == ("rough8", "smooth")
     assert experiment.conditions.duration_s == 100.0 and experiment.names == GAIN_NAMES
@@ -51,12 +50,12 @@ def test_rough8_is_the_papers_rough_ground() -> None:
     assert 0.005 < np.abs(np.diff(ground.height_m)).max() * 20 <= 0.08
 
 
-def test_the_seed_and_the_run_draw_body_and_ground(tmp_path: Path) -> None:
+def test_the_seed_and_the_run_draw_body_and_ground(tmp_path):
     one, again = read_experiment(ROUGH8), read_experiment(ROUGH8)
     two = read_experiment(edited(tmp_path, "seed = 1", "seed = 2"))
     assert read_experiment(ROUGH8, seed=2) == two
 
-    def drawn(experiment: WalkerExperiment, run: int) -> tuple[bytes, bytes]:
+    def drawn(experiment, run):
         return experiment.body(run).mass_kg.tobytes(), experiment.terrain(
             run
         ).height_m.tobytes()
@@ -66,7 +65,7 @@ def test_the_seed_and_the_run_draw_body_and_ground(tmp_path: Path) -> None:
     assert all(len(set(parts)) == 3 for parts in zip(*different, strict=True))
 
 
-def test_an_experiment_pickles_and_hashes_and_writes_what_decides_trials() -> None:
+def test_an_experiment_pickles_and_hashes_and_writes_what_decides_trials():
     experiment = read_experiment(ROUGH8)
     copy = pickle.loads(pickle.dumps(experiment))
     assert copy == experiment and hash(copy) == hash(experiment)
@@ -81,17 +80,13 @@ def test_an_experiment_pickles_and_hashes_and_writes_what_decides_trials() -> No
 
 
 @cases("bad-experiments.toml", "old", "new", "message")
-def test_bad_configurations_are_refused(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_bad_configurations_are_refused(tmp_path, old, new, message):
     with refused(message):
         read_experiment(edited(tmp_path, old, new))
 
 
 @cases("several-mistakes.toml", "text", "fields")
-def test_all_mistakes_of_a_file_are_named_at_once(
-    tmp_path: Path, text: str, fields: str
-) -> None:
+def test_all_mistakes_of_a_file_are_named_at_once(tmp_path, text, fields):
     path = tmp_path / "own.toml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -108,7 +103,7 @@ def test_all_mistakes_of_a_file_are_named_at_once(
 
 
 @pytest.mark.parametrize("file", EXPERIMENTS, ids=lambda file: file.stem)
-def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) -> None:
+def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file):
     experiment = read_experiment(file)
     assert experiment.name == file.stem
     for name in experiment.arms:
@@ -123,9 +118,7 @@ def test_an_experiment_can_be_read_and_its_arms_have_their_stores(file: Path) ->
 
 
 @pytest.mark.parametrize("file", PUBLISHED, ids=lambda file: file.stem)
-def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(
-    file: Path,
-) -> None:
+def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(file):
     """More where the paper has more, and up stairs; or of what comes before the first walker."""
     experiment = read_experiment(file)
     elsewhere = (
@@ -141,7 +134,7 @@ def test_a_published_comparison_is_50_runs_of_40_trials_of_disturbed_bodies(
     assert experiment.conditions.build.disturbance > 0
 
 
-def test_no_two_experiments_share_a_seed() -> None:
+def test_no_two_experiments_share_a_seed():
     """But those of the same robots: on another engine's contacts, at other speeds, by side."""
     contacts = re.compile(
         r"^(mujoco-.+|speed|outside-even-limp)-(soft|middle|hard|\d\d.*|sides)$"

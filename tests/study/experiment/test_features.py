@@ -3,10 +3,7 @@
 import re
 import shutil
 import warnings
-from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +15,9 @@ from study.bench.plan import read_plan
 from study.experiment.arms import ARMS, check_arms
 from study.experiment.experiment import candidates
 from study.experiment.features import world_table
-from tests.cases import ASSETS
+from tests.cases import ASSETS, refused
 from tests.storage import plants, robot
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
 
 @pytest.mark.filterwarnings("error:FeatureTable")
@@ -52,7 +48,7 @@ def test_rows_that_no_family_ran_are_left_out_and_do_not_count(comparisons):
 HOT = {"settings": 3, "min_survival_s": 0.0, "world": {"heat_k": [300.0, 320.0]}}
 
 
-def battery(folder: Path, **changes: Any) -> Path:
+def battery(folder, **changes):
     """A store of the battery; its hot worlds run most of the rows, its cold ones few of them."""
     configuration = {
         "samples": 64,
@@ -63,10 +59,10 @@ def battery(folder: Path, **changes: Any) -> Path:
     return folder / "store"
 
 
-def test_a_cost_has_what_each_world_gave_of_every_column(tmp_path: Path) -> None:
-    path, seen = battery(tmp_path), dict[str, Any]()
+def test_a_cost_has_what_each_world_gave_of_every_column(tmp_path):
+    path, seen = battery(tmp_path), {}
 
-    def cost(given: Mapping[str, Any], horizon_s: float) -> Any:
+    def cost(given, horizon_s):
         seen.update(given)
         assert horizon_s == 5400.0 and "no_column" not in given
         return given["loss_j"] + given["current_a"]
@@ -88,7 +84,6 @@ def test_a_cost_has_what_each_world_gave_of_every_column(tmp_path: Path) -> None
                 expected = [round(share, 9) for share in expected]
             assert found.tolist() == expected  # else not a bit is lost
     assert seen["finished_at_s"].min() > 2.0**30  # beyond the whole numbers of float32
-    assert table.rows.worlds is not None
     hot = [name.startswith("hot") for name in table.rows.worlds.names]
     assert_array_equal(
         table.rows.worlds.costs[:, hot], seen["loss_j"] + seen["current_a"]
@@ -96,7 +91,7 @@ def test_a_cost_has_what_each_world_gave_of_every_column(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("kept", [[], ["loss_j"]])
-def test_a_cost_of_what_no_world_keeps_is_refused_with_the_key(tmp_path, kept) -> None:
+def test_a_cost_of_what_no_world_keeps_is_refused_with_the_key(tmp_path, kept):
     path = battery(tmp_path, kept=kept)
     assert open_store(path).kept("cold") == ("survived_fraction", *kept)
     with refused(
@@ -111,9 +106,7 @@ def test_a_cost_of_what_no_world_keeps_is_refused_with_the_key(tmp_path, kept) -
             world_table(path, lambda given, _, none=none: given[none])
 
 
-def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(
-    tmp_path: Path,
-) -> None:
+def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(tmp_path):
     some = {"settings": 2, "world": {"heat_k": 300.0}, "min_survival_s": 5400.0}
     long = {"settings": 1, "after": "hot", "min_survived_fraction": 1.0}
     path = battery(tmp_path, families={"hot": some, "long": long})
@@ -143,14 +136,12 @@ def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(
         (lambda given, _: "much", "^cost: 'str' .* numbers"),
     ],
 )
-def test_a_cost_of_another_shape_is_refused(
-    tmp_path: Path, cost: Any, message: str
-) -> None:
+def test_a_cost_of_another_shape_is_refused(tmp_path, cost, message):
     with refused(message):
         world_table(battery(tmp_path), cost)
 
 
-def test_a_run_that_failed_has_no_number_that_is_cheap(tmp_path: Path) -> None:
+def test_a_run_that_failed_has_no_number_that_is_cheap(tmp_path):
     """Zeros of a run that raised would be the least loss of all."""
     path = battery(
         tmp_path,
@@ -177,10 +168,10 @@ def test_a_run_that_failed_has_no_number_that_is_cheap(tmp_path: Path) -> None:
 
 
 class Packed(FunctionSimulator):
-    outcome_type = np.float32  # type: ignore[assignment]
+    outcome_type = np.float32
 
 
-def test_a_number_too_large_for_its_type_is_no_infinity(tmp_path: Path) -> None:
+def test_a_number_too_large_for_its_type_is_no_infinity(tmp_path):
     """Infinity would be the best of all where values are maximised."""
     huge = Packed(plants.explode, parameters=plants.PARAMETERS, columns=plants.COLUMNS)
     hot = {"settings": 2, "min_survival_s": 0.0}
@@ -201,9 +192,7 @@ def test_a_number_too_large_for_its_type_is_no_infinity(tmp_path: Path) -> None:
         ({}, []),
     ],
 )
-def test_a_family_that_no_row_finished_is_warned_of(
-    tmp_path: Path, changes, lines
-) -> None:
+def test_a_family_that_no_row_finished_is_warned_of(tmp_path, changes, lines):
     path = battery(tmp_path, families={"hot": HOT | changes})
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
@@ -217,8 +206,8 @@ def test_a_family_that_no_row_finished_is_warned_of(
 
 
 def test_a_store_of_an_older_version_opens_with_what_its_worlds_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     """0.3.0 kept how far a run came and the first other column, in float32, for 8 s."""
     path = ASSETS / "store-0.3.0"
     store = open_store(path, verify=True)

@@ -1,7 +1,5 @@
 """Tables of trials: rows stay with the study that they are of."""
 
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -12,7 +10,7 @@ from tests.cases import cases
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_every_row_is_given_to_its_own_study(seed: int) -> None:
+def test_every_row_is_given_to_its_own_study(seed):
     """Arrow's `group_by` gives groups in an order of its own: with it, labels were swapped."""
     rng = np.random.default_rng(seed)
     count = 2000
@@ -33,7 +31,7 @@ def test_every_row_is_given_to_its_own_study(seed: int) -> None:
     assert list(by_study(pa.table(columns).slice(count))) == []
 
 
-def trials(*studies: tuple[str, int, str]) -> pa.Table:
+def trials(*studies):
     """Studies as words, a letter a trial: w walked, f fell."""
     kinds = {
         "arm": pa.string(),
@@ -52,7 +50,7 @@ def trials(*studies: tuple[str, int, str]) -> pa.Table:
 
 
 @cases("studies-gone-on.toml", "before", "after")
-def test_as_if_gone_on(before: Any, after: Any) -> None:
+def test_as_if_gone_on(before, after):
     given, expected = trials(*before), trials(*after)
     for shuffled in (
         given,
@@ -63,7 +61,7 @@ def test_as_if_gone_on(before: Any, after: Any) -> None:
         for name in ("arm", "run", "trial", "walked"):
             assert found[name].to_pylist() == expected[name].to_pylist()
     # What is repeated is the last trial.
-    own: dict[tuple[str, int], list[float]] = {}
+    own = {}
     for row in given.to_pylist():
         own.setdefault((row["arm"], row["run"]), []).append(row["cost"])
     for row in found.to_pylist():

@@ -1,7 +1,5 @@
 """Experiments with two goals: configured, compared, resumed, live, reported, and refused."""
 
-from pathlib import Path
-
 import numpy as np
 import optuna
 import pytest
@@ -14,12 +12,12 @@ from study.experiment.experiment import candidates
 from study.experiment.features import WORLDS, front_of
 from study.experiment.live_study import run_study
 from study.experiment.trials import best_trial, progress_line, study_facts, study_line
-from study.experiment.walker import WalkerExperiment, read_experiment
+from study.experiment.walker import read_experiment
 from study.report.figures import write_report
 from study.report.markdown import dashboard_summary
 from study.report.runs import read_results
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import Comparisons, refused
 
 GOALS = """
 objective.cost = "front"
@@ -30,7 +28,7 @@ effort = {cost = "weighted", fell_cost = 4.0, terms.m1_mean = {weight = 2.0, tar
 TAKES = tuple(name for name, arm in ARMS.items() if arm.takes_goals)
 
 
-def front(folder: Path, old: str = "", new: str = "") -> WalkerExperiment:
+def front(folder, old="", new=""):
     """The toy experiment with two goals, and one thing changed."""
     kept = folder / "kept" / "store"
     if not kept.exists():
@@ -41,7 +39,7 @@ def front(folder: Path, old: str = "", new: str = "") -> WalkerExperiment:
     return read_experiment(path)
 
 
-def area(values: np.ndarray) -> float:
+def area(values):
     """What points dominate, in strips from each to the next."""
     effort, slow = np.minimum(values, (4.0, 2.5)).T  # goals in the order of their names
     ends = np.unique([*effort, 4.0])
@@ -50,7 +48,7 @@ def area(values: np.ndarray) -> float:
     )
 
 
-def test_a_comparison_has_each_goal_and_the_front(comparisons: Comparisons) -> None:
+def test_a_comparison_has_each_goal_and_the_front(comparisons):
     experiment = front(comparisons.folder)
     for arms, whole in ((TAKES, 5), (("nsga2",), 60)):  # beyond a generation of 50
         for out, trials in (("parts", 2), ("parts", whole), ("whole", whole)):
@@ -80,9 +78,7 @@ def test_a_comparison_has_each_goal_and_the_front(comparisons: Comparisons) -> N
 
 
 @pytest.mark.parametrize("arm", ["worlds", "nsga2"])
-def test_a_live_study_is_a_compared_one(
-    fake_simulator: None, tmp_path: Path, arm: str
-) -> None:
+def test_a_live_study_is_a_compared_one(fake_simulator, tmp_path, arm):
     experiment = front(tmp_path)
     urls = [f"sqlite:///{tmp_path / name}.db" for name in ("live", "compared")]
     for trials in (2, 4):
@@ -110,12 +106,9 @@ def test_a_live_study_is_a_compared_one(
     assert f"slow {values[3, 1]:8.4f}" in line
 
 
-def test_the_front_of_a_store_has_the_rows_that_none_beats(
-    fake_simulator: None, tmp_path: Path
-) -> None:
+def test_the_front_of_a_store_has_the_rows_that_none_beats(fake_simulator, tmp_path):
     table = candidates(front(tmp_path), "worlds", WORLDS)
     worlds, numbers = table.rows.worlds, table.rows.numbers
-    assert worlds is not None
     means = {row: worlds.weights @ worlds.costs[row] for row in numbers.tolist()}
     best = [
         row
@@ -144,15 +137,13 @@ def test_the_front_of_a_store_has_the_rows_that_none_beats(
         ("trials = 8", "success = 1.0", r"^success: 1\.0 .* only the keys"),
     ],
 )
-def test_bad_goals_are_refused(
-    fake_simulator: None, tmp_path: Path, case: list[str]
-) -> None:
+def test_bad_goals_are_refused(fake_simulator, tmp_path, case):
     *changed, message = case
     with refused(message):
         front(tmp_path, *changed)
 
 
-def test_an_arm_of_one_cost_is_refused(comparisons: Comparisons) -> None:
+def test_an_arm_of_one_cost_is_refused(comparisons):
     experiment = front(comparisons.folder)
     for name in set(fake_walker.ABLE) - set(TAKES):
         with refused(f"^arm: '{name}' .* with two goals one of random, .*worlds"):

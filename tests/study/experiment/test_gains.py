@@ -25,7 +25,6 @@ from study.experiment.gains import (
     row_at_speed,
 )
 from study.experiment.live_study import run_study
-from study.experiment.walker import WalkerExperiment
 from taichi_nmm.parameters import (
     GAIN_NAMES,
     LOW_LEVEL_GAINS,
@@ -33,8 +32,8 @@ from taichi_nmm.parameters import (
     PUBLISHED_GAINS,
 )
 from taichi_nmm.result import ENERGY, OF_MUSCLES
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
 DEFAULTS = [parameter.default for parameter in LOW_LEVEL_GAINS]
 LIVE, BESIDE, OTHER = (
@@ -45,7 +44,7 @@ LIVE, BESIDE, OTHER = (
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """The toy experiment with a seventeenth parameter: its store, a comparison, a live study."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
@@ -71,13 +70,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def here(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(made, monkeypatch):
     """The current folder."""
     monkeypatch.chdir(made)
     return made
 
 
-def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
+def test_gains_by_name_and_of_a_file(tmp_path):
     named = gains_of_source("published")
     assert named.name == "published"
     np.testing.assert_array_equal(named.gains, PUBLISHED_GAINS)
@@ -93,7 +92,7 @@ def test_gains_by_name_and_of_a_file(tmp_path: Path) -> None:
         gains_of_source("nobody")
 
 
-def test_a_row_of_a_store(here: Path, store: Path) -> None:
+def test_a_row_of_a_store(here, store):
     rows = open_store(store).points()
     for row in (0, 17, 199):
         found = gains_of_row(store, row)
@@ -107,7 +106,7 @@ def test_a_row_of_a_store(here: Path, store: Path) -> None:
     assert found.as_document()["theta_ref"] == row_7[16] != DEFAULTS[7]
 
 
-def test_an_experiment_may_have_dots_in_its_name(here: Path) -> None:
+def test_an_experiment_may_have_dots_in_its_name(here):
     found = gains_of_trial("rough-8.5_b/random/run-000/0", "dots")
     assert found.name == "rough-8.5_b-random-run-000-0"
 
@@ -173,7 +172,7 @@ NOT_IN_THE_FOLDER = (
         (TRIAL, "sqlite:///text.db", "text.db"),
     ],
 )
-def test_no_such_trial(trial: str, where: str, message: str, here: Path) -> None:
+def test_no_such_trial(trial, where, message, here):
     before = sorted(here.iterdir())
     with refused(message):
         gains_of_trial(trial, where)
@@ -181,9 +180,7 @@ def test_no_such_trial(trial: str, where: str, message: str, here: Path) -> None
 
 
 @pytest.mark.parametrize("lacking", ["experiment", "trial", ""])
-def test_a_table_without_a_column_or_without_any(
-    here: Path, tmp_path: Path, lacking: str
-) -> None:
+def test_a_table_without_a_column_or_without_any(here, tmp_path, lacking):
     path = shutil.copytree(here / "out", tmp_path / "out") / "trials.parquet"
     if lacking:
         pq.write_table(pq.read_table(path).drop_columns([lacking]), path)
@@ -193,9 +190,7 @@ def test_a_table_without_a_column_or_without_any(
         gains_of_trial("toy/dog/run-001/1", str(tmp_path / "out"))
 
 
-def test_the_row_of_a_speed_is_the_one_of_least_energy(
-    store: Path, toy: WalkerExperiment
-) -> None:
+def test_the_row_of_a_speed_is_the_one_of_least_energy(store, toy):
     """On level ground; in a store with families, in all worlds of the one that runs longest."""
     names = ("survived_fraction", "mean_speed_mps", ENERGY, OF_MUSCLES)
     lasted, speed, energy, muscles = (
@@ -221,9 +216,7 @@ def test_the_row_of_a_speed_is_the_one_of_least_energy(
     assert kept[row].all() and abs(speeds[row] - wanted) <= SPEED_TOLERANCE_MPS
 
 
-def test_where_gains_are_fixed_rows_and_trials_have_them(
-    fake_simulator: None, tmp_path: Path
-) -> None:
+def test_where_gains_are_fixed_rows_and_trials_have_them(fake_simulator, tmp_path):
     """An exoskeleton alone is searched: in a store, in a comparison and in a live study."""
     searched = 'fixed_gains = "published"\nsearched = ["exo_torque", "exo_peak"]\n'
     data = {
@@ -272,8 +265,8 @@ def test_where_gains_are_fixed_rows_and_trials_have_them(
 
 
 def test_a_store_of_equal_legs_serves_a_search_of_gains_by_side(
-    fake_simulator: None, tmp_path: Path
-) -> None:
+    fake_simulator, tmp_path
+):
     """Rows have no asymmetry; points near good trials have some, and so have their walks."""
     searched = ["K_SOL_asymmetry", "exo_torque"]
     toy = fake_walker.experiment(tmp_path, f"searched = {json.dumps(searched)}\n")

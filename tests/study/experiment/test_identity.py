@@ -3,7 +3,6 @@
 import json
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -28,7 +27,7 @@ TINY = experiment()
 # Another value of every field there is. A new field is missing here until somebody
 # says, by its place, whether it decides trials; that it then does, or does not, is
 # tested.
-DECIDING: dict[type, dict[str, Any]] = {
+DECIDING = {
     WalkerExperiment: {
         "name": "other",
         "seed": 8,
@@ -51,7 +50,7 @@ DECIDING: dict[type, dict[str, Any]] = {
         "engine": "mujoco",
     },
 }
-IDLE: dict[type, dict[str, Any]] = {
+IDLE = {
     WalkerExperiment: {
         "runs": 9,
         "trials": 50,
@@ -70,7 +69,7 @@ IDLE: dict[type, dict[str, Any]] = {
 PARTS = {WalkerExperiment: "", Conditions: "conditions", Settings: "settings"}
 
 
-def changed(kind: type, name: str, value: Any) -> WalkerExperiment:
+def changed(kind, name, value):
     """The tiny experiment with one field of itself or of one of its parts changed."""
     change, conditions = {name: value}, TINY.conditions
     if kind is WalkerExperiment:
@@ -82,7 +81,7 @@ def changed(kind: type, name: str, value: Any) -> WalkerExperiment:
     return replace(TINY, conditions=replace(conditions, **change))
 
 
-def named(table: dict[type, dict[str, Any]]) -> list[Any]:
+def named(table):
     return [
         pytest.param(changed(kind, name, value), id=f"{kind.__name__}.{name}")
         for kind, values in table.items()
@@ -90,34 +89,32 @@ def named(table: dict[type, dict[str, Any]]) -> list[Any]:
     ]
 
 
-def read_back(of: WalkerExperiment) -> WalkerExperiment:
+def read_back(of):
     """The experiment of its tables, as a file holds them."""
     return experiment_of(Table(json.loads(json.dumps(as_written(of)))), "")
 
 
 @pytest.mark.parametrize("kind", PARTS, ids=lambda kind: kind.__name__)
-def test_every_field_either_decides_trials_or_does_not(kind: type) -> None:
+def test_every_field_either_decides_trials_or_does_not(kind):
     known = {each.name for each in fields(kind)} - set(PARTS.values())
     assert known == set(DECIDING[kind]) | set(IDLE[kind])
 
 
 @pytest.mark.parametrize("other", named(DECIDING))
-def test_what_decides_trials_changes_the_document_and_is_read_back(
-    other: WalkerExperiment,
-) -> None:
+def test_what_decides_trials_changes_the_document_and_is_read_back(other):
     assert difference(document(other, ()), document(TINY, ())) is not None
     assert fingerprint(other) != fingerprint(TINY)
     assert document(read_back(other), ()) == document(other, ())
 
 
 @pytest.mark.parametrize("other", named(IDLE))
-def test_what_decides_nothing_changes_nothing(other: WalkerExperiment) -> None:
+def test_what_decides_nothing_changes_nothing(other):
     assert other != TINY
     assert document(other, ()) == document(TINY, ())
     assert fingerprint(other) == fingerprint(TINY)
 
 
-def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
+def test_the_document_is_json_and_says_the_versions_and_the_space():
     ours = document(TINY, ())
     assert json.loads(json.dumps(ours)) == ours
     assert ours["versions"] == versions(
@@ -138,9 +135,7 @@ def test_the_document_is_json_and_says_the_versions_and_the_space() -> None:
         MujocoSettings(limits="mujoco"),
     ],
 )
-def test_an_experiment_on_mujoco_says_so_and_with_which_version(
-    own: MujocoSettings,
-) -> None:
+def test_an_experiment_on_mujoco_says_so_and_with_which_version(own):
     assert "mujoco" not in json.dumps(document(TINY, ()))
     usual = changed(Settings, "engine", "mujoco")
     settings = replace(usual.conditions.settings, mujoco=own)
@@ -152,9 +147,7 @@ def test_an_experiment_on_mujoco_says_so_and_with_which_version(
     assert read.conditions.settings.mujoco == own and document(read, ()) == ours
 
 
-def test_arms_and_the_stores_that_they_read_are_those_of_the_call(
-    toy: WalkerExperiment,
-) -> None:
+def test_arms_and_the_stores_that_they_read_are_those_of_the_call(toy):
     ours = document(toy, (find_arm("dog"), find_arm("worlds"), find_arm("random")))
     assert list(ours["arms"]) == ["dog", "random", "worlds"]
     assert ours["arms"]["dog"] == json.loads(json.dumps(find_arm("dog").definition))
@@ -163,7 +156,7 @@ def test_arms_and_the_stores_that_they_read_are_those_of_the_call(
     assert document(toy, ())["arms"] == document(toy, ())["stores"] == {}
 
 
-def test_a_store_is_known_by_its_content(toy: WalkerExperiment, tmp_path: Path) -> None:
+def test_a_store_is_known_by_its_content(toy, tmp_path):
     arm = find_arm("dog")
     before = document(toy, (arm,))
     (tmp_path / "store").rename(tmp_path / "moved")
@@ -172,13 +165,11 @@ def test_a_store_is_known_by_its_content(toy: WalkerExperiment, tmp_path: Path) 
     fake_walker.write_store(tmp_path / "other", seed=4)
     other = replace(toy, stores=dict.fromkeys(toy.stores, tmp_path / "other"))
     found = difference(document(other, (arm,)), before)
-    assert found is not None and found[0] == "stores.flat"
+    assert found[0] == "stores.flat"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_experiment_that_was_read_back_draws_alike(
-    kind: str, tmp_path: Path
-) -> None:
+def test_an_experiment_that_was_read_back_draws_alike(kind, tmp_path):
     (tmp_path / "ground.csv").write_text("0,0\n3,0.1\n60,0\n")
     file = {"file": str(tmp_path / "ground.csv")} if kind == "file" else {}
     ground = read_ground(Table({"kind": kind, **file}, "terrain"))

@@ -3,8 +3,6 @@
 import pickle
 import sys
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +16,8 @@ from study.experiment.experiment import candidates
 from study.experiment.objective import Objective, Term, read_objective
 from study.experiment.walker import PAID, as_written, experiment_of
 from taichi_nmm.result import RESULT_DTYPE
-from tests.cases import cases
+from tests.cases import cases, refused
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
 TERMS = {
     "cost_of_transport_jpkgpm": 2.0,
@@ -37,9 +34,7 @@ AT_08 = read_objective(Table(TABLE, "objective"), PAID)
         ("walking", 15.0, 288.0),
     ],
 )
-def test_costs_in_worlds_are_those_of_a_trial(
-    cost: str, walker: float, faller: float
-) -> None:
+def test_costs_in_worlds_are_those_of_a_trial(cost, walker, faller):
     names = ("survived_fraction", "mean_speed_mps", "cost_of_transport_jpkgpm")
     values = np.array([[1.0, 0.5, np.nan], [1.2, 1.2, np.nan], [5.0, 9.0, np.nan]])
     given = dict(zip(names, values[:, None], strict=True))
@@ -48,7 +43,7 @@ def test_costs_in_worlds_are_those_of_a_trial(
     assert_allclose(found, [[walker, faller, np.nan]])
 
 
-def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
+def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was():
     rows = np.zeros(5, RESULT_DTYPE)
     rows["survived_fraction"] = 1.0, 1.0, 1.0, 0.75, 0.0
     rows["mean_speed_mps"] = 0.84, 0.7, 2.0, 0.8, 0.8
@@ -66,7 +61,7 @@ def test_a_walk_pays_for_each_term_and_a_fall_for_how_early_it_was() -> None:
     ]
 
 
-def test_what_was_not_measured_costs_as_much_as_a_fall_at_the_end_and_never_0() -> None:
+def test_what_was_not_measured_costs_as_much_as_a_fall_at_the_end_and_never_0():
     """Who stands still uses no energy a metre that is known, and no step is like people's."""
     objective = read_objective(Table(TABLE | {"terms": {"human_deviation": 1.0}}), PAID)
     rows = np.zeros(2, RESULT_DTYPE)
@@ -86,9 +81,7 @@ def test_what_was_not_measured_costs_as_much_as_a_fall_at_the_end_and_never_0() 
     assert still.in_worlds(given, 5.0)[:, 0].tolist() == [50.0, 8.0]
 
 
-def test_it_is_read_back_from_what_it_writes(
-    tmp_path: Path, fake_simulator: None
-) -> None:
+def test_it_is_read_back_from_what_it_writes(tmp_path, fake_simulator):
     assert AT_08.document() == TABLE and AT_08.terms[0] == Term(
         "cost_of_transport_jpkgpm", 2.0
     )
@@ -123,8 +116,8 @@ number = 3
     ],
 )
 def test_a_function_stands_for_a_column_or_is_the_cost(
-    function: str, found: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    function, found, tmp_path, monkeypatch
+):
     monkeypatch.setattr("sys.path", [*sys.path])
     file, name = tmp_path / f"own_{function}.py", f"own_{function}.py:{function}"
     file.write_text(OWN)
@@ -140,7 +133,7 @@ def test_a_function_stands_for_a_column_or_is_the_cost(
         )
         assert_allclose(objective.costs(rows), found)
     assert_allclose(
-        Goal("", False, None, None, 1.0).in_worlds(objective.terms[0])(rows, 1.0),  # type: ignore[arg-type]
+        Goal("", False, None, None, 1.0).in_worlds(objective.terms[0])(rows, 1.0),
         [0.5, 1.5, 2.0],
     )
     document = objective.document()
@@ -151,23 +144,20 @@ def test_a_function_stands_for_a_column_or_is_the_cost(
 
 
 @cases("bad-objectives.toml", "changed", "message")
-def test_bad_objectives_are_refused(changed: dict[str, Any], message: str) -> None:
+def test_bad_objectives_are_refused(changed, message):
     table = Table(TABLE | changed, "objective")
     with refused(message):
         read_objective(table, PAID)
         table.done()
 
 
-def test_worlds_count_in_the_units_of_the_objective(
-    fake_simulator: None, tmp_path: Path
-) -> None:
+def test_worlds_count_in_the_units_of_the_objective(fake_simulator, tmp_path):
     experiment, feature = fake_walker.experiment(tmp_path), ARMS["worlds"].feature
     objectives = {"smooth": Objective(), "walking": Objective("walking"), "at": AT_08}
     costs, rows = {}, None
     for name, objective in objectives.items():
         one = replace(experiment, objective=objective)
         rows = candidates(one, "worlds", feature).rows
-        assert rows.worlds is not None
         costs[name] = rows.worlds.costs
     assert (
         np.nanmax(costs["smooth"]) < 2.0 < 200.0 < np.nanmax(costs["walking"]) <= 300.0
@@ -175,9 +165,7 @@ def test_worlds_count_in_the_units_of_the_objective(
     assert 50.0 < np.nanmax(costs["at"]) <= 100.0
 
 
-def test_worlds_keep_the_columns_that_a_store_names(
-    fake_simulator: None, tmp_path: Path
-) -> None:
+def test_worlds_keep_the_columns_that_a_store_names(fake_simulator, tmp_path):
     """No cost is of the base setting's level ground, whose column the store may have."""
     experiment = fake_walker.experiment(tmp_path)
     for name in ("activation_sol_mean", "activation_cubed_mean"):
@@ -200,6 +188,6 @@ def test_worlds_keep_the_columns_that_a_store_names(
         for name in ("activation_cubed_mean", "survived_fraction")
     )
     ran = store.table()["rough_evaluated"].to_numpy() & (lasted[:, 0] >= 1.0)
-    place = rows.worlds.names.index("rough 0")  # type: ignore[union-attr]
+    place = rows.worlds.names.index("rough 0")
     assert ran.any() and np.ptp(given[ran, 0]) > 0.1
-    assert_allclose(rows.worlds.costs[ran, place], given[ran, 0])  # type: ignore[union-attr]
+    assert_allclose(rows.worlds.costs[ran, place], given[ran, 0])

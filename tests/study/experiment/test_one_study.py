@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.experiment.arms import Arm, find_arm
+from study.experiment.arms import find_arm
 from study.experiment.one_study import OneStudy
-from study.experiment.walker import WalkerExperiment
 from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE
 from tests.study import fake_walker
 
 
-def test_seeds_differ_by_experiment_arm_and_run(toy: WalkerExperiment) -> None:
+def test_seeds_differ_by_experiment_arm_and_run(toy):
     keys = [
         (seed, arm, run)
         for seed in (1, 2)
@@ -26,9 +25,7 @@ def test_seeds_differ_by_experiment_arm_and_run(toy: WalkerExperiment) -> None:
         assert len({tuple(study.ask()) for study in studies}) == 4
 
 
-def test_samplers_see_that_a_trial_fell_and_what_it_showed(
-    toy: WalkerExperiment,
-) -> None:
+def test_samplers_see_that_a_trial_fell_and_what_it_showed(toy):
     study = OneStudy(toy, find_arm("dog"), 0)
     gains = study.ask()
     assert study.trials == 0 and not study.finished()
@@ -43,13 +40,11 @@ def test_samplers_see_that_a_trial_fell_and_what_it_showed(
     assert told.user_attrs["mood"] == "good"
 
 
-def test_only_arms_whose_features_a_trial_has_are_shown_them(
-    toy: WalkerExperiment,
-) -> None:
+def test_only_arms_whose_features_a_trial_has_are_shown_them(toy):
     rows = np.zeros(1, RESULT_DTYPE)
     rows["end_reason"], rows["m5_mean_mps"] = FELL, 1.25
 
-    def shown(arm: Arm) -> dict[str, object]:
+    def shown(arm):
         return OneStudy(toy, arm, 0).shown(rows[0], np.ones(1))
 
     for arm in ("random", "worlds"):  # it did not walk in the worlds

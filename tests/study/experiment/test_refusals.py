@@ -1,10 +1,7 @@
 """What a comparison refuses, in one line, before anything is computed."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -13,12 +10,12 @@ import pytest
 from storage.tables import DIGEST_KEY, write_table
 from study.experiment import arms
 from study.experiment.folder import ExperimentFolder
-from study.experiment.walker import WalkerExperiment, read_experiment
+from study.experiment.walker import read_experiment
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import Comparisons, refused
 
 
-def edited(comparisons: Comparisons, old: str, new: str) -> WalkerExperiment:
+def edited(comparisons, old, new):
     """The toy experiment with a line changed."""
     path = comparisons.folder / "edited.toml"
     text = fake_walker.write_config(comparisons.folder).read_text()
@@ -27,18 +24,18 @@ def edited(comparisons: Comparisons, old: str, new: str) -> WalkerExperiment:
     return read_experiment(path)
 
 
-def document(comparisons: Comparisons) -> dict[str, Any]:
+def document(comparisons):
     """That of the folder out."""
     return dict(
         json.loads((comparisons.folder / "out" / "experiment.json").read_text())
     )
 
 
-def arm_file(comparisons: Comparisons, arm: str = "random", out: str = "out") -> Path:
+def arm_file(comparisons, arm="random", out="out"):
     return comparisons.folder / out / "arms" / f"{arm}.parquet"
 
 
-def test_another_experiment_or_version_in_the_folder(comparisons: Comparisons) -> None:
+def test_another_experiment_or_version_in_the_folder(comparisons):
     comparisons.run("out", arms=("random",), trials=1)
     before = comparisons.content("out")
     for old, new, message in (
@@ -59,9 +56,7 @@ def test_another_experiment_or_version_in_the_folder(comparisons: Comparisons) -
     assert comparisons.content("out") == before
 
 
-def test_another_store_or_arm(
-    comparisons: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_store_or_arm(comparisons, monkeypatch):
     comparisons.run("out", arms=("dog",), trials=1)
     folder = comparisons.folder
     fake_walker.write_store(folder / "other", seed=4)
@@ -76,7 +71,7 @@ def test_another_store_or_arm(
         comparisons.run("out", arms=("dog",), trials=2)
 
 
-def test_a_folder_in_use_of_something_else_or_damaged(comparisons: Comparisons) -> None:
+def test_a_folder_in_use_of_something_else_or_damaged(comparisons):
     comparisons.run("out", arms=("random",), trials=1)
     with (
         ExperimentFolder.claim(comparisons.folder / "out", document(comparisons)),
@@ -93,29 +88,24 @@ def test_a_folder_in_use_of_something_else_or_damaged(comparisons: Comparisons) 
         comparisons.run("out", arms=("random",))
 
 
-Edit = Callable[[pa.Table, dict[str, Any]], tuple[pa.Table, dict[str, Any]]]
-
-
-def rewrite(file: Path, edit: Edit) -> None:
+def rewrite(file, edit):
     """Write an arm's file again, with another table and footer than it had."""
     table = pq.read_table(file)
     footer = json.loads(table.schema.metadata[b"taichi_nmm"])
     write_table(file, *edit(table.replace_schema_metadata(None), footer))
 
 
-def with_column(table: pa.Table, name: str, values: Any) -> pa.Table:
+def with_column(table, name, values):
     column = table.schema.get_field_index(name)
     return table.set_column(column, table.schema.field(name), pa.array(values))
 
 
-def undigested(
-    table: pa.Table, footer: dict[str, Any]
-) -> tuple[pa.Table, dict[str, Any]]:
+def undigested(table, footer):
     """As 0.2.0 wrote it before there were digests."""
     return table, {key: value for key, value in footer.items() if key != DIGEST_KEY}
 
 
-EDITS: dict[str, tuple[Edit, str]] = {
+EDITS = {
     "cheaper": (
         lambda table, footer: (
             with_column(table, "cost", table["cost"].to_numpy() / 2),
@@ -151,9 +141,7 @@ EDITS: dict[str, tuple[Edit, str]] = {
 
 
 @pytest.mark.parametrize(("edit", "message"), EDITS.values(), ids=EDITS)
-def test_an_arm_that_was_edited(
-    edit: Edit, message: str, comparisons: Comparisons
-) -> None:
+def test_an_arm_that_was_edited(edit, message, comparisons):
     comparisons.run("out", arms=("random",), trials=3)
     before = comparisons.content("out")
     rewrite(arm_file(comparisons), edit)
@@ -163,7 +151,7 @@ def test_an_arm_that_was_edited(
     assert comparisons.content("out") == before and not fake_walker.calls
 
 
-def test_an_arm_of_another_seed(comparisons: Comparisons) -> None:
+def test_an_arm_of_another_seed(comparisons):
     comparisons.run("out", arms=("dog",), trials=1)
     other = edited(comparisons, "seed = 5", "seed = 6")
     comparisons.run("other", experiment=other, arms=("random",), trials=3)
@@ -173,7 +161,7 @@ def test_an_arm_of_another_seed(comparisons: Comparisons) -> None:
             comparisons.run("out", arms=arms_, trials=3)
 
 
-def test_a_folder_of_before_digests_goes_on(comparisons: Comparisons) -> None:
+def test_a_folder_of_before_digests_goes_on(comparisons):
     both = ("random", "cmaes-cold")
     comparisons.run("whole", arms=both)
     comparisons.run("out", arms=both, trials=3)
@@ -185,7 +173,7 @@ def test_a_folder_of_before_digests_goes_on(comparisons: Comparisons) -> None:
     assert DIGEST_KEY in json.loads(footer)  # from now on
 
 
-def test_trials_that_the_sampler_did_not_propose(comparisons: Comparisons) -> None:
+def test_trials_that_the_sampler_did_not_propose(comparisons):
     comparisons.run("out", arms=("random",), trials=4)
     with ExperimentFolder.claim(
         comparisons.folder / "out", document(comparisons)

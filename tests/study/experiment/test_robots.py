@@ -7,25 +7,23 @@ from pathlib import Path
 
 import numpy as np
 import optuna
-import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
 from storage import make_store, open_store
-from storage.inputs.errors import InputError
 from storage.simulator import run_points
 from study.commands.compare import main
 from study.commands.report import main as report_command
 from study.commands.study import main as study_command
 from study.experiment import arms, compare
 from study.experiment.folder import LIVE_ATTRIBUTE
-from study.experiment.robots import ARMS, RobotExperiment, read_robots
+from study.experiment.robots import ARMS, read_robots
 from study.options import parser_of
 from study.report.runs import read_results
 from study.sampler.draws import Purpose, stream
+from tests.cases import refused
 from tests.storage import robot
 from tests.storage.fake import stopping
-from tests.study.conftest import refused
 
 GALE = {"settings": 3, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0]}}
 TOML = """
@@ -42,7 +40,7 @@ world = {{wind = [0.0, 0.001], mass_kg = [1.0, 2.0]}}
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def config(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robots")
     make_store(
         robot.Cart,
@@ -58,18 +56,18 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def experiment(config: Path) -> RobotExperiment:
+def experiment(config):
     return read_robots(config)
 
 
-def run_command(config: Path, out: Path, *more: object) -> None:
+def run_command(config, out, *more):
     """`taichi-nmm compare` in this process."""
     words = ["--config", config, "--out", out, "--workers", 1, *more]
     main(parser_of("compare").parse_args([str(word) for word in words]))
 
 
 @pytest.fixture(scope="module")
-def folder(config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(config, tmp_path_factory):
     """A finished comparison."""
     out = tmp_path_factory.mktemp("out") / "carts"
     run_command(config, out)
@@ -77,13 +75,11 @@ def folder(config: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def trials(folder: Path) -> pd.DataFrame:
+def trials(folder):
     return pq.read_table(folder / "trials.parquet").to_pandas()
 
 
-def test_a_trial_is_a_run_in_the_robots_world(
-    experiment: RobotExperiment, trials: pd.DataFrame
-) -> None:
+def test_a_trial_is_a_run_in_the_robots_world(experiment, trials):
     assert len(trials) == 4 * 4 * 6 and trials["trial"].tolist()[:6] == list(range(6))
     for run, own in trials.groupby("run"):
         world = experiment.rule.draw([stream(5, Purpose.WORLD, run)])
@@ -125,8 +121,8 @@ def test_a_trial_is_a_run_in_the_robots_world(
     ],
 )
 def test_a_store_that_means_something_else_to_the_simulator_is_refused(
-    before: str, after: str, match: str, config: Path, tmp_path: Path
-) -> None:
+    before, after, match, config, tmp_path
+):
     """Names and order are the same; choices go by their numbers, whole numbers cut a float."""
     text = Path(robot.__file__).read_text()
     assert before in text
@@ -134,13 +130,11 @@ def test_a_store_that_means_something_else_to_the_simulator_is_refused(
     (tmp_path / f"{name}.py").write_text(text.replace(before, after))
     toml = config.read_text().replace("carts.py", f"{name}.py")
     (tmp_path / "carts.toml").write_text(toml)
-    with pytest.raises(InputError, match=match):
+    with refused(match):
         read_robots(tmp_path / "carts.toml")
 
 
-def test_the_ranking_is_by_the_mean_over_worlds(
-    experiment: RobotExperiment, trials: pd.DataFrame
-) -> None:
+def test_the_ranking_is_by_the_mean_over_worlds(experiment, trials):
     store = open_store(experiment.stores["worlds"])
     lasted, speed = (
         store.outcomes("gale", name) for name in ("survived_fraction", "speed_mps")
@@ -157,8 +151,8 @@ def test_the_ranking_is_by_the_mean_over_worlds(
 
 
 def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
-    config: Path, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    config, folder, tmp_path, monkeypatch
+):
     """Also arms whose samplers keep a state: they are handed on, and asked again."""
     out, whole = tmp_path / "out", (folder / "trials.parquet").read_bytes()
     monkeypatch.setattr(compare, "STRETCH_TRIALS", 2)
@@ -179,9 +173,7 @@ def test_a_stopped_comparison_goes_on_and_grows_to_the_same_trials(
         run_command(config, out, "--seed", 6)
 
 
-def test_the_report_and_the_database_are_as_of_any_comparison(
-    folder: Path, trials: pd.DataFrame, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_report_and_the_database_are_as_of_any_comparison(folder, trials, capsys):
     report_command(parser_of("report").parse_args([str(folder)]))
     text = (folder / "report" / "report.md").read_text()
     walkers = trials[trials["walked"]].groupby("arm")["run"].nunique()
@@ -201,9 +193,7 @@ def test_the_report_and_the_database_are_as_of_any_comparison(
 
 
 @pytest.mark.parametrize("arm", ["worlds", "ranking", "tpe-ranking"])
-def test_a_live_study_has_these_trials(
-    arm: str, config: Path, trials: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_a_live_study_has_these_trials(arm, config, trials, tmp_path):
     url = f"sqlite:///{tmp_path / 'live.db'}"
     words = [
         "--config",
@@ -262,9 +252,7 @@ def test_a_live_study_has_these_trials(
         ("carts.py:Cart", "carts.py:Boat", "^simulator"),
     ],
 )
-def test_configurations_that_are_refused(
-    config: Path, old: str, new: str, match: str
-) -> None:
+def test_configurations_that_are_refused(config, old, new, match):
     bad = config.with_name("bad.toml")
     bad.write_text(config.read_text().replace(old, new, 1))
     with refused(match):
@@ -272,8 +260,8 @@ def test_configurations_that_are_refused(
 
 
 def test_arms_that_need_pytorch_are_left_out_where_it_is_missing(
-    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    config, monkeypatch, capsys
+):
     monkeypatch.setattr(arms, "find_spec", lambda name: None)
     every = config.with_name("every.toml")
     every.write_text(re.sub("arms = .*", "", config.read_text()))

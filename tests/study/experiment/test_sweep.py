@@ -1,18 +1,14 @@
 """A sweep: its values, the trials of each, and that nothing begins where one is refused."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
-
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
 from study.experiment.compare import Progress, Request
-from study.experiment.sweep import Point, Tuned, points_of, read_swept, sweep
-from study.experiment.walker import WalkerExperiment, read_experiment
+from study.experiment.sweep import points_of, read_swept, sweep
+from study.experiment.walker import read_experiment
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import refused
 
 KEY = "body.disturbance"
 
@@ -29,7 +25,7 @@ KEY = "body.disturbance"
         ("1e16,3", (1e16, 3)),
     ],
 )
-def test_values(word: str, values: tuple[float, ...]) -> None:
+def test_values(word, values):
     swept = read_swept(f"a.b={word}")
     assert swept.values == values and swept.label == "b"
     assert all(
@@ -39,7 +35,7 @@ def test_values(word: str, values: tuple[float, ...]) -> None:
     assert swept.over(3) == {"a": {"b": 3}}
 
 
-def test_at_most_a_hundred_values() -> None:
+def test_at_most_a_hundred_values():
     assert len(read_swept("a=1:100:1").values) == 100
     with refused("at most 100 values"):
         read_swept("a=0:100:1")
@@ -48,18 +44,18 @@ def test_at_most_a_hundred_values() -> None:
 class Sweep:
     """Sweeps of the toy experiment over its disturbance, in a folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.config = fake_walker.write_config(folder, "until_walker = true")
         self.out = folder / "swept"
         self.shown: list[Progress] = []
 
-    def read(self, over: Mapping[str, Any]) -> WalkerExperiment:
+    def read(self, over):
         return read_experiment(self.config, over=over)
 
-    def points(self, word: str) -> list[Point]:
+    def points(self, word):
         return points_of(read_swept(word), self.read, self.out)
 
-    def run(self, word: str, runs: int = 2, trials: int = 4) -> list[Tuned]:
+    def run(self, word, runs=2, trials=4):
         request = Request(self.out, runs=runs, trials=trials)
         self.shown.clear()
         points = self.points(word)
@@ -67,11 +63,11 @@ class Sweep:
 
 
 @pytest.fixture
-def toy_sweep(fake_simulator: None, tmp_path: Path) -> Sweep:
+def toy_sweep(fake_simulator, tmp_path):
     return Sweep(tmp_path)
 
 
-def test_each_value_has_all_its_trials_on_the_same_robots(toy_sweep: Sweep) -> None:
+def test_each_value_has_all_its_trials_on_the_same_robots(toy_sweep):
     first, second = toy_sweep.run(f"{KEY}=0.1,0.2")
     for value, tuned in ((0.1, first), (0.2, second)):
         table = pq.read_table(toy_sweep.out / str(value) / "trials.parquet")
@@ -91,9 +87,7 @@ def test_each_value_has_all_its_trials_on_the_same_robots(toy_sweep: Sweep) -> N
     )
 
 
-def test_a_later_call_computes_what_is_missing_and_tells_what_it_is_asked(
-    toy_sweep: Sweep,
-) -> None:
+def test_a_later_call_computes_what_is_missing_and_tells_what_it_is_asked(toy_sweep):
     many = toy_sweep.run(f"{KEY}=0.1,0.2", runs=3, trials=6)
     calls = len(fake_walker.calls)
     (few,) = toy_sweep.run(f"{KEY}=0.2", runs=2, trials=3)
@@ -108,24 +102,21 @@ def test_a_later_call_computes_what_is_missing_and_tells_what_it_is_asked(
     ]
 
 
-def test_a_key_of_a_range_takes_a_number(toy_sweep: Sweep) -> None:
+def test_a_key_of_a_range_takes_a_number(toy_sweep):
     points = toy_sweep.points("world.strength=0.8,0.9")
-    strengths = [
-        point.experiment.conditions.world_ranges.strength  # type: ignore[attr-defined]
-        for point in points
-    ]
+    strengths = [point.experiment.conditions.world_ranges.strength for point in points]
     assert strengths == [(0.8, 0.8), (0.9, 0.9)]
     with refused(r"world\.strength: 99 .*\[lowest, highest\]"):
         toy_sweep.points("world.strength=0.8,99")
 
 
 @pytest.mark.parametrize("key", ["trials", "runs"])
-def test_a_key_that_decides_nothing_is_refused(key: str, toy_sweep: Sweep) -> None:
+def test_a_key_that_decides_nothing_is_refused(key, toy_sweep):
     with refused(f"over: '{key}' .*decides trials"):
         toy_sweep.points(f"{key}=1,2")
 
 
-def test_nothing_begins_where_the_last_value_is_refused(toy_sweep: Sweep) -> None:
+def test_nothing_begins_where_the_last_value_is_refused(toy_sweep):
     toy_sweep.run(f"{KEY}=0.2")
     document = toy_sweep.out / "0.2" / "experiment.json"
     document.write_text(document.read_text().replace('"seed": 5', '"seed": 6'))

@@ -5,7 +5,6 @@ import pytest
 
 from study.experiment import walker
 from study.experiment.objective import Objective
-from study.experiment.walker import WalkerExperiment
 from study.sampler.draws import Purpose, stream
 from taichi_nmm import terrain as terrains
 from taichi_nmm.body import Bodies
@@ -14,7 +13,7 @@ from taichi_nmm.result import COMPLETED, DIVERGED, FELL, RESULT_DTYPE
 from tests.study import fake_walker
 
 
-def test_a_walker_that_stands_or_falls_has_not_walked() -> None:
+def test_a_walker_that_stands_or_falls_has_not_walked():
     rows = np.zeros(4, RESULT_DTYPE)
     rows["end_reason"] = COMPLETED, COMPLETED, FELL, DIVERGED
     rows["mean_speed_mps"] = 0.3, 0.29, 1.3, 1.3
@@ -22,7 +21,7 @@ def test_a_walker_that_stands_or_falls_has_not_walked() -> None:
     assert walker.fell(rows).tolist() == [False, False, True, True]
 
 
-def test_a_walker_that_diverged_has_a_finite_cost() -> None:
+def test_a_walker_that_diverged_has_a_finite_cost():
     rows = np.zeros(2, RESULT_DTYPE)
     rows["end_reason"] = DIVERGED
     rows["duration_s"] = 1.0
@@ -35,9 +34,7 @@ def test_a_walker_that_diverged_has_a_finite_cost() -> None:
         assert values[0] == values[1]
 
 
-def test_attributes_are_plain_values_and_make_a_sentence(
-    toy: WalkerExperiment,
-) -> None:
+def test_attributes_are_plain_values_and_make_a_sentence(toy):
     rows = fake_walker.simulate(PUBLISHED_GAINS, duration_s=8.0).rows
     found = toy.attributes_of(rows[0])
     assert {name: type(value) for name, value in found.items()} == {
@@ -59,9 +56,7 @@ def test_attributes_are_plain_values_and_make_a_sentence(
         assert text == f"{words} 8.0 s, 10.0 m at 1.25 m/s"
 
 
-def test_a_trial_is_on_the_body_and_the_ground_of_its_run(
-    toy: WalkerExperiment,
-) -> None:
+def test_a_trial_is_on_the_body_and_the_ground_of_its_run(toy):
     fake_walker.calls.clear()
     runs = [7, 0, 7]
     rows = toy.simulate(runs, np.tile(PUBLISHED_GAINS, (3, 1)))

@@ -2,17 +2,14 @@
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 
 from study.experiment import compare as comparing
 from study.experiment.compare import Progress, Request, compare
 from study.report.runs import read_results
 from tests.study import fake_walker
-from tests.study.conftest import Comparisons
 
 pytestmark = pytest.mark.slow
 
@@ -20,22 +17,20 @@ ARMS = ("random", "dog", "cmaes-cold", "cmaes-warm")
 TRIALS = 12
 
 
-def frame(table: pa.Table) -> Any:
+def frame(table):
     return table.to_pandas().sort_values(["arm", "run", "trial"], ignore_index=True)
 
 
 @pytest.fixture
-def until(comparisons: Comparisons) -> Comparisons:
+def until(comparisons):
     """Of the toy experiment, but a study ends with its first walker."""
     comparisons.experiment = replace(comparisons.experiment, until_walker=True)
     return comparisons
 
 
-def test_studies_end_with_first_walker(
-    until: Comparisons, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_studies_end_with_first_walker(until, monkeypatch):
     """Interrupted any number of times, in blocks of any size, grown trial by trial."""
-    request: dict[str, Any] = {"arms": ARMS, "trials": TRIALS}
+    request = {"arms": ARMS, "trials": TRIALS}
     until.run(
         "all", experiment=replace(until.experiment, until_walker=False), **request
     )
@@ -77,11 +72,9 @@ def test_studies_end_with_first_walker(
         assert until.content(name) == until.content("whole")
 
 
-def test_progress_counts_what_there_is_to_do_and_the_report_reads(
-    until: Comparisons,
-) -> None:
+def test_progress_counts_what_there_is_to_do_and_the_report_reads(until):
     """A study that has ended has no trials before it; at the end all is done."""
-    told: list[Progress] = []
+    told = []
     request = Request(until.folder / "out", arms=ARMS, trials=TRIALS)
     compare(until.experiment, request, told.append)
     assert told[0] == Progress(0, 3 * len(ARMS) * TRIALS, 3 * len(ARMS), 0)
@@ -109,7 +102,7 @@ def test_progress_counts_what_there_is_to_do_and_the_report_reads(
             assert arm.has_walker[run, -1] == mine.walked.any()
 
 
-def test_an_unfinished_folder_is_not_complete(until: Comparisons) -> None:
+def test_an_unfinished_folder_is_not_complete(until):
     until.run("out", arms=("dog",), trials=TRIALS)
     until.run("out", arms=("random",), trials=2)
     assert not until.table("out").to_pandas().query("arm == 'random'").walked.any()

@@ -12,27 +12,27 @@ from study.experiment.gains import gains_of_source, named_gains
 from study.pictures.fall import SIDES, fall_text
 from study.pictures.stick_figure import leg, leg_angles
 from taichi_nmm import terrain
-from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE, Trajectory
+from taichi_nmm.result import COMPLETED, FELL, RESULT_DTYPE
 from taichi_nmm.terrain import GRID_X_M, Terrain
 from taichi_nmm.world import WorldRanges
 
 LEVEL = terrain.flat()
 
 
-def row(end_reason: int = FELL) -> np.void:
+def row(end_reason=FELL):
     rows = np.zeros(1, RESULT_DTYPE)
     rows["end_reason"] = end_reason
     return rows[0]
 
 
 @cache
-def reference() -> Trajectory:
+def reference():
     gains = gains_of_source("reference").gains
     walk = taichi_nmm.simulate(gains, duration_s=4.0, record=[0], record_rate_hz=100.0)
     return walk.trajectories[0]
 
 
-def pushed(way: float) -> Trajectory:
+def pushed(way):
     """A walk whose trunk is pushed over in the last half second; forwards is positive."""
     walk = reference()
     q = walk.q.copy()
@@ -40,12 +40,12 @@ def pushed(way: float) -> Trajectory:
     return replace(walk, q=q)
 
 
-def last_strike(walk: Trajectory) -> np.void:
+def last_strike(walk):
     return walk.events[walk.events["kind"] == 0][-1]
 
 
 @pytest.mark.parametrize(("way", "word"), [(1.0, "forwards"), (-1.0, "backwards")])
-def test_a_trunk_that_is_pushed_over(way: float, word: str) -> None:
+def test_a_trunk_that_is_pushed_over(way, word):
     walk = pushed(way)
     text = fall_text(row(), walk, LEVEL)
     degrees = abs(np.rad2deg(walk.q[-1, 2]))
@@ -63,7 +63,7 @@ def test_a_trunk_that_is_pushed_over(way: float, word: str) -> None:
     assert fall_text(row(COMPLETED), walk, LEVEL) == ""
 
 
-def test_a_hip_that_sinks_behind_or_ahead_of_the_foot() -> None:
+def test_a_hip_that_sinks_behind_or_ahead_of_the_foot():
     for shift_m, word in ((-0.6, "backwards"), (0.6, "forwards")):
         walk = pushed(0.0)
         walk = replace(walk, events=walk.events[walk.events["time_s"] < 3.0])
@@ -76,7 +76,7 @@ def test_a_hip_that_sinks_behind_or_ahead_of_the_foot() -> None:
         assert text.startswith(f": {word}; the hip sank to 0.6 m over the ground"), text
 
 
-def fell(ground: Terrain = LEVEL, friction: float = 0.8, **gains: float) -> str:
+def fell(ground=LEVEL, friction=0.8, **gains):
     """What is said of the gait `reference` with other gains, on a ground; it falls."""
     named = named_gains("other", gains_of_source("reference").as_document() | gains)
     result = taichi_nmm.simulate(
@@ -92,7 +92,7 @@ def fell(ground: Terrain = LEVEL, friction: float = 0.8, **gains: float) -> str:
 
 
 @pytest.mark.parametrize("riser_m", [5.0, 5.15, 5.3, 5.45, 5.6])
-def test_a_toe_that_meets_a_step(riser_m: float) -> None:
+def test_a_toe_that_meets_a_step(riser_m):
     """15 cm up within 10 cm: the foot that came first to it, and where."""
     step = Terrain("step", 0.15 * np.clip((GRID_X_M - riser_m) / 0.1, 0.0, 1.0))
     text = fell(step)
@@ -105,7 +105,7 @@ def test_a_toe_that_meets_a_step(riser_m: float) -> None:
     assert text.startswith(": forwards; ")
 
 
-def test_ice_and_weak_muscles() -> None:
+def test_ice_and_weak_muscles():
     text = fell(friction=0.1)
     slipped = re.search(
         r"the (left|right) foot slipped (\d+) cm forwards, from \d\.\d\d s", text

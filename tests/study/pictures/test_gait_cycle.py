@@ -1,7 +1,6 @@
 """The gait cycle: published ranges, strides of a known walk, the distance from people, the file."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from study.pictures.gait_cycle import (
     subtitle,
 )
 from study.pictures.style import PNG_DPI
-from taichi_nmm.result import COLUMNS, MUSCLES, Trajectory
+from taichi_nmm.result import COLUMNS, MUSCLES
 from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, STRIDE_S, WALK
 
 PEOPLE = {name: np.array(panel.at(PERCENT)) for name, panel in OF_PEOPLE.items()}
@@ -27,7 +26,7 @@ MEAN = {name: mean for name, (mean, _) in PEOPLE.items()}
 
 
 @pytest.mark.parametrize("name", OF_PEOPLE)
-def test_a_human_range_covers_the_stride_and_closes(name: str) -> None:
+def test_a_human_range_covers_the_stride_and_closes(name):
     percent = [row[0] for row in OF_PEOPLE[name].rows]
     mean, sd = PEOPLE[name]
     assert percent[0] == 0 and percent[-1] == 100 and np.all(np.diff(percent) > 0)
@@ -35,7 +34,7 @@ def test_a_human_range_covers_the_stride_and_closes(name: str) -> None:
     assert mean[0] == pytest.approx(mean[-1], abs=0.05)
 
 
-def test_human_ranges_have_the_landmarks_of_walking() -> None:
+def test_human_ranges_have_the_landmarks_of_walking():
     knee, ankle = MEAN["knee_flexion_deg"], MEAN["dorsiflexion_deg"]
     assert 60 < knee.max() < 70 and 68 < PERCENT[knee.argmax()] < 76
     assert -25 < ankle.min() < -15 and 58 < PERCENT[ankle.argmin()] < 68
@@ -49,7 +48,7 @@ def test_human_ranges_have_the_landmarks_of_walking() -> None:
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_strides_are_cut_at_heel_strikes_in_clinical_signs(side: int) -> None:
+def test_strides_are_cut_at_heel_strikes_in_clinical_signs(side):
     strides = strides_of(WALK, BODY_WEIGHT_N, side)
     assert len(strides) == 3 and strides.enough
     np.testing.assert_allclose(strides.duration_s, STRIDE_S)
@@ -68,9 +67,7 @@ def test_strides_are_cut_at_heel_strikes_in_clinical_signs(side: int) -> None:
     np.testing.assert_allclose(strides.take_off_percent, 60.0)
 
 
-def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval() -> (
-    None
-):
+def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval():
     strides = strides_of(WALK, BODY_WEIGHT_N)
     half_interval = 100.0 * 0.005 / STRIDE_S
     later = np.minimum(PERCENT + half_interval, 100.0)
@@ -82,7 +79,7 @@ def test_forces_are_in_body_weights_and_belong_to_the_middle_of_their_interval()
     assert "3 strides" in subtitle(strides)
 
 
-def test_of_too_few_strides_nothing_is_known() -> None:
+def test_of_too_few_strides_nothing_is_known():
     strides = strides_of(GLIMPSE, BODY_WEIGHT_N)
     assert len(strides) == 0 and not strides.enough
     assert subtitle(strides).startswith("0 whole strides after settling: too few")
@@ -90,7 +87,7 @@ def test_of_too_few_strides_nothing_is_known() -> None:
     assert np.isnan(strides.band("SOL")).all()
 
 
-def test_the_numbers_of_people_in_a_result_are_those_of_their_curves() -> None:
+def test_the_numbers_of_people_in_a_result_are_those_of_their_curves():
     """Peaks of the curves, and the ankle at the strike and as the foot leaves the ground."""
     knee, ankle = (
         np.radians(PEOPLE[name]) for name in ("knee_flexion_deg", "dorsiflexion_deg")
@@ -113,7 +110,7 @@ def test_the_numbers_of_people_in_a_result_are_those_of_their_curves() -> None:
         np.testing.assert_allclose(numbers, [mean, max(sd, accuracy)], atol=6e-4)
 
 
-def shifted(shift: float = 0.0, deviations: float = 0.0) -> cycle.Strides:
+def shifted(shift=0.0, deviations=0.0):
     """Four strides whose mean is that of people, shifted, and by so many deviations."""
     curves = {
         name: np.tile(mean + shift + deviations * sd, (4, 1))
@@ -124,7 +121,7 @@ def shifted(shift: float = 0.0, deviations: float = 0.0) -> cycle.Strides:
     )
 
 
-def test_a_shift_is_its_own_distance() -> None:
+def test_a_shift_is_its_own_distance():
     assert set(human_distances(shifted()).values()) == {cycle.Distance(0.0, 0.0)}
     found = human_distances(shifted(6.0))
     assert [each.rmse for each in found.values()] == pytest.approx([6.0] * 5)
@@ -140,7 +137,7 @@ def test_a_shift_is_its_own_distance() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trajectory", [WALK, GLIMPSE], ids=["walk", "glimpse"])
-def test_a_gait_cycle_is_drawn(tmp_path: Path, trajectory: Trajectory) -> None:
+def test_a_gait_cycle_is_drawn(tmp_path, trajectory):
     file = tmp_path / "cycle.png"
     picture = imread(write_gait_cycle(file, trajectory, BODY_WEIGHT_N, "a title"))
     width_in, height_in = cycle.SIZE_IN

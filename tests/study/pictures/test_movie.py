@@ -3,9 +3,7 @@
 import re
 import subprocess
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
@@ -13,13 +11,13 @@ import pytest
 from matplotlib.image import imread
 
 from study.pictures import find_ffmpeg, write_movie, write_movies
-from study.pictures.scene import LARGE, SMALL, Canvas, Film, frames
-from taichi_nmm import InputError, Trajectory
+from study.pictures.scene import LARGE, SMALL, Canvas, frames
 from taichi_nmm.terrain import flat, rough
+from tests.cases import refused
 from tests.study.synthetic_gait import GLIMPSE, WALK
 
 
-def drawn(shape: Callable[[Canvas], None]) -> np.ndarray:
+def drawn(shape):
     """Which pixels are black, of 4 m by 2 m from 10 m on, [100, 200]."""
     canvas = Canvas((200, 100), left_m=10.0, bottom_m=-1.0, width_m=4.0)
     shape(canvas)
@@ -28,7 +26,7 @@ def drawn(shape: Callable[[Canvas], None]) -> np.ndarray:
     return np.asarray(canvas.picture)[..., 0] < 128
 
 
-def test_shapes_are_drawn_to_scale_and_a_bone_has_round_ends() -> None:
+def test_shapes_are_drawn_to_scale_and_a_bone_has_round_ends():
     corners = np.array([[11.0, -0.5], [13.0, -0.5], [13.0, 0.5], [11.0, 0.5]])
     black = drawn(lambda canvas: canvas.polygon(corners, "#000000"))
     assert black.sum() == pytest.approx(100 * 50, rel=0.03)
@@ -40,9 +38,7 @@ def test_shapes_are_drawn_to_scale_and_a_bone_has_round_ends() -> None:
     assert black.any(axis=0).sum() == pytest.approx(125, abs=1)
 
 
-def picture(
-    film: Film, title: str = "", walk: Trajectory = WALK, seconds: float = 0.2
-) -> np.ndarray:
+def picture(film, title="", walk=WALK, seconds=0.2):
     """The last frame of a film, [height, width, 3]."""
     *_, last = frames(walk, flat(), seconds, title, film)
     width, height = film.size_px
@@ -50,7 +46,7 @@ def picture(
 
 
 @pytest.mark.parametrize("film", [LARGE, SMALL])
-def test_the_walker_stands_on_the_ground_in_the_middle_of_the_frame(film: Film) -> None:
+def test_the_walker_stands_on_the_ground_in_the_middle_of_the_frame(film):
     frame = picture(film)
     width, height = film.size_px
     sky, sole = int(0.8 * height), int(0.9 * height)
@@ -62,8 +58,8 @@ def test_the_walker_stands_on_the_ground_in_the_middle_of_the_frame(film: Film) 
     assert 0.25 < columns.min() < 0.45 < columns.max() < 0.65
 
 
-def test_active_muscles_are_darker() -> None:
-    def darkness(activation: float) -> float:
+def test_active_muscles_are_darker():
+    def darkness(activation):
         walk = replace(WALK, activation=np.full_like(WALK.activation, activation))
         return 255.0 - float(picture(SMALL, walk=walk).mean())
 
@@ -73,7 +69,7 @@ def test_active_muscles_are_darker() -> None:
 
 
 @pytest.mark.parametrize("film", [LARGE, SMALL])
-def test_a_title_is_one_line(film: Film) -> None:
+def test_a_title_is_one_line(film):
     """It ends before the edge, above all else."""
     plain, titled = (picture(film, title) for title in ("", "w" * 150))
     rows, columns = np.nonzero((plain != titled).any(axis=-1))
@@ -82,7 +78,7 @@ def test_a_title_is_one_line(film: Film) -> None:
     assert columns.min() < 0.03 * width and 0.9 * width < columns.max() < 0.99 * width
 
 
-def test_a_device_is_in_the_film_with_its_key() -> None:
+def test_a_device_is_in_the_film_with_its_key():
     torque_nm = np.zeros((len(WALK.time_s), 6))
     torque_nm[:, 2] = 60.0
     green = np.array([0x00, 0x9E, 0x73])
@@ -95,7 +91,7 @@ def test_a_device_is_in_the_film_with_its_key() -> None:
     assert (worn[key] != picture(LARGE)[key]).any()
 
 
-def test_walks_are_filmed_above_each_other(tmp_path: Path) -> None:
+def test_walks_are_filmed_above_each_other(tmp_path):
     """Of the shorter one the last picture stays."""
     file, frame = tmp_path / "both.mp4", tmp_path / "frame.png"
     walks = [(GLIMPSE, "short"), (WALK, "long")]
@@ -111,13 +107,13 @@ def test_walks_are_filmed_above_each_other(tmp_path: Path) -> None:
         assert np.abs(found - expected).mean() < 0.5 * np.abs(found - other).mean()
 
 
-def ffmpeg(*words: str) -> str:
+def ffmpeg(*words):
     """What it says."""
     command = [imageio_ffmpeg.get_ffmpeg_exe(), *words]
     return subprocess.run(command, capture_output=True, text=True).stderr
 
 
-def test_movie_is_h264_that_every_player_shows(tmp_path: Path) -> None:
+def test_movie_is_h264_that_every_player_shows(tmp_path):
     movie = write_movie(tmp_path / "movie.mp4", WALK, flat(), 0.5, "a title")
     frame = tmp_path / "frame.png"
     said = ffmpeg("-i", str(movie), "-frames:v", "1", str(frame))
@@ -131,7 +127,7 @@ def test_movie_is_h264_that_every_player_shows(tmp_path: Path) -> None:
     assert picture.shape[:2] == (height, width) and picture[..., :3].std() > 0.03
 
 
-def test_a_small_film_is_small_and_quick(tmp_path: Path) -> None:
+def test_a_small_film_is_small_and_quick(tmp_path):
     """0.5 s of drawing on one core of 2026 for 8 s of walking; ten times that is allowed."""
     before = time.process_time()
     file = tmp_path / "small.mp4"
@@ -140,7 +136,7 @@ def test_a_small_film_is_small_and_quick(tmp_path: Path) -> None:
     assert file.stat().st_size < 400_000
 
 
-def fake_ffmpeg(folder: Path, script: str) -> Path:
+def fake_ffmpeg(folder, script):
     program = folder / "ffmpeg"
     program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
     program.chmod(0o700)
@@ -150,23 +146,19 @@ def fake_ffmpeg(folder: Path, script: str) -> Path:
 @pytest.mark.parametrize(
     "program", ["/nowhere/ffmpeg", None], ids=["missing", "broken"]
 )
-def test_no_ffmpeg(
-    program: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_ffmpeg(program, tmp_path, monkeypatch):
     broken = program or str(fake_ffmpeg(tmp_path, "exit 1"))
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", broken)
     said = r"ffmpeg: .* cannot be used; allowed: a working ffmpeg"
-    with pytest.raises(InputError, match=said):
+    with refused(said):
         find_ffmpeg()
 
 
-def test_ffmpeg_that_dies_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ffmpeg_that_dies_leaves_nothing(tmp_path, monkeypatch):
     script = '[ "$1" = -version ] && exit 0\necho "codec on strike" >&2\nexit 1'
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(fake_ffmpeg(tmp_path, script)))
     out = tmp_path / "out" / "movie.mp4"
     out.parent.mkdir()
-    with pytest.raises(InputError, match="codec on strike"):
+    with refused("codec on strike"):
         write_movie(out, GLIMPSE, flat())
     assert not list(out.parent.iterdir())

@@ -1,7 +1,6 @@
 """OpenSim's files of a walk: read back, they give the joint torques that the walker had."""
 
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,7 +20,7 @@ from study.pictures.trajectory_files import (
 from taichi_nmm import terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from tests.parity.numpy_dynamics import com_positions, contract, jacobians
-from tests.study.pictures.test_trajectory_files import Columns, read_storage
+from tests.study.pictures.test_trajectory_files import read_storage
 
 Array = NDArray[np.float64]
 BODY = Bodies.disturbed([5])
@@ -33,10 +32,10 @@ LEG = (
 )
 
 
-def body_of(model: ElementTree.ElementTree) -> Bodies:
+def body_of(model):
     """The masses of a model; its joints lie where ours do."""
 
-    def numbers(kind: str, tag: str) -> Array:
+    def numbers(kind, tag):
         found = [part.findtext(f".//{tag}", "").split() for part in model.iter(kind)]
         return np.array(found, dtype=float)
 
@@ -49,11 +48,11 @@ def body_of(model: ElementTree.ElementTree) -> Bodies:
     )
 
 
-def columns_of(file: Path) -> Columns:
+def columns_of(file):
     return read_storage(file.read_text())[1]
 
 
-def pose_of(states: Columns, kind: str) -> Array:
+def pose_of(states, kind):
     """Our coordinates, of OpenSim's values or speeds, [t, 9]."""
     x, z, tilt = (
         states[f"/jointset/ground_pelvis/pelvis_{name}/{kind}"]
@@ -66,7 +65,7 @@ def pose_of(states: Columns, kind: str) -> Array:
     return np.column_stack(columns)
 
 
-def inverse_dynamics(folder: Path) -> tuple[Array, Array]:
+def inverse_dynamics(folder):
     """Joint torques [t, 6] as ours, and what is left over: force x, z and moment on the trunk."""
     body = body_of(ElementTree.parse(folder / MODEL))
     states, loads = columns_of(folder / STATES), columns_of(folder / LOADS)
@@ -101,9 +100,7 @@ SPRING = taichi_nmm.WorldRanges(
 
 
 @pytest.mark.parametrize("ranges", [taichi_nmm.WorldRanges(), SPRING])
-def test_inverse_dynamics_of_the_files_gives_the_walkers_torques(
-    tmp_path: Path, ranges: taichi_nmm.WorldRanges
-) -> None:
+def test_inverse_dynamics_of_the_files_gives_the_walkers_torques(tmp_path, ranges):
     """Within 2 %; in the 5 ms of a heel's impact the pose between two samples is not known."""
     result = taichi_nmm.simulate(
         taichi_nmm.PUBLISHED_GAINS,

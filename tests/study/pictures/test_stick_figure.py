@@ -1,13 +1,10 @@
 """Joints and muscles are drawn where the pose has them; the shown part of a walk."""
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 import pytest
 
-from storage.inputs.errors import InputError
 from study.pictures import stick_figure, style
 from study.pictures.scene import motion_of
 from study.pictures.stick_figure import (
@@ -19,14 +16,15 @@ from study.pictures.stick_figure import (
     of_side,
 )
 from study.pictures.strip import SHOWN_M, Shown, last_stretch
-from taichi_nmm.result import MUSCLES, Trajectory
+from taichi_nmm.result import MUSCLES
 from taichi_nmm.terrain import flat
+from tests.cases import refused
 from tests.study.synthetic_gait import GLIMPSE, SPEED_MPS, WALK
 
 TURNS = [(3, "knee", (-1, 1)), (4, "ankle", (-1, 1)), (5, "ball", (-1, -1))]
 
 
-def test_standing_upright_is_drawn_upright() -> None:
+def test_standing_upright_is_drawn_upright():
     q = np.array([2.0, 1.0, 0, 0, 0, 0, 0, 0, 0])
     shoulder, head = stick_figure.trunk(q)
     expected = [[2.0, 1.0], [2.0, 0.5], [2.0, 0.0], [1.96, 0.0], [2.16, 0.0]]
@@ -36,16 +34,14 @@ def test_standing_upright_is_drawn_upright() -> None:
 
 
 @pytest.mark.parametrize(("column", "point", "moves"), TURNS)
-def test_positive_angles_turn_clockwise(
-    column: int, point: str, moves: tuple[int, int]
-) -> None:
+def test_positive_angles_turn_clockwise(column, point, moves):
     q = np.zeros(9)
     before = getattr(leg(q, 0), point)
     q[column] = 0.3
     assert tuple(np.sign(getattr(leg(q, 0), point) - before)) == moves
 
 
-def test_muscles_lie_along_their_bones() -> None:
+def test_muscles_lie_along_their_bones():
     standing = np.array([0, 1.0, 0, 0, 0, 0, 0, 0, 0])
     outlines = dict(zip(MUSCLES, muscle_outlines(standing, 1), strict=True))
     assert outlines["TA"][:, 0].max() > 0 > outlines["SOL"][:, 0].min()
@@ -54,11 +50,11 @@ def test_muscles_lie_along_their_bones() -> None:
     assert all(np.isfinite(outline).all() for outline in outlines.values())
 
 
-def poses_of(walk: Trajectory) -> np.ndarray:
+def poses_of(walk):
     return last_stretch(Shown("", "", walk), flat(), "black").poses_s
 
 
-def test_the_end_of_the_walk_is_shown() -> None:
+def test_the_end_of_the_walk_is_shown():
     poses_s = poses_of(WALK)
     assert poses_s[-1] == WALK.time_s[-1]
     assert np.ptp(poses_s) == pytest.approx(SHOWN_M / SPEED_MPS, abs=0.03)
@@ -69,27 +65,27 @@ def test_the_end_of_the_walk_is_shown() -> None:
     q[700:, 3] = np.nan
     shown = finite(replace(WALK, q=q))
     assert len(shown.time_s) == len(shown.q) == len(shown.activation) == 700
-    with pytest.raises(InputError, match="no finite sample"):
+    with refused("no finite sample"):
         finite(replace(WALK, q=np.full_like(q, np.nan)))
 
 
 class Drawn:
     """A surface that keeps its bones, by colour."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.kept: dict[str, list[stick_figure.Bone]] = {}
 
-    def bones(self, parts: Sequence[stick_figure.Bone], colour: str) -> None:
+    def bones(self, parts, colour):
         self.kept.setdefault(colour, []).extend(parts)
 
 
-def arc_of(torque_nm: float) -> list[np.ndarray]:
+def arc_of(torque_nm):
     """The points of an arrow round the origin, whose middle is above; without its tip."""
     bones = stick_figure.torque_arc(np.zeros(2), np.array([0.0, 2.0]), torque_nm)
     return [start for start, _, _ in bones[:-2]] + [bones[-3][1]] if bones else []
 
 
-def test_an_arrow_turns_clockwise_and_is_as_long_as_its_torque() -> None:
+def test_an_arrow_turns_clockwise_and_is_as_long_as_its_torque():
     assert arc_of(0.0) == arc_of(1.0) == []
     for torque_nm in (20.0, 40.0, 80.0, -40.0):
         points = np.array(arc_of(torque_nm))
@@ -100,19 +96,18 @@ def test_an_arrow_turns_clockwise_and_is_as_long_as_its_torque() -> None:
         assert np.hypot(*points.T) == pytest.approx(stick_figure.ARC_RADIUS_M)
 
 
-def test_a_device_is_drawn_where_it_turns_a_joint() -> None:
+def test_a_device_is_drawn_where_it_turns_a_joint():
     times_s = WALK.time_s[100:103]
     assert stick_figure.device_at(WALK, times_s) is None
     torque_nm = np.zeros((len(WALK.time_s), 6))
     torque_nm[100, 2] = 40.0  # the left ankle, at one moment
     device = stick_figure.device_at(replace(WALK, device_torque_nm=torque_nm), times_s)
-    assert device is not None
     assert device.worn.tolist() == [False, False, True, False, False, False]
     assert device.torque_nm[:, 2].tolist() == [40.0, 0.0, 0.0]
     surface = Drawn()
     for side in (LEFT, RIGHT):
         stick_figure.draw_device(
-            cast(stick_figure.Surface, surface),
+            surface,
             WALK.q[100],
             side,
             of_side(device.torque_nm[0], side),

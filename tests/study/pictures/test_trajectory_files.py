@@ -1,24 +1,21 @@
 """A walk as a file: read back, every number is the recorded one, and the header says what it is."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from study.pictures import trajectory_files
 from study.pictures.stick_figure import leg, trunk
 from study.pictures.trajectory_files import require_trajectory_file, write_trajectory
 from taichi_nmm.result import MUSCLES
+from tests.cases import refused
 from tests.study import synthetic_gait
-from tests.study.conftest import refused
 
-Columns = dict[str, NDArray[np.float64]]
 WALK = synthetic_gait.walk(2.0, 100.0)
 
 
-def read_storage(text: str) -> tuple[dict[str, str], Columns]:
+def read_storage(text):
     """Keys and columns of OpenSim's format, as its own reader takes them."""
     head, _, body = text.partition("endheader\n")
     keys = dict(line.split("=", 1) for line in head.splitlines() if "=" in line)
@@ -27,7 +24,7 @@ def read_storage(text: str) -> tuple[dict[str, str], Columns]:
     return keys, dict(zip(names, np.array(rows, dtype=float).T, strict=True))
 
 
-def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
+def test_coordinates_in_opensims_signs(tmp_path):
     write_trajectory(tmp_path / "walk.mot", WALK, "a walk")
     text = (tmp_path / "walk.mot").read_text()
     keys, columns = read_storage(text)
@@ -47,7 +44,7 @@ def test_coordinates_in_opensims_signs(tmp_path: Path) -> None:
         np.testing.assert_allclose(columns[name], values, atol=1e-12)
 
 
-def test_states_by_the_paths_of_opensim_4(tmp_path: Path) -> None:
+def test_states_by_the_paths_of_opensim_4(tmp_path):
     write_trajectory(tmp_path / "walk.sto", WALK)
     keys, columns = read_storage((tmp_path / "walk.sto").read_text())
     assert keys["inDegrees"] == "no"
@@ -64,7 +61,7 @@ def test_states_by_the_paths_of_opensim_4(tmp_path: Path) -> None:
     assert len(columns) == 1 + 2 * 9 + 2 * 2 * len(MUSCLES)
 
 
-def test_csv_has_all_samples_by_names_with_units(tmp_path: Path) -> None:
+def test_csv_has_all_samples_by_names_with_units(tmp_path):
     write_trajectory(tmp_path / "walk.csv", WALK)
     text = (tmp_path / "walk.csv").read_text()
     names, *rows = [line.split(",") for line in text.splitlines()]
@@ -93,7 +90,7 @@ def test_csv_has_all_samples_by_names_with_units(tmp_path: Path) -> None:
     assert known <= set(names)
 
 
-def test_markers_of_motion_capture_read_back(tmp_path: Path) -> None:
+def test_markers_of_motion_capture_read_back(tmp_path):
     ezc3d = pytest.importorskip(
         "ezc3d", reason="no ezc3d: pip install 'taichi-nmm[c3d]'"
     )
@@ -119,9 +116,7 @@ def test_markers_of_motion_capture_read_back(tmp_path: Path) -> None:
         write_trajectory(tmp_path / "walk.c3d", long)
 
 
-def test_a_file_that_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_cannot_be_written(tmp_path, monkeypatch):
     for name in ("walk.txt", "walk", "walk.MOT"):
         with refused(r"trajectory: .*\.csv, \.c3d, \.mot, \.sto"):
             require_trajectory_file(tmp_path / name)

@@ -2,12 +2,10 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from study.report.runs import ArmRuns, Results
 
@@ -27,9 +25,7 @@ ARMS = {
 }
 
 
-def columns(
-    arms: Chances, runs: int, trials: int, cost: str
-) -> dict[str, NDArray[Any]]:
+def columns(arms, runs, trials, cost):
     """The columns of trials.parquet that a report reads, sorted by arm, run, trial."""
     rng = np.random.default_rng(0)
     n = len(arms) * runs * trials
@@ -56,14 +52,7 @@ def columns(
     }
 
 
-def write(
-    folder: Path,
-    arms: Chances = ARMS,
-    runs: int = 50,
-    trials: int = 100,
-    cost: str = "smooth",
-    name: str = "made-up",
-) -> Path:
+def write(folder, arms=ARMS, runs=50, trials=100, cost="smooth", name="made-up"):
     """Such a folder: trials.parquet and experiment.json."""
     folder.mkdir(parents=True, exist_ok=True)
     made = columns(arms, runs, trials, cost)
@@ -74,7 +63,7 @@ def write(
     return folder
 
 
-def arm(name: str, first: list[float], cost: float = 1.0, trials: int = 40) -> ArmRuns:
+def arm(name, first, cost=1.0, trials=40):
     """Runs whose first walker is at these trials; each costs less the later it is seen."""
     walks = np.zeros((len(first), trials), bool)
     for run, trial in enumerate(first):
@@ -84,6 +73,6 @@ def arm(name: str, first: list[float], cost: float = 1.0, trials: int = 40) -> A
     return ArmRuns(name, np.arange(len(first)), best, walks, walks.size)
 
 
-def counted(*arms: ArmRuns, name: str = "counted") -> Results:
+def counted(*arms, name="counted"):
     """An experiment of these arms."""
     return Results(Path(), name, "smooth", {each.arm: each for each in arms}, {})

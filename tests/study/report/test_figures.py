@@ -5,21 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from study.experiment.arms import ARMS
 from study.pictures import style
 from study.report import figures
 from study.report.figures import looks, spread_out, write_report
-from study.report.runs import Results, read_results
+from study.report.runs import read_results
 from taichi_nmm import InputError
-from tests.cases import cases
-from tests.study.conftest import refused
+from tests.cases import cases, refused
 from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
 
 
-def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> None:
+def test_looks_tell_arms_apart_and_three_stand_in_front(results):
     for arms in (results.arms, {name: arm(name, [1, 2]) for name in ARMS}):
         found = looks(arms)
         assert len({(look.colour, look.marker) for look in found.values()}) == len(arms)
@@ -32,18 +30,16 @@ def test_looks_tell_arms_apart_and_three_stand_in_front(results: Results) -> Non
 
 
 @cases("spread-labels.toml", "places", "apart", "high", "expected")
-def test_spread_out(
-    places: list[float], apart: float, high: float, expected: list[float]
-) -> None:
+def test_spread_out(places, apart, high, expected):
     assert spread_out(places, apart, 0.0, high) == expected
 
 
-def test_places_that_do_not_fit_stay_apart_all_the_same() -> None:
+def test_places_that_do_not_fit_stay_apart_all_the_same():
     places = spread_out(np.linspace(0.0, 10.0, 14).tolist(), 4.0, 0.0, 10.0)
     assert np.diff(places).min() >= 4.0 - 1e-9
 
 
-def test_every_run_has_a_dot_of_its_own() -> None:
+def test_every_run_has_a_dot_of_its_own():
     places = np.sort(np.random.default_rng(1).choice([0.0, 0.15, 0.151, 0.8], 50))
     x, y = figures.piles(places)
     assert len({(round(a, 4), round(b, 4)) for a, b in zip(x, y, strict=True)}) == 50
@@ -54,9 +50,7 @@ def test_every_run_has_a_dot_of_its_own() -> None:
 
 
 @pytest.mark.slow
-def test_figures_are_written_twice_alike(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_figures_are_written_twice_alike(tmp_path, monkeypatch):
     monkeypatch.setattr(style, "PNG_DPI", 80)
     arms = {"dog": (0.1, 0.01), "random": (0.0, 0.0), "worlds-stairs": (0.9, 0.0)}
     results = read_results(synthetic.write(tmp_path / "data", arms, 6, 12, "walking"))
@@ -75,11 +69,9 @@ def test_figures_are_written_twice_alike(
         ("front", -1, "linear"),
     ],
 )
-def test_costs_have_the_axis_of_their_kind(
-    cost: str, sign: int, scale: str, results: Results, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_costs_have_the_axis_of_their_kind(cost, sign, scale, results, monkeypatch):
     """The line below which all walk to the end is that of the walking cost alone."""
-    seen: list[Figure] = []
+    seen = []
     monkeypatch.setattr(style, "save_png", lambda figure, *_: seen.append(figure))
     arms = {
         name: replace(arm, best=sign * arm.best) for name, arm in results.arms.items()
@@ -92,12 +84,10 @@ def test_costs_have_the_axis_of_their_kind(
 
 
 @pytest.mark.slow
-def test_labels_stay_within_the_figure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_labels_stay_within_the_figure(tmp_path, monkeypatch):
     """Those of all arms fit right of the lines; of lines with one end they stay apart, by rank."""
     results = counted(*(arm(name, [3, 17, np.inf]) for name in ARMS))
-    seen: list[Figure] = []
+    seen = []
     monkeypatch.setattr(style, "save_png", lambda figure, *_: seen.append(figure))
     figures.write_best_cost(tmp_path / "1.png", results)
     figures.write_first_walker(tmp_path / "2.png", results)
@@ -124,17 +114,15 @@ def test_labels_stay_within_the_figure(
 LONE = counted(arm("random", [np.inf], trials=2))
 
 
-def test_a_single_arm_of_a_single_run_is_reported(tmp_path: Path) -> None:
+def test_a_single_arm_of_a_single_run_is_reported(tmp_path):
     write_report(replace(LONE, folder=tmp_path), {})
     assert (
         "| 1 | 0 | 0 to 79 | > 2 |" in (tmp_path / "report" / "report.md").read_text()
     )
 
 
-def test_a_failed_report_changes_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(path: Path, results: Results) -> None:
+def test_a_failed_report_changes_nothing(tmp_path, monkeypatch):
+    def fails(path, results):
         path.touch()
         raise InputError("disk", "full", "space")
 

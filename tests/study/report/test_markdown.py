@@ -18,7 +18,7 @@ from tests.study.report import synthetic
 from tests.study.report.synthetic import arm, counted
 
 
-def rows(text: str) -> dict[str, list[str]]:
+def rows(text):
     """The rows of the first table in a text, by their first cell."""
     lines = [
         line for line in text.split("\n\n")[0].splitlines() if line.startswith("|")
@@ -27,7 +27,7 @@ def rows(text: str) -> dict[str, list[str]]:
     return {row[0]: row for row in cells}
 
 
-def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
+def test_the_document_has_what_was_counted_and_how(results):
     found = numbers(results)
     text = report_text(results, found, {})
     reached = rows(text[text.index("| arm | runs") :])["random"]
@@ -53,7 +53,7 @@ def test_the_document_has_what_was_counted_and_how(results: Results) -> None:
     assert all(ARMS[name].label in text for name in synthetic.ARMS)
 
 
-def test_few_trials_a_missing_paper_and_an_unfinished_experiment() -> None:
+def test_few_trials_a_missing_paper_and_an_unfinished_experiment():
     results = counted(
         arm("dog", [1, 2], trials=4), arm("random", [np.inf, 3], trials=4)
     )
@@ -74,7 +74,7 @@ def test_few_trials_a_missing_paper_and_an_unfinished_experiment() -> None:
     assert "Unfinished: 90 of 160 trials" in text and "tpe 1 x 10" in text
 
 
-def test_facts_of_several_sessions(tmp_path: Path) -> None:
+def test_facts_of_several_sessions(tmp_path):
     folder = synthetic.write(tmp_path, {"dog": (0.1, 0.0)}, 2, 3)
     machine = {"system": "Linux", "cores": 2}
     session = {"trials": 3, "wall_s": 90.0, "machine": machine}
@@ -95,7 +95,7 @@ def test_facts_of_several_sessions(tmp_path: Path) -> None:
     assert words == "system &lt;script&gt;alert(1)&lt;/script&gt; # b \\| c"
 
 
-def test_facts_say_what_a_goal_weighs_and_what_is_searched() -> None:
+def test_facts_say_what_a_goal_weighs_and_what_is_searched():
     known = {"searched": ["exo_peak"], "objective": {"terms": {"mean_speed_mps": 2.0}}}
     for more, where in (
         ({}, "beside the 16 gains"),
@@ -106,7 +106,7 @@ def test_facts_say_what_a_goal_weighs_and_what_is_searched() -> None:
         assert found[f"searched {where}"] == "exo_peak"
 
 
-def test_one_table_a_quantity_of_several_experiments() -> None:
+def test_one_table_a_quantity_of_several_experiments():
     stairs = arm("worlds-stairs", [1, 1, 1, 4], trials=10)
     first = counted(arm("dog", [2] * 4, trials=10), stairs, name="a")
     second = counted(
@@ -127,7 +127,7 @@ def test_one_table_a_quantity_of_several_experiments() -> None:
     ]
 
 
-def test_the_condensed_table_has_the_numbers() -> None:
+def test_the_condensed_table_has_the_numbers():
     dog, best = arm("dog", [9] * 20, cost=2.0), arm("worlds-stairs", [1] * 20, cost=1.5)
     found = numbers(counted(dog, best, arm("random", [30.0] + [np.inf] * 19, cost=3.0)))
     table = rows(condensed_table(found))
@@ -163,7 +163,7 @@ def test_the_condensed_table_has_the_numbers() -> None:
     assert short["`worlds-stairs`"][12:] == ["-", "-", "-", "-", "-"]
 
 
-def test_a_comparison_ends_with_a_line_an_arm(tmp_path: Path) -> None:
+def test_a_comparison_ends_with_a_line_an_arm(tmp_path):
     arms = {"random": (0.0, 0.0), "dog": (1.0, 0.0), "older": (1.0, 0.0)}
     synthetic.write(tmp_path, arms, runs=3, trials=4)
     times = {"arm": ["dog", "dog", "dog"], "proposal_s": [0.01, 0.02, 0.9]}
@@ -194,7 +194,7 @@ def test_a_comparison_ends_with_a_line_an_arm(tmp_path: Path) -> None:
 # The note that the dashboard shows of an experiment.
 
 
-def trials(best: dict[str, list[list[float]]], walked_below: float) -> pa.Table:
+def trials(best, walked_below):
     """The best costs of each arm's runs, so far; a trial that costs less than that walked."""
     rows = [
         {
@@ -213,7 +213,7 @@ def trials(best: dict[str, list[list[float]]], walked_below: float) -> pa.Table:
     return pa.Table.from_pylist(rows)
 
 
-def test_a_row_has_medians_over_runs() -> None:
+def test_a_row_has_medians_over_runs():
     best = {
         "random": [[290.0, 280.0]] * 2,
         "dog": [[300.0, 90.0], [290.0, 280.0], [90.0, 80.0]],
@@ -231,7 +231,7 @@ def test_a_row_has_medians_over_runs() -> None:
     assert "| dog | 2 | 1 | 50 | > 2 | 185 |" in note
 
 
-def test_a_table_leads_to_every_study() -> None:
+def test_a_table_leads_to_every_study():
     best = {"random": [[290.0, 280.0]], "dog": [[300.0, 90.0], [290.0, 280.0]]}
     ids = {"dog/run-000": 4, "random/run-000": 7, "dog/run-001": 5, "summary": 9}
     ids = {f"tiny/{name}": number for name, number in ids.items()}
@@ -244,7 +244,7 @@ def test_a_table_leads_to_every_study() -> None:
     assert table[3] == "| 1 | [280](/dashboard/studies/5) |  |  |"
 
 
-def test_every_arm_can_be_renewed_once_a_minute() -> None:
+def test_every_arm_can_be_renewed_once_a_minute():
     """25 arms, 50 runs, 100 trials: 2 s are allowed, of the process that compares."""
     table = pa.table(
         synthetic.columns(dict.fromkeys(ARMS, (0.05, 0.0)), 50, 100, "smooth")

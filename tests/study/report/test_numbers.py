@@ -9,7 +9,7 @@ from study.report.numbers import curve, holm, median, numbers, wilcoxon, wilson
 from tests.study.report.synthetic import arm, counted
 
 
-def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
+def test_the_best_peer_has_most_walkers_then_the_earliest():
     few, late, early = (
         arm("tpe", [1, np.inf]),
         arm("random", [9, 9]),
@@ -26,7 +26,7 @@ def test_the_best_peer_has_most_walkers_then_the_earliest() -> None:
     assert counts.best_peer([arm(old, [1])]) is None
 
 
-def test_walkers_are_counted() -> None:
+def test_walkers_are_counted():
     found = numbers(counted(arm("dog", [1, 3, 11, 30, np.inf]))).arms[0]
     assert (found.walkers, found.runs, found.trials) == (4, 5, 40)
     assert found.share.value == 0.8
@@ -42,7 +42,7 @@ def test_walkers_are_counted() -> None:
     assert 10 not in numbers(counted(arm("dog", [1, np.inf], trials=8))).arms[0].within
 
 
-def test_arms_are_compared_with_ours_or_the_papers_on_the_same_runs() -> None:
+def test_arms_are_compared_with_ours_or_the_papers_on_the_same_runs():
     paper = arm("dog", [40] * 12, cost=2.0)
     better = arm("worlds-stairs", [1] * 10, cost=1.5)
     found = numbers(counted(paper, better)).comparisons
@@ -67,7 +67,7 @@ def test_arms_are_compared_with_ours_or_the_papers_on_the_same_runs() -> None:
 
 
 @pytest.mark.parametrize(("successes", "count"), [(0, 50), (1, 8), (37, 50), (50, 50)])
-def test_wilson_has_the_closed_form(successes: int, count: int) -> None:
+def test_wilson_has_the_closed_form(successes, count):
     """Its ends solve (p - share)^2 = z^2 p (1 - p) / n (Wilson, 1927)."""
     z, share = 1.959963984540054, successes / count
     found = wilson(successes, count)
@@ -77,9 +77,7 @@ def test_wilson_has_the_closed_form(successes: int, count: int) -> None:
         assert (p - share) ** 2 == pytest.approx(z * z * p * (1 - p) / count, abs=1e-12)
 
 
-def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_certain() -> (
-    None
-):
+def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_certain():
     same = median(np.full(20, 3.0))
     assert (same.value, same.low, same.high) == (3.0, 3.0, 3.0)
     most = median([1.0, 2.0, 5.0, np.inf, np.inf, np.inf, np.inf])
@@ -90,7 +88,7 @@ def test_runs_without_a_walker_are_later_than_all_others_and_equal_runs_are_cert
     assert np.isinf(none.low)
 
 
-def test_medians_interval_agrees_with_scipys_bootstrap_and_covers_the_truth() -> None:
+def test_medians_interval_agrees_with_scipys_bootstrap_and_covers_the_truth():
     sample = np.random.default_rng(5).exponential(10.0, 50)
     how = {
         "method": "percentile",
@@ -109,7 +107,7 @@ def test_medians_interval_agrees_with_scipys_bootstrap_and_covers_the_truth() ->
     assert 0.88 <= hits / 80 <= 1.0
 
 
-def test_curves_are_within_their_bands_and_the_same_twice() -> None:
+def test_curves_are_within_their_bands_and_the_same_twice():
     values = np.random.default_rng(7).normal(5.0, 1.0, (50, 12))
     middle, low, high = curve(values)
     np.testing.assert_allclose(middle, np.median(values, axis=0))
@@ -120,7 +118,7 @@ def test_curves_are_within_their_bands_and_the_same_twice() -> None:
     assert not np.array_equal(counts.resamples(7, 5)[:, :6], counts.resamples(6, 5))
 
 
-def test_wilcoxon_of_all_better_has_the_closed_form() -> None:
+def test_wilcoxon_of_all_better_has_the_closed_form():
     """Eight pairs of one sign: two of 2^8 assignments are as extreme."""
     found = wilcoxon(np.arange(8.0), np.arange(8.0) + np.linspace(1, 2, 8))
     assert (found.pairs, found.unequal) == (8, 8)
@@ -132,7 +130,7 @@ def test_wilcoxon_of_all_better_has_the_closed_form() -> None:
     assert some.p == pytest.approx(2 / 2**3)
 
 
-def test_mcnemar_rests_on_runs_of_one_arm_and_holm_is_the_textbooks() -> None:
+def test_mcnemar_rests_on_runs_of_one_arm_and_holm_is_the_textbooks():
     ours = np.array([True] * 40 + [False] * 10)
     theirs = np.array([True] * 34 + [False] * 15 + [True])
     found = counts.mcnemar(ours, theirs)

@@ -2,8 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,8 +11,8 @@ import pytest
 
 from storage.inputs.errors import InputError
 from study.experiment.experiment import store_digest
-from study.report.runs import Results, known_stores, read_results, runs_of
-from tests.cases import asset
+from study.report.runs import known_stores, read_results, runs_of
+from tests.cases import asset, refused
 from tests.study.report import synthetic
 
 TWO = {"dog": (0.02, 0.002), "random": (0.01, 0.0)}
@@ -23,26 +21,26 @@ COUNT = len(TWO) * RUNS * TRIALS
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return synthetic.write(tmp_path / "small", TWO, RUNS, TRIALS)
 
 
 @pytest.fixture
-def table(folder: Path) -> pa.Table:
+def table(folder):
     return pq.read_table(folder / "trials.parquet")
 
 
-def rewrite(folder: Path, table: pa.Table) -> None:
+def rewrite(folder, table):
     pq.write_table(table, folder / "trials.parquet")
 
 
-def refusal(folder: Path) -> str:
+def refusal(folder):
     with pytest.raises(InputError) as caught:
         read_results(folder)
     return str(caught.value)
 
 
-def test_arrays_are_those_of_the_table(comparison: Path, results: Results) -> None:
+def test_arrays_are_those_of_the_table(comparison, results):
     table = pq.read_table(comparison / "trials.parquet")
     assert list(results.arms) == sorted(synthetic.ARMS)
     dog = table.filter(pc.equal(table["arm"], "dog"))
@@ -58,7 +56,7 @@ def test_arrays_are_those_of_the_table(comparison: Path, results: Results) -> No
     assert (results.name, results.cost) == ("made-up", "smooth")
 
 
-def test_the_order_of_the_rows_does_not_matter(folder: Path, table: pa.Table) -> None:
+def test_the_order_of_the_rows_does_not_matter(folder, table):
     known = read_results(folder).arms
     shuffled = table.take(np.random.default_rng(0).permutation(len(table)))
     rewrite(folder, shuffled)
@@ -73,7 +71,7 @@ def test_the_order_of_the_rows_does_not_matter(folder: Path, table: pa.Table) ->
             )
 
 
-def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> None:
+def test_a_checkpoint_with_more_trials_counts(folder, table):
     late = pc.and_(pc.equal(table["run"], 3), pc.greater_equal(table["trial"], 4))
     rewrite(folder, table.filter(pc.invert(late)))
     results = read_results(folder)  # runs count as far as all have come
@@ -92,9 +90,7 @@ def test_a_checkpoint_with_more_trials_counts(folder: Path, table: pa.Table) -> 
     assert list(read_results(folder).arms) == ["dog"]
 
 
-def test_stores_that_still_are_what_the_results_were_made_with_are_known(
-    tmp_path: Path,
-) -> None:
+def test_stores_that_still_are_what_the_results_were_made_with_are_known(tmp_path):
     paths = {name: tmp_path / f"{name}.parquet" for name in ("flat", "mild", "ramps")}
     for name in ("flat", "mild"):
         paths[name].write_text(name)
@@ -103,7 +99,7 @@ def test_stores_that_still_are_what_the_results_were_made_with_are_known(
         synthetic.write(tmp_path / "made-up", {"dog": (0.1, 0.0)}, 1, 3)
     )
 
-    def known(*sessions: dict[str, str]) -> dict[str, Path]:
+    def known(*sessions):
         noted = [
             {"trials": 1},
             *({"stores": stores} for stores in sessions),
@@ -118,9 +114,7 @@ def test_stores_that_still_are_what_the_results_were_made_with_are_known(
     assert known() == known_stores(replace(made, facts={})) == {}
 
 
-def test_no_trials_one_less_or_one_more(
-    folder: Path, table: pa.Table, tmp_path: Path
-) -> None:
+def test_no_trials_one_less_or_one_more(folder, table, tmp_path):
     assert "nowhere" in refusal(tmp_path / "nowhere")
     rewrite(folder, table.slice(0, 0))
     for empty in (folder, tmp_path):
@@ -133,7 +127,7 @@ def test_no_trials_one_less_or_one_more(
     (folder / "trials.parquet").write_bytes(b"PAR1 and no more")
     message = refusal(folder)
     assert message.startswith("trials.parquet: ") and "readable" in message
-    with pytest.raises(InputError, match="trials: 'arm dog'"):
+    with refused("trials: 'arm dog'"):
         runs_of(table.slice(1))
     for broken in (table.slice(1), pa.concat_tables([table, table.slice(3, 1)])):
         rewrite(folder, broken)
@@ -142,7 +136,7 @@ def test_no_trials_one_less_or_one_more(
 
 @pytest.mark.parametrize("text", ["[]", "5", "null", '"a"', "true", "{", "[" * 100_000])
 @pytest.mark.parametrize("name", ["experiment.json", "run.json"])
-def test_documents_that_are_no_objects(folder: Path, name: str, text: str) -> None:
+def test_documents_that_are_no_objects(folder, name, text):
     (folder / name).write_text(text)
     assert refusal(folder).startswith(f"{name}: ")
 
@@ -161,7 +155,7 @@ def test_documents_that_are_no_objects(folder: Path, name: str, text: str) -> No
         {"simulation": {"duration_s": None}},
     ],
 )
-def test_parts_of_another_form(folder: Path, part: dict[str, Any]) -> None:
+def test_parts_of_another_form(folder, part):
     name = "run.json" if "sessions" in part else "experiment.json"
     (folder / name).write_text(json.dumps(part))
     assert refusal(folder).startswith(f"{name}: {next(iter(part))}")
@@ -188,9 +182,7 @@ def test_parts_of_another_form(folder: Path, part: dict[str, Any]) -> None:
         ("best_cost", ["cheap"] * COUNT),
     ],
 )
-def test_columns_of_another_kind(
-    folder: Path, table: pa.Table, name: str, values: Any
-) -> None:
+def test_columns_of_another_kind(folder, table, name, values):
     rewrite(
         folder,
         table.set_column(table.schema.get_field_index(name), name, pa.array(values)),

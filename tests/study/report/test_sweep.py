@@ -1,11 +1,9 @@
 """The report of a sweep in words: what no person does is bold, and told once."""
 
-from typing import Any
-
 from study.report.sweep import text
 
 
-def found(*rates: float) -> dict[str, Any]:
+def found(*rates):
     """A sweep over made-up values, each with a gait of so many steps a minute."""
     values = [
         {
@@ -22,7 +20,7 @@ def found(*rates: float) -> dict[str, Any]:
     return {**top, "cost": "smooth", "values": values}
 
 
-def test_what_no_person_does_is_told_once() -> None:
+def test_what_no_person_does_is_told_once():
     lines = text(found(66.0, 117.0, 60.0), is_drawn=False).splitlines()
     assert "| steps a minute | 98 to 136 | **66** | 117 | **60** |" in lines
     assert "- takes few steps a minute: 0, 2" in lines

@@ -1,7 +1,5 @@
 """Catches of the feet: when and how strong, equal work at the ball, and momentum in free flight."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -19,7 +17,7 @@ LEVERS_M = np.array([THIGH_LENGTH_M, SHANK_LENGTH_M, BALL_OFFSET_M])
 Array = NDArray[np.float64]
 
 
-def share(seed: int, slot: int, number: int) -> float:
+def share(seed, slot, number):
     """The documented hash, in Python's whole numbers: 0 to 1."""
     word = slot * 0x85EBCA6B + seed * 0x7FEB352D + number * 0x9E3779B9 & 0xFFFFFFFF
     for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B), (16, 1)):
@@ -27,7 +25,7 @@ def share(seed: int, slot: int, number: int) -> float:
     return (word >> 8) / 2**24
 
 
-def pulls(seed: int, largest_ns: float, ticks: int) -> Array:
+def pulls(seed, largest_ns, ticks):
     """Force on the balls at each tick, N, [t, leg]."""
     force = np.zeros((ticks + 1000, 2))
     for slot in range(ticks // 1000 + 1):
@@ -39,9 +37,7 @@ def pulls(seed: int, largest_ns: float, ticks: int) -> Array:
     return force[:ticks]
 
 
-def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_the_ball() -> (
-    None
-):
+def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_the_ball():
     (dynamics,) = interpreted("dynamics")
     rng = np.random.default_rng(5)
     q, qdot = rng.uniform(-1.0, 1.0, (2, WALKERS, COORDINATES))
@@ -85,9 +81,7 @@ def test_each_leg_is_held_once_a_slot_by_the_documented_hash_with_equal_work_at_
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
-def test_a_catch_in_the_air_takes_its_impulse_and_its_moment(
-    engine: str, monkeypatch: Any
-) -> None:
+def test_a_catch_in_the_air_takes_its_impulse_and_its_moment(engine, monkeypatch):
     """Of the walker's momenta, on both engines: muscles and stops are inner forces."""
     monkeypatch.setattr(initial, "PENETRATION_M", -50.0)  # that high over the ground
     if engine == "mujoco":

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import taichi_nmm
-from storage.inputs.errors import InputError
 from taichi_nmm.kernel.layout import Const, State, Work
 from taichi_nmm.parameters import (
     DEVICE,
@@ -14,15 +13,14 @@ from taichi_nmm.parameters import (
     load_gains,
 )
 from taichi_nmm.walkers import check_batch, constant_rows
+from tests.cases import refused
 from tests.parity.interpreter import interpreted
 
 STRIDE, STANCE = 1000, 600  # ticks
 TORQUE, PEAK, RISE, FALL = 30.0, 0.5, 0.25, 0.1
 
 
-def torques(
-    strides: int, worn: taichi_nmm.Exoskeleton, rate_radps: float = 0.0
-) -> np.ndarray:
+def torques(strides, worn, rate_radps=0.0):
     """Of all joints, which turn at a rate: [ticks, 6], of a leg that walks evenly and
     of one that hardly lifts.
     """
@@ -46,7 +44,7 @@ def torques(
     return np.array(found)
 
 
-def test_the_torque_rises_and_falls_on_splines_once_a_stride_has_been_seen() -> None:
+def test_the_torque_rises_and_falls_on_splines_once_a_stride_has_been_seen():
     every = torques(4, taichi_nmm.Exoskeleton())
     found = every[:, 2]
     assert not found[: 2 * STRIDE].any() and not every[:, [0, 1, 3, 4, 5]].any()
@@ -74,9 +72,7 @@ def test_the_torque_rises_and_falls_on_splines_once_a_stride_has_been_seen() -> 
         ("dorsiflexion", 2, -1),
     ],
 )
-def test_it_helps_one_motion_of_a_side_with_no_more_than_its_power(
-    motion: str, joint: int, sign: int
-) -> None:
+def test_it_helps_one_motion_of_a_side_with_no_more_than_its_power(motion, joint, sign):
     for side, worn in (("left", True), ("right", False), ("both", True)):
         found = torques(3, taichi_nmm.Exoskeleton(motion, side))
         assert np.ptp(found[:, joint] * sign) == (TORQUE if worn else 0.0)
@@ -98,12 +94,8 @@ def test_it_helps_one_motion_of_a_side_with_no_more_than_its_power(
     ],
 )
 def test_it_takes_work_from_the_muscles_that_do_the_same(
-    engine: str,
-    motion: str,
-    curve: tuple[float, ...],
-    power_w: float,
-    muscles: tuple[str, ...],
-) -> None:
+    engine, motion, curve, power_w, muscles
+):
     """Torque and power are as recorded, and a walker's muscles do less beside them."""
     worn = taichi_nmm.Exoskeleton(motion, "both", power_w)
     low_level = np.tile([each.default for each in LOW_LEVEL_GAINS], (2, 1))
@@ -129,7 +121,7 @@ def test_it_takes_work_from_the_muscles_that_do_the_same(
     assert np.max(torque[1:] * rate[:-1]) < 1.001 * power_w
 
 
-def work_of_a_cycle(stiffness: float, damping: float) -> float:
+def work_of_a_cycle(stiffness, damping):
     """Of a prosthesis on the right foot, which swings by 0.2 rad once a second, J."""
     (device,) = interpreted("device")
     times = np.arange(0.0, 1.0, 1e-3)
@@ -146,7 +138,7 @@ def work_of_a_cycle(stiffness: float, damping: float) -> float:
     return float(np.mean(torque * rate))
 
 
-def test_a_prosthesis_gives_back_what_its_spring_took_and_never_more() -> None:
+def test_a_prosthesis_gives_back_what_its_spring_took_and_never_more():
     for damping in (0.0, 1.5):  # c A^2 pi omega
         assert work_of_a_cycle(300.0, damping) == pytest.approx(
             -damping * 0.08 * np.pi**2
@@ -154,9 +146,7 @@ def test_a_prosthesis_gives_back_what_its_spring_took_and_never_more() -> None:
 
 
 @pytest.mark.parametrize("engine", ["taichi", "mujoco"])
-def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(
-    engine: str,
-) -> None:
+def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(engine):
     """Its ankle is where the spring alone balances the foot, which in the air weighs little."""
     foot = taichi_nmm.Prosthesis("right", 600.0, 1.0, 0.1)
     worlds = taichi_nmm.WorldRanges(prosthesis=foot).draw([1])
@@ -183,13 +173,11 @@ def test_a_walker_with_a_prosthesis_has_no_muscle_across_that_ankle(
     assert free.sum() > 100 and np.ptp(torque_nm[free]) > 100.0
 
 
-def test_a_foot_too_light_for_its_damper_is_refused() -> None:
+def test_a_foot_too_light_for_its_damper_is_refused():
     worlds = taichi_nmm.WorldRanges(
         prosthesis=taichi_nmm.Prosthesis("left", 400.0, 2.0)
     ).draw([1])
     light = taichi_nmm.Bodies.nominal()
     light.inertia_kgm2[0, 3] = light.mass_kg[0, 3] = 1e-3
-    with pytest.raises(
-        InputError, match=r"^worlds\.prosthesis\.damping_nmsprad: 2.0 .* to 0.8 "
-    ):
+    with refused(r"^worlds\.prosthesis\.damping_nmsprad: 2.0 .* to 0.8 "):
         taichi_nmm.simulate(PUBLISHED_GAINS, bodies=light, worlds=worlds)

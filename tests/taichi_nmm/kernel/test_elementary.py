@@ -1,7 +1,5 @@
 """Elementary functions against NumPy: interpreted in float64, compiled in float32."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,11 +12,11 @@ ANGLES = np.concatenate([np.linspace(-60.0, 60.0, 20001), np.arange(-8, 9) * np.
 
 
 @pytest.fixture(scope="module")
-def elementary() -> Any:
+def elementary():
     return interpreted_walker().muscle.two_to.__globals__
 
 
-def test_sine_cosine_and_arctangent_in_all_quadrants(elementary: Any) -> None:
+def test_sine_cosine_and_arctangent_in_all_quadrants(elementary):
     sine, cosine = elementary["sine_cosine"](ANGLES)
     assert np.abs(sine - np.sin(ANGLES)).max() < 1e-14
     assert np.abs(cosine - np.cos(ANGLES)).max() < 1e-14
@@ -28,7 +26,7 @@ def test_sine_cosine_and_arctangent_in_all_quadrants(elementary: Any) -> None:
     assert np.abs(elementary["arctangent2"](y, x) - np.arctan2(y, x)).max() < 1e-14
 
 
-def test_powers_of_two_and_their_clamp(elementary: Any) -> None:
+def test_powers_of_two_and_their_clamp(elementary):
     x = np.linspace(-120.0, 120.0, 20001)
     two_to = elementary["two_to"]
     assert np.abs(two_to(x) / np.exp2(x) - 1.0).max() < 1e-13
@@ -36,9 +34,7 @@ def test_powers_of_two_and_their_clamp(elementary: Any) -> None:
     assert np.allclose(ends, np.exp2([-120.0, 120.0, -120.0]))
 
 
-def test_larger_and_smaller_keep_the_first_where_the_second_is_nan(
-    elementary: Any,
-) -> None:
+def test_larger_and_smaller_keep_the_first_where_the_second_is_nan(elementary):
     x, y = np.array([1.0, 3.0, np.nan, 1.0]), np.array([2.0, 2.0, 2.0, np.nan])
     assert np.array_equal(
         elementary["larger"](x, y), [2.0, 3.0, np.nan, 1.0], equal_nan=True
@@ -48,12 +44,12 @@ def test_larger_and_smaller_keep_the_first_where_the_second_is_nan(
     )
 
 
-def test_compiled_in_float32() -> None:
+def test_compiled_in_float32():
     ti = backend.ti
     backend.start(Settings(precision="float32", arch="cpu"))
 
     @ti.kernel
-    def apply(x: ti.types.ndarray(), out: ti.types.ndarray()):  # type: ignore[no-untyped-def]
+    def apply(x: ti.types.ndarray(), out: ti.types.ndarray()):
         for i in range(x.shape[0]):
             s, c = sine_cosine(x[i])
             out[0, i] = s

@@ -21,7 +21,7 @@ from taichi_nmm.walkers import check_batch, constant_rows
 from tests.parity.interpreter import interpreted
 
 
-def test_blocks_follow_each_other_and_each_gain_has_a_row_of_its_name() -> None:
+def test_blocks_follow_each_other_and_each_gain_has_a_row_of_its_name():
     layout = Layout(a=2, b=1, c=Layout(d=1, e=2))
     assert (layout.a, layout.b, layout.c, layout.count) == (0, 2, 3, 6)
     rows = np.arange(12.0).reshape(6, 2)
@@ -44,7 +44,7 @@ def test_blocks_follow_each_other_and_each_gain_has_a_row_of_its_name() -> None:
     assert const.total_mass[0] == Bodies.nominal().mass_kg.sum()
 
 
-def test_each_leg_is_controlled_by_its_own_gains() -> None:
+def test_each_leg_is_controlled_by_its_own_gains():
     """By stance reflexes and swing: one leg as that of a walker whose legs both have its gains."""
     reflexes, swing = interpreted("reflexes", "swing")
     rng = np.random.default_rng(5)

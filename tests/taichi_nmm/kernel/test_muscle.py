@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,22 +34,21 @@ TOLERANCE = 1e-6  # of a speed over vmax
 SLOWEST, FASTEST = -1.0, 3.0
 
 Array = NDArray[np.float64]
-Problem = list[Array]  # arguments of `muscle.speed_range`
 
 
 @pytest.fixture(scope="module")
-def muscle() -> Any:
+def muscle():
     return interpreted_walker().muscle
 
 
-def inverse_force_velocity(f: float) -> float:
+def inverse_force_velocity(f):
     """The closed inverse of both branches."""
     if f < 1:
         return (f - 1) / (1 + K * f)
     return ((N - 1) + (f - N)) / ((N - 1) - 7.56 * K * (f - N))
 
 
-def force_velocity(v: Array) -> Array:
+def force_velocity(v):
     """Hill's curve as published, and the line beyond v = 1; lengthening positive."""
     with np.errstate(divide="ignore"):
         shortening = (1 + v) / (1 - K * v)
@@ -60,15 +58,13 @@ def force_velocity(v: Array) -> Array:
     )
 
 
-def quotient(muscle: Any, v: NDArray[np.float64]) -> NDArray[np.float64]:
+def quotient(muscle, v):
     """The force factor of the range that each speed lies in."""
     a, b, c = muscle.force_velocity(v < 0.0, v >= 1.0)
     return np.asarray((a + b * v) / (1.0 + c * v))
 
 
-def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(
-    muscle: Any,
-) -> None:
+def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(muscle):
     length = np.linspace(0.2, 1.9, 200)
     expected = np.exp(np.log(C) * np.abs((length - 1) / W) ** 3)
     assert np.allclose(muscle.force_length(length), expected, rtol=1e-12)
@@ -85,7 +81,7 @@ def test_force_length_velocity_and_metabolic_rate_are_the_published_curves(
 
 
 @cache
-def isometric(m: int, own: bool) -> Any:
+def isometric(m, own):
     """Contract muscle m at fixed joint angles until it rests: walkers of ACTIVATIONS together."""
     walker = interpreted_walker()
     lanes = np.arange(len(ACTIVATIONS))
@@ -119,7 +115,7 @@ def isometric(m: int, own: bool) -> Any:
     return data, unit, fibres.length[m], fibres.force[m]
 
 
-def interpreted_rows(angles: Array, walkers: int = 1) -> tuple[Any, Any]:
+def interpreted_rows(angles, walkers=1):
     """Rows of muscles, and of `Work` with both legs at these joint angles."""
     fibres = Muscle.of(np.zeros((Muscle.count, walkers)))
     work = Work.of(np.zeros((Work.count, walkers)))
@@ -134,14 +130,12 @@ def interpreted_rows(angles: Array, walkers: int = 1) -> tuple[Any, Any]:
 @pytest.mark.parametrize("m", range(len(MUSCLES)), ids=MUSCLES)
 @pytest.mark.parametrize("walker", range(len(ACTIVATIONS)), ids=ACTIVATIONS.astype(str))
 @pytest.mark.parametrize("own", [False, True])
-def test_isometric_force_solves_the_static_balance(
-    m: int, walker: int, own: bool
-) -> None:
+def test_isometric_force_solves_the_static_balance(m, walker, own):
     data, unit, lengths, forces = isometric(m, own)
     activation, length, force = ACTIVATIONS[walker], lengths[walker], forces[walker]
     optimal, slack = data.optimal_length_m, data.slack_length_m
 
-    def balance(x: float) -> float:
+    def balance(x):
         tendon = max((unit - x * optimal) / slack - 1, 0.0) / REFERENCE
         buffer = max((1 - W) - x, 0.0) / (W / 2)
         passive = max((x - 1) / W, 0.0)
@@ -154,7 +148,7 @@ def test_isometric_force_solves_the_static_balance(
     assert force == pytest.approx(tendon**2, abs=1e-6)
 
 
-def fibre_speed(muscle: Any, problem: Problem, iterations: int) -> Array:
+def fibre_speed(muscle, problem, iterations):
     """What the iterations of an interpreted module `muscle` find."""
     _start, *springs, _capacity = problem
     v, *fibre = muscle.speed_range(*problem)
@@ -164,9 +158,7 @@ def fibre_speed(muscle: Any, problem: Problem, iterations: int) -> Array:
 
 
 @pytest.mark.parametrize("tendon_force", [0.2, 0.6, 0.95, 1.1, 1.3])
-def test_quick_release_moves_at_inverse_force_velocity(
-    muscle: Any, tendon_force: float
-) -> None:
+def test_quick_release_moves_at_inverse_force_velocity(muscle, tendon_force):
     """With the tendon's force held (a step of no length) the speed is fv^-1(F / (A fl))."""
     length, activation = 0.9, 1.0
     capacity = activation * np.exp(np.log(C) * abs((length - 1) / W) ** 3)
@@ -179,7 +171,7 @@ def test_quick_release_moves_at_inverse_force_velocity(
     )
 
 
-def walking_states(ticks: int) -> Problem:
+def walking_states(ticks):
     """Arguments of `speed_range` met in `ticks` on flat ground, of all muscles that are up."""
     walker = interpreted_walker()
     muscle = walker.muscle
@@ -188,7 +180,7 @@ def walking_states(ticks: int) -> Problem:
     met = []
     recorded = []
 
-    def recording(*arguments: Any) -> Any:
+    def recording(*arguments):
         met.append(np.array(np.broadcast_arrays(*arguments)))
         return find_range(*arguments)
 
@@ -226,7 +218,7 @@ def walking_states(ticks: int) -> Problem:
     return list(np.concatenate(recorded, axis=1))
 
 
-def exact_speed(problem: Problem) -> Array:
+def exact_speed(problem):
     """The balance by bisection of the equation as published."""
     _start, strain, strain_rate, squeeze, squeeze_rate, capacity = problem
     low, high = np.full_like(strain, SLOWEST), np.full_like(strain, FASTEST)
@@ -239,7 +231,7 @@ def exact_speed(problem: Problem) -> Array:
     return 0.5 * (low + high)
 
 
-def errors(problem: Problem, iterations: int) -> Array:
+def errors(problem, iterations):
     """Of the speed that so many iterations find, by the walker's own source."""
     with np.errstate(all="ignore"):
         found = fibre_speed(interpreted_walker().muscle, problem, iterations)
@@ -247,7 +239,7 @@ def errors(problem: Problem, iterations: int) -> Array:
 
 
 @pytest.mark.slow
-def test_fibre_speed_converges_on_walking_states() -> None:
+def test_fibre_speed_converges_on_walking_states():
     """Within 1e-6 of the balance as published, but for a few muscles that were just slack."""
     problem = walking_states(300)
     assert len(problem[0]) > 40_000
@@ -259,7 +251,7 @@ def test_fibre_speed_converges_on_walking_states() -> None:
 
 
 @pytest.mark.parametrize("joint", range(3), ids=["hip", "knee", "ankle"])
-def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
+def test_torques_do_the_work_of_the_lengths(joint):
     """A torque is minus the length's slope times Fmax over rho (rho scales length only)."""
     joints = interpreted_walker().joints
     step = 1e-6
@@ -280,7 +272,7 @@ def test_torques_do_the_work_of_the_lengths(joint: int) -> None:
     assert not work.joint_torque[3:].any()  # the other leg's
 
 
-def test_strains_follow_the_lengths() -> None:
+def test_strains_follow_the_lengths():
     """Of each tendon over its reference, at fibre length 0."""
     angles = np.deg2rad([-10.0, 25.0, 5.0])
     _fibres, work = interpreted_rows(angles)

@@ -1,7 +1,5 @@
 """Lag and noise of the nerves, interpreted by NumPy: closed forms, and white noise."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,11 +10,11 @@ TICKS, WALKERS = 2000, 50
 
 
 @pytest.fixture(scope="module")
-def nerves() -> Any:
+def nerves():
     return interpreted("nerves")[0]
 
 
-def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> Any:
+def felt(nerves, signals, blend, amplitude, seeds):
     """What is felt of signals that stay the same, [t, signal, n]."""
     lanes = np.arange(len(seeds))
     state, const, work = (
@@ -35,9 +33,7 @@ def felt(nerves: Any, signals: Any, blend: Any, amplitude: Any, seeds: Any) -> A
 
 
 @pytest.mark.slow
-def test_a_lag_is_of_first_order_flags_have_none_without_it_nothing_changes(
-    nerves: Any,
-) -> None:
+def test_a_lag_is_of_first_order_flags_have_none_without_it_nothing_changes(nerves):
     lag_s = 0.05
     heard = felt(nerves, 1.0, 1.0 - np.exp(-1e-3 / lag_s), 0.0, np.zeros(1))[:, :, 0]
     expected = 1.0 - np.exp(-np.arange(1, TICKS + 1) * 1e-3 / lag_s)
@@ -51,7 +47,7 @@ def test_a_lag_is_of_first_order_flags_have_none_without_it_nothing_changes(
     assert np.array_equal(heard, np.broadcast_to(signals, heard.shape))
 
 
-def test_noise_is_uniform_white_and_each_its_own(nerves: Any) -> None:
+def test_noise_is_uniform_white_and_each_its_own(nerves):
     amplitude = 0.02
     seeds = np.random.default_rng(0).integers(2**24, size=WALKERS).astype(float)
     noise = felt(nerves, 0.0, 1.0, amplitude, seeds)

@@ -97,7 +97,7 @@ print(walked(precision="float64").hex())
 
 
 @cache
-def results(script: str) -> list[str]:
+def results(script):
     """What a script has printed of results; it ended well, without a word on standard error."""
     with TemporaryDirectory() as folder:
         file = Path(folder, "script.py")  # the compiler reads the source of kernels
@@ -111,7 +111,7 @@ def results(script: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def expected() -> list[str]:
+def expected():
     """Of float32 and float64, in a script that does not use the compiler."""
     single, double = results(EXPECTED)
     assert single != double
@@ -119,9 +119,7 @@ def expected() -> list[str]:
 
 
 @pytest.mark.parametrize("when", SCRIPTS)
-def test_a_script_that_uses_the_compiler_keeps_its_fields(
-    when: str, expected: list[str]
-) -> None:
+def test_a_script_that_uses_the_compiler_keeps_its_fields(when, expected):
     found = results(SCRIPTS[when])
     assert found[:2] == expected
     assert found[2:] in ([], [expected[0]])
@@ -153,7 +151,7 @@ assert torques(True).tolist() == torques(False).tolist()
 """
 
 
-def test_a_controller_goes_on_after_another_ti_init() -> None:
+def test_a_controller_goes_on_after_another_ti_init():
     assert results(CONTROLLER) == []
 
 

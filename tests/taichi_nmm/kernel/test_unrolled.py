@@ -34,7 +34,7 @@ def compute(values: Array, found: Array):
     found[0] = x + 10.0 * half + 100.0 * lifted + changes
 
 
-def test_a_kernel_computes_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_computes_what_it_says(monkeypatch):
     backend.start(Settings(arch="cpu"))
     monkeypatch.setattr(compiler, "unrolls", True)
     for each in (compute._primal, halved.func, lift.func):
@@ -47,7 +47,7 @@ def test_a_kernel_computes_what_it_says(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.skipif(
     compiler.COMPILER != "taichi", reason="reads a function once anyway"
 )
-def test_a_function_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_function_is_read_once(monkeypatch):
     @ti.kernel
     def twice(values: Array):
         values[0] = halved(values[0]) + halved(values[0])

@@ -1,9 +1,6 @@
 """Walks whose bodies MuJoCo moves: how they go, and that no walker feels another."""
 
-from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,7 +9,7 @@ from mujoco.batch import Batch as Simulations
 from mujoco.batch import SimulationError
 
 from study.pictures.stick_figure import leg
-from taichi_nmm import Result, Trajectory, simulate, terrain
+from taichi_nmm import simulate, terrain
 from taichi_nmm.body import GRAVITY_MPS2, Bodies
 from taichi_nmm.kernel_cache import COMPILER
 from taichi_nmm.parameters import (
@@ -33,15 +30,13 @@ LONG_S = 30.0
 
 
 @pytest.fixture(scope="module")
-def long_walk() -> Result:
+def long_walk():
     """The published gains and the reference on level ground."""
     gains = [PUBLISHED_GAINS, load_gains("reference")]
     return simulate(gains, duration_s=LONG_S, settings=MUJOCO, record=[0, 1])
 
 
-def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(
-    long_walk: Result,
-) -> None:
+def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(long_walk):
     assert long_walk.end_reason.tolist() == ["completed"] * 2
     assert long_walk["mean_speed_mps"][0] == pytest.approx(1.40, abs=0.03)
     assert long_walk["mean_speed_mps"][1] == pytest.approx(1.27, abs=0.04)
@@ -62,7 +57,7 @@ def test_gaits_walk_at_their_speeds_and_metadata_name_the_engines(
     assert metadata["controller"]["engine"] == COMPILER
 
 
-def test_a_trajectory_is_recorded(long_walk: Result) -> None:
+def test_a_trajectory_is_recorded(long_walk):
     weight_n = Bodies.nominal().mass_kg.sum() * GRAVITY_MPS2
     for row, path in zip(long_walk.rows, long_walk.trajectories, strict=True):
         assert np.isfinite(path.q).all() and np.isfinite(path.qdot).all()
@@ -78,7 +73,7 @@ def test_a_trajectory_is_recorded(long_walk: Result) -> None:
         assert np.abs(path.joint_rad).max() < 2.0
 
 
-def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
+def test_effort_work_and_peaks_of_torque_are_those_of_a_recording():
     """Of the engine whose recorded torques have no stops; a step goes from take-off to take-off."""
     worn = [
         20.0 if gain.name == "exo_torque" else gain.default for gain in LOW_LEVEL_GAINS
@@ -114,7 +109,7 @@ def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
             row[f"step_{name}_asymmetry"] == pytest.approx(uneven, abs=2e-3)
             and uneven != 0.0
         )
-    events, steps = path.events[path.events["kind"] == 1], list[Any]()
+    events, steps = path.events[path.events["kind"] == 1], []
     torque = np.abs(path.joint_torque_nm).reshape(-1, 2, 3)
     for side in (0, 1):
         ends = np.searchsorted(
@@ -126,7 +121,7 @@ def test_effort_work_and_peaks_of_torque_are_those_of_a_recording() -> None:
     np.testing.assert_allclose(peaks, np.mean(steps, axis=0), rtol=2e-3)
 
 
-def some(rows: Any = slice(None), **options: Any) -> Result:
+def some(rows=slice(None), **options):
     """Short walks of some of ten walkers, each on its body and its ground; most of them fall."""
     rng = np.random.default_rng(6)
     gains = rng.uniform(lower_bounds(), upper_bounds(), (WALKERS, 16))
@@ -148,28 +143,28 @@ def some(rows: Any = slice(None), **options: Any) -> Result:
     )
 
 
-def bodies() -> Bodies:
+def bodies():
     return Bodies.disturbed(range(WALKERS))
 
 
 @pytest.fixture(scope="module")
-def together() -> Result:
+def together():
     return some()
 
 
-def test_nobody_feels_the_others(together: Result) -> None:
+def test_nobody_feels_the_others(together):
     for rows in ([0], [9], [8, 3], np.arange(WALKERS)[::-1], np.arange(8)):
         assert some(rows).rows.tobytes() == together.rows[rows].tobytes()
 
 
-def test_recording_and_another_simulation_change_nothing(together: Result) -> None:
+def test_recording_and_another_simulation_change_nothing(together):
     other = Settings(precision="float64", arch="cpu")
     simulate(PUBLISHED_GAINS, duration_s=0.01, settings=other)
     recorded = some(record=[1, 7], record_rate_hz=500.0, progress=lambda *_: None)
     assert recorded.rows.tobytes() == together.rows.tobytes()
 
 
-def test_settings_matter(together: Result) -> None:
+def test_settings_matter(together):
     for own in (
         MujocoSettings(time_constant_s=0.01),
         MujocoSettings(limits="mujoco"),
@@ -180,12 +175,12 @@ def test_settings_matter(together: Result) -> None:
         assert (other["hip_x_m"] != together["hip_x_m"][:2]).all()
 
 
-def assert_others_walk(found: Result, together: Result, walker: int) -> None:
+def assert_others_walk(found, together, walker):
     others = np.arange(WALKERS) != walker
     assert found.rows[others].tobytes() == together.rows[others].tobytes()
 
 
-def assert_only_this_one(found: Result, together: Result, walker: int) -> None:
+def assert_only_this_one(found, together, walker):
     assert found.end_reason[walker] == "diverged"
     assert_others_walk(found, together, walker)
     assert found["duration_s"][walker] < SHORT_S
@@ -193,27 +188,25 @@ def assert_only_this_one(found: Result, together: Result, walker: int) -> None:
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def folder(tmp_path, monkeypatch):
     """MuJoCo would write its log there."""
     monkeypatch.chdir(tmp_path)
     yield
     assert list(tmp_path.iterdir()) == []
 
 
-def those(simulations: Simulations, walker: int, from_s: float) -> Any:
+def those(simulations, walker, from_s):
     """Rows of this walker, which its mass tells, from this time on."""
     mass_kg = bodies().mass_kg[walker, 0]
     mine = np.array([model.body_mass[1] == mass_kg for model in simulations.models])
     return np.flatnonzero(mine & (simulations.time > from_s))
 
 
-def test_a_walker_of_nans(
-    together: Result, monkeypatch: pytest.MonkeyPatch, capfd: Any
-) -> None:
+def test_a_walker_of_nans(together, monkeypatch, capfd):
     """It gets a code, nothing is printed, and no other walker changes."""
     step = Simulations.step
 
-    def spoilt(simulations: Simulations) -> None:
+    def spoilt(simulations):
         rows = those(simulations, 2, 0.3)
         simulations.ctrl[rows] = simulations.qvel[rows, 0] = np.nan
         step(simulations)
@@ -225,13 +218,11 @@ def test_a_walker_of_nans(
     assert capfd.readouterr() == ("", "")
 
 
-def test_an_engines_error_is_its_walkers(
-    together: Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_engines_error_is_its_walkers(together, monkeypatch):
     """MuJoCo leaves such a walker where it was, and has moved the others."""
     step = Simulations.step
 
-    def failing(simulations: Simulations) -> None:
+    def failing(simulations):
         before, rows = simulations.state.copy(), those(simulations, 3, 0.1)
         step(simulations)
         if len(rows):
@@ -242,7 +233,7 @@ def test_an_engines_error_is_its_walkers(
     assert_only_this_one(some(), together, 3)
 
 
-def test_a_body_that_no_engine_can_move(together: Result) -> None:
+def test_a_body_that_no_engine_can_move(together):
     light = bodies()
     mass, inertia = light.mass_kg.copy(), light.inertia_kgm2.copy()
     mass[5], inertia[5] = 1e-9, 1e-12
@@ -251,15 +242,15 @@ def test_a_body_that_no_engine_can_move(together: Result) -> None:
     assert_others_walk(found, together, 5)
 
 
-def test_recording_one_that_diverges(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording_one_that_diverges(monkeypatch):
     step = Simulations.step
 
-    def spoilt(simulations: Simulations) -> None:
+    def spoilt(simulations):
         simulations.qvel[:, 0] *= np.where(simulations.time > 0.2, 1e9, 1.0)
         step(simulations)
 
     monkeypatch.setattr(Simulations, "step", spoilt)
     found = some([0], record=[0])
     assert found.end_reason.tolist() == ["diverged"]
-    path: Trajectory = found.trajectories[0]
+    path = found.trajectories[0]
     assert 0.15 <= path.time_s[-1] <= 0.25

@@ -1,7 +1,5 @@
 """Planes under the soles, and the ground of a file, against the height table itself."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from taichi_nmm.kernel.layout import CONTACTS
 from taichi_nmm.mujoco_engine.engine import ContactPlanes, start_state
 from taichi_nmm.mujoco_engine.mjcf import mjcf_text, walk_model
 from taichi_nmm.simulator import LONGEST_WALK_S
-from taichi_nmm.terrain import GRID_END_M, GRID_START_M, GRID_X_M, KINDS, Terrain
+from taichi_nmm.terrain import GRID_END_M, GRID_START_M, GRID_X_M, KINDS
 
 Array = NDArray[np.float64]
 
@@ -30,7 +28,7 @@ ABOVE_M = 1000.0
 AWAY_M = 1e4  # where the walker is, while rays are cast
 
 
-def grounds_of(kind: str, folder: Path) -> list[Terrain]:
+def grounds_of(kind, folder):
     """Grounds of a kind, the steepest of the experiments among them; a file's is written."""
     (folder / "table.csv").write_text(FILE)
     return {
@@ -51,16 +49,16 @@ def grounds_of(kind: str, folder: Path) -> list[Terrain]:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def engine() -> None:
+def engine():
     backend.start(MUJOCO.on_processor())
 
 
 @pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
+def model():
     return walk_model(Bodies.nominal(), MUJOCO, 0.9)
 
 
-def centres(model: mujoco.MjModel, qpos: Array) -> Array:
+def centres(model, qpos):
     """Of the soles, x and z, as MuJoCo has them, [CONTACTS, 2]."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -70,14 +68,7 @@ def centres(model: mujoco.MjModel, qpos: Array) -> Array:
     )
 
 
-def posed(
-    model: mujoco.MjModel,
-    ground: Terrain,
-    sole: int,
-    x_m: float,
-    gap_m: float,
-    pose: Array,
-) -> Array:
+def posed(model, ground, sole, x_m, gap_m, pose):
     """qpos of a pose in which the centre of a sole is at x, so far above the ground under it."""
     qpos = np.concatenate([[0.0, 0.0], pose])
     x, z = centres(model, qpos)[sole]
@@ -85,7 +76,7 @@ def posed(
     return qpos
 
 
-def planes_under(ground: Terrain, qpos: Array) -> tuple[Array, Array]:
+def planes_under(ground, qpos):
     """Points and normals of the planes, x and z, [n, PLANES, 2] each."""
     rows = np.atleast_2d(qpos)
     position, quaternion = ContactPlanes((ground,), np.zeros(len(rows), int)).under(
@@ -97,7 +88,7 @@ def planes_under(ground: Terrain, qpos: Array) -> tuple[Array, Array]:
     return position[..., [0, 2]], np.stack([np.sin(angle), np.cos(angle)], axis=-1)
 
 
-def valleys(ground: Terrain, centre: Array) -> Array:
+def valleys(ground, centre):
     """Distances that are local minima, of points of the ground around a place, in order."""
     x = centre[0] + np.arange(-AROUND_M, AROUND_M, SPACING_M)
     x = np.union1d(x, GRID_X_M[np.abs(GRID_X_M - centre[0]) < AROUND_M])
@@ -106,7 +97,7 @@ def valleys(ground: Terrain, centre: Array) -> Array:
     return np.sort(distance[1:-1][lowest])
 
 
-def places(ground: Terrain, rng: np.random.Generator) -> Array:
+def places(ground, rng):
     """Where soles are looked at: anywhere, and around where the slope changes."""
     corners = GRID_X_M[1:-1][np.abs(np.diff(ground.height_m, 2)) > 1e-4]
     x_m = rng.uniform(GRID_START_M - 1.0, GRID_END_M + 1.0, POSES)
@@ -117,7 +108,7 @@ def places(ground: Terrain, rng: np.random.Generator) -> Array:
     return x_m
 
 
-def assert_near(distances: Array, seen: Array) -> None:
+def assert_near(distances, seen):
     """Equal but for the ground between the sampled points."""
     assert len(distances) == len(seen)
     between = np.hypot(distances, 0.5 * STEEPEST * SPACING_M) - distances
@@ -126,9 +117,7 @@ def assert_near(distances: Array, seen: Array) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_soles_touch_the_nearest_points(
-    kind: str, model: mujoco.MjModel, tmp_path: Path
-) -> None:
+def test_soles_touch_the_nearest_points(kind, model, tmp_path):
     """Above the ground a plane is as far as the nearest point, a second one as the next valley."""
     rng = np.random.default_rng(3)
     hollows = 0
@@ -151,9 +140,7 @@ def test_soles_touch_the_nearest_points(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_sole_in_the_ground_is_led_out(
-    kind: str, model: mujoco.MjModel, tmp_path: Path
-) -> None:
+def test_a_sole_in_the_ground_is_led_out(kind, model, tmp_path):
     rng = np.random.default_rng(4)
     for ground in grounds_of(kind, tmp_path):
         for x_m in places(ground, rng):
@@ -165,9 +152,7 @@ def test_a_sole_in_the_ground_is_led_out(
             assert normals[1] > 0.0
 
 
-def contacts(
-    model: mujoco.MjModel, ground: Terrain, qpos: Array
-) -> tuple[Array, Array]:
+def contacts(model, ground, qpos):
     """MuJoCo's own contacts of a pose: depths [c], and normals x and z, [c, 2]."""
     data = mujoco.MjData(model)
     position, quaternion = ContactPlanes((ground,), np.zeros(1, int)).under(qpos[None])
@@ -181,9 +166,7 @@ def contacts(
 
 
 @pytest.mark.parametrize("past_m", [-0.003, -1e-9, 0.0, 1e-9, 0.003, 0.008])
-def test_a_foot_does_not_catch_where_two_pieces_meet(
-    model: mujoco.MjModel, past_m: float
-) -> None:
+def test_a_foot_does_not_catch_where_two_pieces_meet(model, past_m):
     """The ground is almost level, so contact normals are almost vertical everywhere."""
     ground = terrain.rough(1, amplitude_m=0.0005, flat_start_m=0.0)
     for knot_m in range(3, 8):
@@ -195,7 +178,7 @@ def test_a_foot_does_not_catch_where_two_pieces_meet(
         assert len(normals) and np.abs(normals[:, 0]).max() <= 0.01
 
 
-def test_a_foot_at_a_riser_touches_it_and_the_tread(model: mujoco.MjModel) -> None:
+def test_a_foot_at_a_riser_touches_it_and_the_tread(model):
     ground = terrain.stairs(rise_m=0.2, run_m=1.0)
     rises = np.diff(ground.height_m)
     foot_m = GRID_X_M[np.flatnonzero(rises > 0.1)[0]]
@@ -210,7 +193,7 @@ def test_a_foot_at_a_riser_touches_it_and_the_tread(model: mujoco.MjModel) -> No
     assert (depths > 0).all()
 
 
-def test_the_ground_goes_on_as_far_as_anybody_walks(model: mujoco.MjModel) -> None:
+def test_the_ground_goes_on_as_far_as_anybody_walks(model):
     """Outside of the table it is level, as in this simulator."""
     ground = terrain.ramp()
     far_m = FASTEST_MPS * LONGEST_WALK_S
@@ -223,7 +206,7 @@ def test_the_ground_goes_on_as_far_as_anybody_walks(model: mujoco.MjModel) -> No
         np.testing.assert_array_equal(normals, [[0.0, 1.0]] * 2)
 
 
-def test_planes_are_a_walkers_own() -> None:
+def test_planes_are_a_walkers_own():
     """Alone, among others, and beside one that has become no number: the same bits."""
     rng = np.random.default_rng(5)
     grounds = (terrain.rough(3, flat_start_m=0.0), terrain.blocks(4, flat_start_m=0.0))
@@ -248,7 +231,7 @@ def test_planes_are_a_walkers_own() -> None:
         )
 
 
-def test_bits_do_not_depend_on_the_controllers_precision() -> None:
+def test_bits_do_not_depend_on_the_controllers_precision():
     qpos = np.random.default_rng(6).normal(size=(2, 9))
     planes = ContactPlanes((terrain.rough(3, flat_start_m=0.0),), np.zeros(2, int))
     single = [values.copy() for values in planes.under(qpos)]
@@ -263,7 +246,7 @@ def test_bits_do_not_depend_on_the_controllers_precision() -> None:
 # A file: rays from above meet the height table.
 
 
-def largest_error_m(model: mujoco.MjModel, ground: Terrain, x_m: np.ndarray) -> float:
+def largest_error_m(model, ground, x_m):
     """Between rays from above and the table."""
     data = mujoco.MjData(model)
     data.qpos[1] = AWAY_M
@@ -279,7 +262,7 @@ def largest_error_m(model: mujoco.MjModel, ground: Terrain, x_m: np.ndarray) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
-def test_rays_meet_the_height_table(kind: str, tmp_path: Path) -> None:
+def test_rays_meet_the_height_table(kind, tmp_path):
     rng = np.random.default_rng(0)
     x_m = np.concatenate(
         [rng.uniform(-5, 300, 150), rng.choice(GRID_X_M[:-1], 50) + 1e-9]

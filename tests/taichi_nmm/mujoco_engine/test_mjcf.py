@@ -3,7 +3,6 @@
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from taichi_nmm import PUBLISHED_GAINS, Prosthesis, WorldRanges, terrain
 from taichi_nmm.body import GRAVITY_MPS2, SEGMENT_NAMES, Bodies
@@ -32,18 +31,18 @@ SETTINGS = Settings(engine="mujoco", physics_step_s=0.5e-3, mujoco=CONTACT)
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> mujoco.MjModel:
+def model(tmp_path_factory):
     """As MuJoCo's own viewer reads it."""
     path = tmp_path_factory.mktemp("mjcf") / "walker.xml"
     path.write_text(written(WorldRanges(friction=(FRICTION, FRICTION))))
     return mujoco.MjModel.from_xml_path(str(path))
 
 
-def written(ranges: WorldRanges) -> str:
+def written(ranges):
     return mjcf.mjcf_text(BODY, ranges.draw([0]), GROUND, SETTINGS, start_state(GROUND))
 
 
-def test_the_model_has_the_body(model: mujoco.MjModel) -> None:
+def test_the_model_has_the_body(model):
     assert [model.body(n).name for n in range(1, 8)] == list(SEGMENT_NAMES)
     np.testing.assert_array_equal(model.body_mass[1:], BODY.mass_kg[0])
     np.testing.assert_array_equal(model.body_inertia[1:, 1], BODY.inertia_kgm2[0])
@@ -52,9 +51,7 @@ def test_the_model_has_the_body(model: mujoco.MjModel) -> None:
     assert not model.dof_damping.any() and not model.dof_armature.any()
 
 
-def test_six_motors_turn_six_joints_limited_where_the_walkers_are(
-    model: mujoco.MjModel,
-) -> None:
+def test_six_motors_turn_six_joints_limited_where_the_walkers_are(model):
     assert model.nu == 6
     assert [model.actuator(n).name for n in range(6)] == list(JOINTS)
     for n, name in enumerate(JOINTS):
@@ -70,7 +67,7 @@ def test_six_motors_turn_six_joints_limited_where_the_walkers_are(
         assert model.joint(name).range.tolist() == [stop.low_rad, stop.high_rad]
 
 
-def test_contacts_follow_the_settings(model: mujoco.MjModel) -> None:
+def test_contacts_follow_the_settings(model):
     assert model.opt.timestep == SETTINGS.physics_step_s
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     np.testing.assert_array_equal(
@@ -89,7 +86,7 @@ def test_contacts_follow_the_settings(model: mujoco.MjModel) -> None:
     )
 
 
-def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> None:
+def test_the_contacts_of_a_walk_are_those_of_the_file(model):
     """Each sole meets its own planes, by the same numbers, and nothing meets anything else."""
     walked = walk_model(BODY, SETTINGS, FRICTION)
     assert walked.npair == PLANES
@@ -107,7 +104,7 @@ def test_the_contacts_of_a_walk_are_those_of_the_file(model: mujoco.MjModel) -> 
         np.testing.assert_array_equal(numbers, expected, err_msg=name)
 
 
-def test_links_and_muscles_are_seen_and_weigh_nothing(model: mujoco.MjModel) -> None:
+def test_links_and_muscles_are_seen_and_weigh_nothing(model):
     names = {model.tendon(n).name for n in range(model.ntendon)}
     assert (
         names == {f"{muscle}_{side}" for muscle in MUSCLES for side in "lr"}
@@ -120,7 +117,7 @@ def test_links_and_muscles_are_seen_and_weigh_nothing(model: mujoco.MjModel) -> 
     assert model.body_mass.sum() == pytest.approx(BODY.mass_kg.sum())
 
 
-def test_a_passive_foot_is_in_the_file_and_no_missing_muscle() -> None:
+def test_a_passive_foot_is_in_the_file_and_no_missing_muscle():
     """Its torque is that of the walker: stiffness (rest - angle) - damping rate."""
     foot, weak = (
         Prosthesis("right", 350.0, 1.0, 0.1),
@@ -144,7 +141,7 @@ def test_a_passive_foot_is_in_the_file_and_no_missing_muscle() -> None:
     assert np.count_nonzero(data.qfrc_passive) == 1
 
 
-def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None:
+def test_the_key_frame_is_the_start_of_every_walk(model):
     """Soles on or over the ground, one foot touching, the hip at its speed."""
     assert model.nkey == 1 and model.key(0).name == "start"
     data = mujoco.MjData(model)
@@ -161,7 +158,7 @@ def test_the_key_frame_is_the_start_of_every_walk(model: mujoco.MjModel) -> None
     assert np.abs(model.stat.center - [data.qpos[0], 0.0, data.qpos[1]]).max() < 1.0
 
 
-def test_a_walker_is_advanced_as_its_file_is(model: mujoco.MjModel) -> None:
+def test_a_walker_is_advanced_as_its_file_is(model):
     """The first steps without torque, from the key frame and by the engine's own model."""
     backend.start(SETTINGS.on_processor())
     worlds = WorldRanges(friction=(FRICTION, FRICTION)).draw([0])
@@ -180,7 +177,7 @@ FROM_S = 0.05  # before, the limb is still being slowed down
 BENT_RAD = 0.5
 
 
-def crept(joint: str, torque_nm: float, step_s: float) -> NDArray[np.float64]:
+def crept(joint, torque_nm, step_s):
     """Angle beyond the limit under a constant torque, from the limit on, in the air, [t] rad."""
     settings = Settings(engine="mujoco", physics_step_s=step_s)
     model = walk_model(Bodies.nominal(), settings, 0.9)
@@ -200,9 +197,7 @@ def crept(joint: str, torque_nm: float, step_s: float) -> NDArray[np.float64]:
     return np.array(beyond)
 
 
-def law(
-    joint: str, torque_nm: float, times_s: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def law(joint, torque_nm, times_s):
     """The same by D' = w_max (T/(k D) - 1), D(0) = 0: with L = T/k and W = w_max t, it
     is -D - L ln(1 - D/L) = W, whose beginning is D = sqrt(2 L W)."""
     largest = torque_nm / STOP_STIFFNESS_NMPRAD
@@ -226,9 +221,7 @@ def law(
         ("foot_r", 60.0),
     ],
 )
-def test_a_pushed_joint_creeps_as_a_stop_does(
-    joint: str, torque_nm: float, step_s: float
-) -> None:
+def test_a_pushed_joint_creeps_as_a_stop_does(joint, torque_nm, step_s):
     found = crept(joint, torque_nm, step_s)
     times_s = step_s * np.arange(1, len(found) + 1)
     expected = law(joint, torque_nm, times_s)
@@ -238,7 +231,7 @@ def test_a_pushed_joint_creeps_as_a_stop_does(
     np.testing.assert_allclose(found[compared], expected[compared], rtol=TOLERANCE)
 
 
-def test_mujocos_own_limits_are_left_as_they_are() -> None:
+def test_mujocos_own_limits_are_left_as_they_are():
     settings = Settings(engine="mujoco", mujoco=MujocoSettings(limits="mujoco"))
     model = walk_model(Bodies.nominal(), settings, 0.9)
     default = mujoco.MjModel.from_xml_string(
@@ -251,7 +244,7 @@ def test_mujocos_own_limits_are_left_as_they_are() -> None:
 
 
 @pytest.mark.parametrize("step_s", [1e-3, 0.5e-3, 0.25e-3])
-def test_numbers_are_those_that_mujoco_takes(step_s: float) -> None:
+def test_numbers_are_those_that_mujoco_takes(step_s):
     """Of limbs light and heavy: it would clip others silently."""
     for stop in STOPS.values():
         for inverse_inertia in (1.0, 10.0, 300.0):
