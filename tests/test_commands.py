@@ -3,11 +3,9 @@
 import json
 import re
 import shlex
-from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -17,7 +15,9 @@ from storage.store import open_store
 from study import pictures
 from study.commands import quickstart
 from study.experiment import artifacts
+from study.experiment import sweep as sweeping
 from study.experiment.gains import gains_at
+from study.experiment.sweep import points_of
 from study.experiment.walker import read_experiment
 from study.explore import walk as walking
 from study.explore.trials import open_rows
@@ -27,7 +27,7 @@ from taichi_nmm.parameters import DEVICE, GAIN_NAMES
 from tests.cases import ASSETS
 from tests.study import fake_walker
 from tests.test_docs import code_blocks
-from tests.tools.conftest import Tool, tool
+from tests.tools.conftest import tool
 from tests.tools.running import ROOT, run_tool
 
 CONFIGS = {*shipped_configs(stores=True), *shipped_configs(stores=False)}
@@ -56,10 +56,8 @@ TAKEN_AWAY = {
     "short.toml": (ROOT / "configs" / "store.toml").read_text(),
 }
 
-Words = tuple[str, ...]
 
-
-def named_commands() -> list[Words]:
+def named_commands():
     """Every command line of `SHORT` that a document or a comment shows: tool, arguments."""
     documents = [
         ROOT / "README.md",
@@ -88,7 +86,16 @@ def named_commands() -> list[Words]:
     return sorted(words for words in found if words[0] in SHORT)
 
 
+def run_of(words):
+    """What a command line runs here: its options in any order, without those that are replaced."""
+    options = re.findall(r"--([\w-]+)((?: (?!--)\S+)*)", " ".join(words[1:]))
+    replaced = re.findall(r"--([\w-]+)", f"{SHORT[words[0]]} --out")
+    return words[0], *sorted(each for each in options if each[0] not in replaced)
+
+
 COMMANDS = named_commands()
+# Of lines that run the same here the longest: its options are read, too.
+DIFFERENT = {run_of(words): words for words in sorted(COMMANDS, key=len)}
 TAKEN = [  # other contacts of MuJoCo differ in numbers; the quickstart has a test of its own
     pytest.param(
         words,
@@ -97,13 +104,13 @@ TAKEN = [  # other contacts of MuJoCo differ in numbers; the quickstart has a te
         if re.search(r"mujoco-.*-(middle|hard)", str(words))
         else [],
     )
-    for words in COMMANDS
+    for words in sorted(DIFFERENT.values())
     if words != ("quickstart",)
     and "robots.toml" not in words  # tests of documents run its page
 ]
 
 
-def configurations(words: Words) -> set[str]:
+def configurations(words):
     """Configurations that a command line names; the quickstart reads two by itself."""
     given = {other for word, other in pairwise(words) if word == "--config"}
     if words[0] == "quickstart":
@@ -111,7 +118,7 @@ def configurations(words: Words) -> set[str]:
     return {config_path(name).stem for name in given}
 
 
-def test_every_configuration_is_named_by_a_command() -> None:
+def test_every_configuration_is_named_by_a_command():
     pairs = {
         (words[0], config) for words in COMMANDS for config in configurations(words)
     }
@@ -121,7 +128,7 @@ def test_every_configuration_is_named_by_a_command() -> None:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A folder with all that named commands read: stores, and comparisons to draw from."""
     folder = tmp_path_factory.mktemp("made")
     with pytest.MonkeyPatch.context() as patch:
@@ -159,7 +166,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_painters(monkeypatch):
     for name in PAINTERS:
         for module in (pictures, artifacts):  # which has imported them from the first
             is_first = module is pictures
@@ -173,16 +180,14 @@ def no_painters(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("words", TAKEN)
 def test_a_command_that_is_named_is_taken(
-    made: Path,
-    words: Words,
-    tmp_path: Path,
-    no_painters: None,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    made, words, tmp_path, no_painters, monkeypatch
+):
     monkeypatch.setitem(vars(taichi_nmm), "simulate", fake_walker.simulate)
     # 20, and not 520, generations; and the speeds of fakes are much alike.
     monkeypatch.setattr("storage.specification.Repertoire.generations", 20)
     monkeypatch.setattr("study.experiment.gains.SPEED_TOLERANCE_MPS", 1.0)
+    # All points of a sweep are read, and the last two run.
+    monkeypatch.setattr(sweeping, "points_of", lambda *given: points_of(*given)[-2:])
     monkeypatch.chdir(tmp_path)
     for name in ("configs", "out", *TAKEN_AWAY):
         (tmp_path / name).symlink_to(made / name)
@@ -224,7 +229,7 @@ class Real:
     own.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.store = folder / "store"
         rough8, store = (
             (ROOT / f"configs/{n}.toml").read_text() for n in ("rough8", "store")
@@ -242,7 +247,7 @@ class Real:
 
 
 @pytest.fixture(scope="module")
-def real(tmp_path_factory: pytest.TempPathFactory) -> Real:
+def real(tmp_path_factory):
     real = Real(folder := tmp_path_factory.mktemp("real"))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
@@ -257,19 +262,14 @@ def real(tmp_path_factory: pytest.TempPathFactory) -> Real:
     return real
 
 
-Walk = Callable[..., dict[str, Any]]
-
-
 @pytest.fixture
-def walk(tmp_path: Path, no_painters: None, tool: Tool) -> Walk:
+def walk(tmp_path, no_painters, tool):
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS)
-def test_a_trial_walks_as_it_did(
-    real: Real, walk: Walk, arm: str, tmp_path: Path
-) -> None:
+def test_a_trial_walks_as_it_did(real, walk, arm, tmp_path):
     """From the comparison's folder and database, the live study's, and the result of a walk."""
     own = f"--config {real.config} --run 1"
     where = f"{own} --trial rough8-smooth/{arm}/run-001/2".split()
@@ -307,7 +307,7 @@ def test_a_trial_walks_as_it_did(
 
 
 @pytest.mark.slow
-def test_a_row_of_a_store_walks_as_it_did(real: Real, walk: Walk) -> None:
+def test_a_row_of_a_store_walks_as_it_did(real, walk):
     table = open_store(real.store).table()
     row = max(range(300), key=lambda row: float(table["phi_printed"][row].as_py()))
     level = real.store.with_name("level.toml")
@@ -328,8 +328,8 @@ goal.value = "cost"
 
 @pytest.mark.slow
 def test_the_bench_takes_the_store_and_the_explorer_the_study(
-    real: Real, tool: Tool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    real, tool, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     Path("own.toml").write_text(BENCH.format(real.store))
     assert tool("bench", "new", "own.toml") == 0

@@ -1,8 +1,6 @@
 """The compiled kernels against the same source interpreted by NumPy, float64."""
 
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +36,7 @@ from taichi_nmm.parameters import (
     lower_bounds,
     upper_bounds,
 )
-from taichi_nmm.walkers import Batch, blends, check_batch, constant_rows
+from taichi_nmm.walkers import blends, check_batch, constant_rows
 from taichi_nmm.world import MUSCLE_LIMITS
 from tests.parity.interpreter import AllLanes, interpreted, interpreted_walker
 
@@ -52,12 +50,12 @@ WALKERS = 21  # the last pack is not full
 WALK_TICKS, WALK_TOLERANCE = 500, 1e-6  # 0.5 s; contacts enlarge what rounding changes
 # The kernels of one physics step get random inputs: a body of another simulator may
 # sense or do anything.
-TICKS = 60  # beyond the longest delay
+TICKS = 40  # beyond the longest delay
 TOLERANCE = 1e-9  # of each row, or of 1: rounding, which muscles forget and sums keep
 LARGEST_LOAD_N = 2000.0
 
 
-def walking_batch(count: int) -> Batch:
+def walking_batch(count):
     """Walkers of random gains, the first of the published ones: each body and each
     world another, every second with a device and legs that differ, every third with a
     prosthesis and muscles of its own, on five grounds in turn.
@@ -100,7 +98,7 @@ def walking_batch(count: int) -> Batch:
 class Both:
     """The same walkers in packs, for a compiled kernel, and as NumPy's blocks of rows."""
 
-    def __init__(self, step_s: float) -> None:
+    def __init__(self, step_s):
         batch = walking_batch(WALKERS)
         self.index = batch.terrain_index
         settings = Settings(precision="float64", arch="cpu", physics_step_s=step_s)
@@ -125,34 +123,34 @@ class Both:
         self.work = Work.of(self.scratch)
         self.lanes = AllLanes(WALKERS)
 
-    def launch(self, kernel: Any, *arguments: Any) -> None:
+    def launch(self, kernel, *arguments):
         packs = self.packs
         backend.launch(kernel, packs.lanes, packs.rows, packs.constants, *arguments)
 
-    def rows(self) -> Array:
+    def rows(self):
         """Rows of every walker as the compiled kernel has left them, [n, row]."""
         return np.array(self.packs.unfold(self.packs.rows))
 
-    def output(self, rows: int) -> Array:
+    def output(self, rows):
         """An empty array of so many rows for the compiled kernel."""
         return np.zeros((len(self.packs.rows), rows, self.packs.lanes))
 
-    def steps(self) -> Iterator[tuple[int, int]]:
+    def steps(self):
         """Tick and substep of each physics step."""
         for step in range(TICKS * self.substeps):
             yield divmod(step, self.substeps)
 
-    def assert_same(self) -> None:
+    def assert_same(self):
         assert_close(self.rows(), self.numpys.T)
 
 
-def assert_close(ours: Array, numpys: Array) -> None:
+def assert_close(ours, numpys):
     assert np.isfinite(numpys).all()
     assert np.max(np.abs(ours - numpys) / np.maximum(np.abs(numpys), 1.0)) < TOLERANCE
 
 
 @STEPS_S
-def test_a_walk(step_s: float) -> None:
+def test_a_walk(step_s):
     both = Both(step_s)
     walker = interpreted_walker()
     both.walk(both.packs, 0, WALK_TICKS)
@@ -184,7 +182,7 @@ def test_a_walk(step_s: float) -> None:
     assert np.array_equal(strikes, both.events.tick_strike) and strikes.max() > 0
 
 
-def random_senses(rng: np.random.Generator) -> Array:
+def random_senses(rng):
     """Rows of `layout.Sense`, [n, rows]."""
     rows = np.zeros((WALKERS, Sense.count))
     sense = Sense.of(rows.T)
@@ -206,7 +204,7 @@ def random_senses(rng: np.random.Generator) -> Array:
 
 
 @STEPS_S
-def test_actuation(step_s: float) -> None:
+def test_actuation(step_s):
     (actuation,) = interpreted("actuation")
     both = Both(step_s)
     rng = np.random.default_rng(9)
@@ -238,7 +236,7 @@ def test_actuation(step_s: float) -> None:
     assert both.fibres.stimulation.max() > 0.5
 
 
-def random_motion(rng: np.random.Generator, start: Array) -> Array:
+def random_motion(rng, start):
     """Rows of `layout.Motion`, [n, rows]: about the start, so that most stay upright."""
     rows = np.zeros((WALKERS, Motion.count))
     motion = Motion.of(rows.T)
@@ -252,7 +250,7 @@ def random_motion(rng: np.random.Generator, start: Array) -> Array:
 
 
 @STEPS_S
-def test_bodies_that_another_engine_moves(step_s: float) -> None:
+def test_bodies_that_another_engine_moves(step_s):
     """Both kernels, before and after the other engine's step; some walkers fall."""
     (carried,) = interpreted("carried")
     both = Both(step_s)

@@ -1,11 +1,8 @@
 """Standard functions: their least values, what a study is told, and how samplers are compared."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from tests.tools.conftest import Tool
 from tests.tools.running import load_tool
 from tools.runs import Batches
 
@@ -31,7 +28,7 @@ LEAST = {
 
 
 @pytest.mark.parametrize("name", TOOL.FUNCTIONS)
-def test_a_function_is_least_where_books_say(name: str) -> None:
+def test_a_function_is_least_where_books_say(name):
     function = TOOL.Function.of(f"{name}-exact")
     point, least = LEAST[name]
     settings = dict(zip(function.space, point, strict=True))
@@ -44,7 +41,7 @@ def test_a_function_is_least_where_books_say(name: str) -> None:
         assert function.cost_at(settings) > least
 
 
-def test_a_seed_moves_a_function_and_draws_its_noise() -> None:
+def test_a_seed_moves_a_function_and_draws_its_noise():
     function = TOOL.Function.of("levy-noisy")
     moved = function.drawn(3)
     assert moved.move.tolist() == function.drawn(3).move.tolist()
@@ -59,7 +56,7 @@ def test_a_seed_moves_a_function_and_draws_its_noise() -> None:
     np.testing.assert_array_equal(exact.draws(3, 9)[0], first)
 
 
-def test_a_study_begins_with_the_points_of_its_seed() -> None:
+def test_a_study_begins_with_the_points_of_its_seed():
     """And costs are told without noise."""
     exact, noisy = (TOOL.Function.of(f"branin-{each}").drawn(5) for each in TOOL.NOISES)
     first, _ = noisy.draws(5, 6)
@@ -73,7 +70,7 @@ def test_a_study_begins_with_the_points_of_its_seed() -> None:
     assert other[:3].tolist() == costs[:3].tolist() and set(other) != set(costs)
 
 
-def test_the_command_writes_a_page(tmp_path: Path, tool: Tool) -> None:
+def test_the_command_writes_a_page(tmp_path, tool):
     words = ("--out", tmp_path, "--cache", tmp_path, "--processes", 1, "--seeds", 2)
     words = (*words, "--functions", "branin,camel", "--trials", 5)
     assert tool("compare_functions", *words, "--arms", "plain") == 0, tool.err
@@ -81,7 +78,7 @@ def test_the_command_writes_a_page(tmp_path: Path, tool: Tool) -> None:
     assert "A run of ours took" in text and "| camel, noisy |" in text
 
 
-def test_won_and_lost_are_counted_by_seed_and_function() -> None:
+def test_won_and_lost_are_counted_by_seed_and_function():
     best = np.ones((2, 4, 3, 10))
     best[:, :, 0] = 0.5  # ours is lowest, but on one function with noise
     best[:, 3, 0] = 2.0

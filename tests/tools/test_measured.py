@@ -259,9 +259,7 @@ def test_arms_begin_with_their_rows(data):
         assert sorted(run_on(found, arm, 18)) == sorted(found.cost)
 
 
-def test_peers_are_told_the_best_rows_of_each_world(
-    data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_peers_are_told_the_best_rows_of_each_world(data, monkeypatch):
     """And some others; a failure is as bad as the worst, and times are logarithms."""
     monkeypatch.setattr(peers, "BEST", 4)
     monkeypatch.setattr(peers, "DRAWN", 2)
@@ -284,15 +282,13 @@ def test_peers_are_told_the_best_rows_of_each_world(
 
 
 @pytest.mark.parametrize("size", [1, 4])
-def test_a_peer_proposes_after_the_ranking(
-    data: Path, size: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_peer_proposes_after_the_ranking(data, size, monkeypatch):
     monkeypatch.setattr(peers, "BEST", 4)
     monkeypatch.setattr(peers, "DRAWN", 2)
     found = measured.target(data, "convolution-fast")
     seen = []
 
-    def last(_: Any, left: Any, tried: Any, values: Any, wanted: int) -> Any:
+    def last(_, left, tried, values, wanted):
         """Its candidates from the end."""
         assert not set(left) & set(tried) and len(values) == len(tried)
         seen.append((len(tried), wanted))
@@ -305,10 +301,8 @@ def test_a_peer_proposes_after_the_ranking(
     assert seen == {1: [(3, 1), (4, 1), (5, 1)], 4: [(3, 1), (4, 2)]}[size]
 
 
-def test_a_peer_that_cannot_be_loaded_is_left_out_with_a_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def offline() -> None:
+def test_a_peer_that_cannot_be_loaded_is_left_out_with_a_line(monkeypatch, capsys):
+    def offline():
         raise OSError("no network")
 
     monkeypatch.setattr(peers, "hub_module", offline)

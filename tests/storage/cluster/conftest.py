@@ -5,14 +5,13 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
-from tests.processes import ROOT, until
+from tests.processes import until
 
 
 @dataclass
@@ -22,7 +21,7 @@ class Cluster:
     folder: Path
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
-    def start_scheduler(self) -> str:
+    def start_scheduler(self):
         """Its address."""
         file = self.folder / "scheduler.json"
         file.unlink(missing_ok=True)
@@ -32,7 +31,7 @@ class Cluster:
         self.address = str(json.loads(file.read_text())["address"])
         return self.address
 
-    def start_worker(self) -> subprocess.Popen[bytes]:
+    def start_worker(self):
         """With a thread, and a nanny that starts it again."""
         scratch = (
             "--local-directory",
@@ -41,16 +40,15 @@ class Cluster:
         options = ("--nthreads", "1", "--no-dashboard", *scratch)
         return self._dask("worker", self.address, *options)
 
-    def close(self) -> None:
+    def close(self):
         for process in self.processes:
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
 
-    def _dask(self, *words: str) -> subprocess.Popen[bytes]:
+    def _dask(self, *words):
         process = subprocess.Popen(
             [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"],
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
@@ -60,7 +58,7 @@ class Cluster:
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[Cluster]:
+def running(folder):
     """A scheduler and two workers."""
     pytest.importorskip(
         "distributed", reason="distributed is not installed: the extra cluster"
@@ -77,18 +75,18 @@ def running(folder: Path) -> Iterator[Cluster]:
 
 
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
+def cluster(tmp_path):
     """A cluster of one test, which may kill any of its processes."""
     with running(tmp_path / "cluster") as made:
         yield made
 
 
 @pytest.fixture(scope="module")
-def shared_cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+def shared_cluster(tmp_path_factory):
     """A cluster that each test leaves with two workers, which a nanny may have started again."""
     with running(tmp_path_factory.mktemp("shared") / "cluster") as made:
         yield made
 
 
-def kill(pid: int) -> None:
+def kill(pid):
     os.kill(pid, signal.SIGKILL)

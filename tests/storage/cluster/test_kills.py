@@ -1,19 +1,17 @@
 """Ten kills, of workers, schedulers and clients, at random moments."""
 
-import os
 import random
 import shutil
 import subprocess
 import sys
 from contextlib import suppress
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 from tests.cases import ASSETS
 from tests.processes import ROOT, children, until
-from tests.storage.cluster.conftest import Cluster, kill
+from tests.storage.cluster.conftest import kill
 
 pytestmark = pytest.mark.campaign
 
@@ -21,21 +19,16 @@ SEED = 15
 VICTIMS = ("worker", "scheduler", "client", "worker", "client")  # of each command
 
 
-def started(
-    folder: Path, tool: str, out: str, *options: str
-) -> subprocess.Popen[bytes]:
+def started(folder, tool, out, *options):
     """A command on the configuration of its own name."""
     words = ["--config", f"{tool}.toml", "--out", out, *options]
     words = [sys.executable, str(ROOT / "tools" / f"{tool}.py"), *words]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen(words, cwd=folder, env=environment, **quiet)
+    return subprocess.Popen(words, cwd=folder, **quiet)
 
 
 @pytest.mark.parametrize("tool", ["precompute", "compare"])
-def test_five_kills_and_the_same_bytes(
-    tool: str, cluster: Cluster, tmp_path: Path
-) -> None:
+def test_five_kills_and_the_same_bytes(tool, cluster, tmp_path):
     for name in ("precompute", "compare"):
         shutil.copy(
             ASSETS / "cluster" / f"killed-{name}.toml", tmp_path / f"{name}.toml"

@@ -1,7 +1,6 @@
 """Who can reach a cluster: the sockets of what the lines of docs/cluster.md start."""
 
 import json
-import os
 import re
 import shlex
 import shutil
@@ -10,8 +9,6 @@ import ssl
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -47,8 +44,8 @@ EXPORTS = re.findall(r"DASK_(DISTRIBUTED\w+)=(\w+\.pem)", PAGE)
 
 
 @pytest.fixture
-def processes() -> Iterator[list[subprocess.Popen[bytes]]]:
-    started: list[subprocess.Popen[bytes]] = []
+def processes():
+    started = []
     yield started
     for process in started:
         for child in [*psutil.Process(process.pid).children(recursive=True), process]:
@@ -56,20 +53,15 @@ def processes() -> Iterator[list[subprocess.Popen[bytes]]]:
         process.wait()
 
 
-def test_the_page_starts_a_scheduler_and_a_worker_without_and_with_certificates() -> (
-    None
-):
+def test_the_page_starts_a_scheduler_and_a_worker_without_and_with_certificates():
     assert [line.split()[1] for line in LINES] == ["scheduler", "worker"] * 2
     assert ["tls" in line for line in LINES] == [False, False, True, True]
 
 
 @pytest.mark.parametrize("first", [0, 2], ids=["tcp", "tls"])
 def test_what_the_page_starts_is_reached_by_the_given_address_alone(
-    first: int,
-    processes: list[subprocess.Popen[bytes]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    first, processes, tmp_path, monkeypatch
+):
     """Nothing listens on all interfaces, which would let anybody run code in a worker."""
     certificates(tmp_path)
     scheduler, worker = (here(line) for line in LINES[first : first + 2])
@@ -81,7 +73,7 @@ def test_what_the_page_starts_is_reached_by_the_given_address_alone(
     document = json.loads(file.read_text())
     worker = [document["address"] if "8786" in word else word for word in worker]
     start(processes, tmp_path, ["1" if word == "16" else word for word in worker])
-    found = [set[str](), set[str]()]
+    found = [set(), set()]
     # a page of its own comes last
     for addresses, process in zip(found, processes, strict=True):
         until(
@@ -106,7 +98,7 @@ def test_what_the_page_starts_is_reached_by_the_given_address_alone(
         assert dict(pool.results(units.square, deque([6, 7]))) == {6: 36, 7: 49}
 
 
-def answers(address: str, folder: Path, certificate: str | None) -> bool:
+def answers(address, folder, certificate):
     """Whether a scheduler greets a client that shows this certificate."""
     context = ssl.create_default_context(cafile=str(folder / "ca.pem"))
     context.check_hostname = False
@@ -121,7 +113,7 @@ def answers(address: str, folder: Path, certificate: str | None) -> bool:
             return False
 
 
-def certificates(folder: Path) -> None:
+def certificates(folder):
     """The files that the page names: one key signs itself, and is its own authority."""
     program = shutil.which("openssl")
     if program is None:
@@ -150,25 +142,20 @@ def certificates(folder: Path) -> None:
     shutil.copy(folder / "cert.pem", folder / "ca.pem")
 
 
-def here(line: str) -> list[str]:
+def here(line):
     """The words of a line of the page, with addresses of this machine."""
     for theirs, ours in HERE.items():
         line = line.replace(theirs, ours)
     return shlex.split(line, comments=True)
 
 
-def start(
-    processes: list[subprocess.Popen[bytes]], folder: Path, words: list[str]
-) -> None:
+def start(processes, folder, words):
     log = (folder / f"{len(processes)}.log").open("wb")
     program = [sys.executable, "-m", *words]
-    path = os.environ | {"PYTHONPATH": str(ROOT)}  # of units
-    processes.append(
-        subprocess.Popen(program, cwd=folder, env=path, stdout=log, stderr=log)
-    )
+    processes.append(subprocess.Popen(program, cwd=folder, stdout=log, stderr=log))
 
 
-def sockets(found: set[str], process: int) -> set[tuple[str, int]]:
+def sockets(found, process):
     """Where a process and its children listen; the addresses are added to `found`."""
     listening = set()
     for each in [

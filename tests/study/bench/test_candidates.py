@@ -17,9 +17,8 @@ from study.bench.bench import Bench
 from study.bench.plan import Plan, read_plan
 from study.cli import main
 from study.sampler.table import FeatureTable
-from tests.cases import cases
+from tests.cases import cases, refused
 from tests.study.bench.robot import change
-from tests.study.conftest import refused
 
 TOML = """
 [candidates]
@@ -51,7 +50,7 @@ def test_what_is_declared_wins_over_what_the_column_suggests(tmp_path, more, exp
 def test_nothing_outside_of_declared_bounds_is_proposed(tmp_path):
     bench = Bench.new(plan(tmp_path, WHOLE, "bounds.dose = [9.5, 50.5]").path)
     bench.add([({"dose": 26.5}, 1.0)])  # an operator's own
-    for number in range(1, 25):
+    for number in range(1, 13):
         (trial,) = bench.next()
         assert 9.5 <= trial.params["dose"] <= 50.5
         bench.record(number, trial.params["dose"])
@@ -215,7 +214,7 @@ def test_a_column_that_looks_like_a_pattern_is_itself(tmp_path):
     change(path, 'features = ["known"]', 'outcomes = ["k[n]"]')
     (tmp_path / "doses.csv").write_text("dose,kn,k[n]\n1,2,3\n2,4,6\n")
     rows = read_plan(path).read_candidates().rows
-    assert rows.worlds is not None and rows.worlds.costs.ravel().tolist() == [3.0, 6.0]
+    assert rows.worlds.costs.ravel().tolist() == [3.0, 6.0]
 
 
 def test_an_empty_cell_of_a_world_is_refused_by_its_row(tmp_path):

@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -15,10 +14,8 @@ from study.cli import main
 from study.commands.bench import ACTIONS
 from tests.cases import asset
 from tests.study.bench import robot
-from tests.tools.running import ROOT, finish, start
+from tests.tools.running import ROOT, Done, finish, start
 from tests.tools.test_hostile import without_the_rights_of_root
-
-MODULE = ("-m", "taichi_nmm")
 
 
 @pytest.fixture
@@ -27,9 +24,6 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "other.toml").write_text("[tool]\n")
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-Say = Callable[..., str]
 
 
 @pytest.fixture
@@ -199,25 +193,44 @@ def test_who_has_no_entry_among_the_users_is_a_number(bench, monkeypatch):
     assert f"begun by uid-{os.getuid()}@localhost\n" in bench("new walk.toml")
 
 
-def run(line, shell):
-    """The command in a process of its own."""
-    return finish(start("bench", *line.split(), shell=shell, program=MODULE))
+# Runs lines of the command; after each it prints how that ended, on both streams.
+EACH = """
+import sys
+from study.cli import main
+for line in sys.argv[1:]:
+    code = 0
+    try:
+        main(["bench", *line.split()])
+    except SystemExit as end:
+        code = end.code
+    print(f"<{code}>", flush=True)
+    print("<>", file=sys.stderr, flush=True)
+"""
+
+
+def run(shell, *lines):
+    """How the command ends on each line, one after another, in a process of their own."""
+    done = finish(start(*lines, shell=shell, program=("-c", EACH)))
+    printed = re.findall(r"(.*?)<(\d+)>\n", done.out, re.DOTALL)
+    errors = done.error.split("<>\n")[:-1]
+    return [
+        Done(int(code), out, error)
+        for (out, code), error in zip(printed, errors, strict=True)
+    ]
 
 
 @pytest.mark.slow
 def test_what_is_only_read_needs_no_place_to_write(folder):
     """A folder that is read-only, also for root."""
     robot.run(Bench.new("walk.toml"), 3)
-    rights = without_the_rights_of_root()
     for file in ("walk.db", "walk.toml", "candidates.csv"):
         Path(file).chmod(0o444)
     folder.chmod(0o555)
+    reading = ("status", "recommend", f"export {folder.parent}/trials.csv")
     try:
         before = sorted(folder.iterdir())
-        for line in ("status", "recommend", f"export {folder.parent}/trials.csv"):
-            done = run(line, rights)
-            assert (done.code, done.error) == (0, ""), done
-        done = run("next", rights)
+        *read, done = run(without_the_rights_of_root(), *reading, "next")
+        assert [(each.code, each.error) for each in read] == [(0, "")] * len(reading)
         assert done.code == 2 and len(done.lines) == 1 and "storage: " in done.error
         assert sorted(folder.iterdir()) == before
     finally:
@@ -226,21 +239,16 @@ def test_what_is_only_read_needs_no_place_to_write(folder):
 
 
 @pytest.mark.slow
-def test_a_terminal_without_umlauts_gets_escapes_and_nothing_is_lost(
-    folder,
-):
+def test_a_terminal_without_umlauts_gets_escapes_and_nothing_is_lost(folder):
     rename(folder, "damping", "dämpfung")
     rename(folder, "torque", "'größe'")
     ascii_alone = 'export PYTHONIOENCODING=ascii PYTHONUTF8=0 LC_ALL=C; exec "$@"'
-    said = {}
-    for line in ("new walk.toml", "next", "record 0 --value 1", "status", "recommend"):
-        done = run(line, ascii_alone)
-        assert done.code == 0
-        said[line] = done.out
-    assert "d\\xe4mpfung" in said["next"]
-    assert "dämpfung" in json.loads(said["recommend"].splitlines()[1])
-    done = run("undo 9", ascii_alone)
-    assert done.code == 2 and "Traceback" not in done.error
+    lines = ("new walk.toml", "next", "record 0 --value 1", "status", "recommend")
+    *done, refused = run(ascii_alone, *lines, "undo 9")
+    assert [each.code for each in done] == [0] * len(lines)
+    assert "d\\xe4mpfung" in done[1].out
+    assert "dämpfung" in json.loads(done[4].out.splitlines()[1])
+    assert refused.code == 2 and "Traceback" not in refused.error
     kinds = [entry.kind for entry in Bench("walk.toml").entries]
     assert kinds == ["begin", "next", "record"]
 
