@@ -1,4 +1,4 @@
-"""The kernel on a GPU: against the same on the processor, and against itself; skipped without one.
+"""The kernel on a GPU against the same on the processor; skipped where there is no GPU.
 
 All walkers start with tendons that are slack to the last bit, and rounding decides
 whether one pulls. So the two are compared from a state that the processor has walked
@@ -18,8 +18,6 @@ from taichi_nmm.kernel.queue import DRAIN_TICKS
 from taichi_nmm.parameters import LOW_LEVEL_NAMES
 from taichi_nmm.queue import Queue
 from tests.parity.test_compiler import walking_batch
-from tests.taichi_nmm.test_determinism import WALKERS as MANY
-from tests.taichi_nmm.test_determinism import rows
 
 Array = NDArray[np.float64]
 
@@ -59,30 +57,11 @@ def on_gpu(batch, ticks):
     return found
 
 
-@pytest.fixture(autouse=True)
-def gpu():
-    """Settings that walk on it."""
-    settings = Settings(arch="cuda")
+def test_a_gpu_walks_as_the_processor(monkeypatch):
     try:
-        backend.start(settings)
+        backend.start(Settings(arch="cuda"))
     except InputError:
         pytest.skip("no GPU")
-    return settings
-
-
-def test_no_bit_depends_on_order_company_or_launches(gpu, monkeypatch):
-    every = np.arange(MANY)
-    whole = rows(every, gpu)
-    order = np.random.default_rng(1).permutation(MANY)
-    assert rows(order, gpu).tobytes() == whole[order].tobytes()
-    assert rows(np.tile(every, 30), gpu).tobytes() == np.tile(whole, 30).tobytes()
-    assert rows(every[7:8], gpu).tobytes() == whole[7:8].tobytes()
-    monkeypatch.setattr(queue, "LAUNCH_TICKS", 130)
-    monkeypatch.setattr(simulator, "LAUNCH_TICKS", 130)
-    assert rows(every, gpu).tobytes() == whole.tobytes()
-
-
-def test_a_gpu_walks_as_the_processor(monkeypatch):
     batch = walking_batch(WALKERS)
     (start,) = on_processor(batch, (0, START_TICK))
     start[:, WalkerRows.sums :] = 0.0
