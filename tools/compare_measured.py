@@ -32,7 +32,7 @@ with guarded_imports():
 NAME, TITLE = "sampler-measured", "Samplers on measured worlds"
 GUIDE = "docs/measured.md"
 CHECKPOINTS = (1, 3, 5, 10, 20)  # trials
-OURS = ("ours", "ours-scores")
+OURS = ("ours", "ours-scores", "ours-kin")
 SHOWN_AT = 10  # trials, of the table of targets
 
 
@@ -210,7 +210,7 @@ class Comparison:
                     color=colour,
                     label=ARMS[arm].label,
                     linewidth=2.0 if arm in OURS else 1.2,
-                    linestyle="--" if arm == OURS[1] else "-",
+                    linestyle=STYLES.get(arm, "-"),
                 )
             axes.set_ylim(bottom=0.0)
         handles, labels = axes.get_legend_handles_labels()
@@ -220,7 +220,8 @@ class Comparison:
         style.save_png(figure, path)
 
 
-COLOURS = (style.BLUE, style.BLUE, style.VERMILION, *style.OTHERS)
+COLOURS = (style.BLUE, style.BLUE, style.BLUE, style.VERMILION, *style.OTHERS)
+STYLES = {"ours-scores": "--", "ours-kin": ":"}
 
 if __name__ == "__main__":
     run_command(main)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from optuna.distributions import (
     BaseDistribution,
     CategoricalDistribution,
@@ -34,6 +35,13 @@ ByMachine = Mapping[str, Mapping[Candidate, float]]
 
 CACHE_FILE = "a cache file of Kernel Tuner, with tune_params and cache"
 FULL_YIELD = 100.0  # %
+# GPUs of one maker; of the RTX cards, all of one maker, those of one generation
+KINDS = (
+    ("A100", "A4000", "A6000"),
+    ("MI250X", "W6600", "W7800"),
+    ("RTX_2080_Ti", "RTX_Titan"),
+    ("RTX_3060_laptop", "RTX_3090"),
+)
 OTHER_UNITS = 1000.0  # two machines' times that differ so much are perhaps in two units
 HALOGEN = re.compile("Cl|Br|I")  # of an aryl halide's SMILES
 
@@ -281,11 +289,13 @@ class Target(Pool):
         machine: its name.
         outcomes: of the candidates in w worlds, less is better; infinite where it
             failed, [n, w].
+        kin: which worlds are of the machine's kind; all, where kinds are not known, [w].
     """
 
     family: str
     machine: str
     outcomes: Floats
+    kin: NDArray[np.bool_]
 
     BY_ROW = ("cost", "outcomes")
 
@@ -318,14 +328,18 @@ def target(data: Path, name: str) -> Target:
     outcomes = np.delete(measured.costs, place, axis=1)
     if FAMILIES[family].is_time:
         outcomes = outcomes / outcomes.min(axis=0)
+    machine = measured.machines[place]
+    kind = next((kind for kind in KINDS if machine in kind), measured.machines)
+    others = np.delete(np.array(measured.machines), place)
     return Target(
         name=name,
         space={name: _space(column) for name, column in measured.columns.items()},
         columns=measured.columns,
         cost=measured.costs[:, place],
         family=family,
-        machine=measured.machines[place],
+        machine=machine,
         outcomes=outcomes,
+        kin=np.isin(others, kind),
     )
 
 

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +50,31 @@ def of_ranking(
     return costs
 
 
+def of_kin(costs: Callable[..., Floats]) -> Callable[..., Floats]:
+    """Of an arm that is given the worlds of the machine's own kind alone."""
+
+    def of_fewer(target: Target, seed: int, batches: Batches) -> Floats:
+        worlds = target.outcomes[:, target.kin]
+        fewer = replace(target, outcomes=worlds, kin=target.kin[target.kin])
+        return costs(fewer, seed, batches)
+
+    return of_fewer
+
+
 LIKE_WORLDS, COSTS, MEAN = "the worlds, as scores", "the worlds, as costs", "their mean"
+KIN = "worlds of its kind"
 STUDIES = f"{peers.MOST_STUDIED:,} rows of each world"
 SOME = f"{peers.BEST} best and {peers.DRAWN} other rows of each world"
 ARMS = {
     "ours": Arm("ours", of_worlds(), ours=True, sees=COSTS),
     "ours-scores": Arm(
         'ours, better="lower"', of_worlds("lower"), ours=True, sees=LIKE_WORLDS
+    ),
+    "ours-kin": Arm("ours, its kind alone", of_kin(of_worlds()), ours=True, sees=KIN),
+    "ranking-kin": Arm(
+        "ranking by the mean of its kind",
+        of_kin(of_ranking(samplers.RankedSampler)),
+        sees=KIN,
     ),
     "ranking-mean": Arm(
         "ranking by mean", of_ranking(samplers.RankedSampler), sees=MEAN

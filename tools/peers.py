@@ -133,7 +133,8 @@ def multi_task(seed: int) -> Proposes:
             x, y, task_feature=-1, output_tasks=[own], outcome_transform=by_task
         )
         fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
-        choices = torch.tensor(known.points[left])
+        of_target = np.full(len(left), own)
+        choices = torch.tensor(np.column_stack([known.points[left], of_target]))
         found, _ = optimize_acqf_discrete(
             qLogExpectedImprovement(model, best_f=values.max()),
             q=size,

@@ -259,6 +259,20 @@ def test_arms_begin_with_their_rows(data):
         assert sorted(run_on(found, arm, 18)) == sorted(found.cost)
 
 
+@pytest.mark.filterwarnings("ignore:.*rows repeat:UserWarning")
+def test_an_arm_may_see_the_worlds_of_one_kind_alone(data, monkeypatch):
+    """GPUs of one maker; where no kind is known, all worlds."""
+    assert measured.target(data, "coupling-2").kin.all()
+    monkeypatch.setattr(measured, "KINDS", (("odd", "fast"), ("like",)))
+    measured.target.cache_clear()
+    found = measured.target(data, "convolution-fast")
+    measured.target.cache_clear()
+    assert found.kin.tolist() == [False, True]  # like, odd
+    by_odd = found.cost[np.argsort(found.outcomes[:, 1], kind="stable")]
+    assert run_on(found, "ranking-kin", 18) == by_odd.tolist()
+    assert run_on(found, "ours-kin")[0] == by_odd[0] != run_on(found, "ours")[0]
+
+
 def test_peers_are_told_the_best_rows_of_each_world(data, monkeypatch):
     """And some others; a failure is as bad as the worst, and times are logarithms."""
     monkeypatch.setattr(peers, "BEST", 4)
@@ -364,6 +378,7 @@ def compared(mine, theirs):
                 family="coupling",
                 machine="m",
                 outcomes=np.ones((4, 3)),
+                kin=np.ones(3, bool),
             )
         )
         for arm, each in zip(("ours", "hill"), costs, strict=True):
