@@ -28,12 +28,13 @@ def main(args: Namespace) -> None:
             from study.explore.walk import warm_up
             from taichi_nmm.kernel_cache import require_kernel_cache
         require_kernel_cache()
-        page = page_of(args.folder, args.study, args.simulator)
+        page = page_of(args.folder, args.out, args.study, args.simulator)
         with (
             Processes(1) as walkers,
             Processes(1) as makers,
-        ):  # a walk does not wait for a film
-            loop, address = serve(partial(page, walkers, makers), taken)
+            Processes(1) as menders,
+        ):  # a walk does not wait for a film, nor for a trial
+            loop, address = serve(partial(page, walkers, makers, menders), taken)
             walkers.submit(warm_up)
             print(f"explore     {address}", flush=True)
             if has_display() and not args.no_browser:

@@ -62,10 +62,23 @@ def run_study(
     report: Report | None = None,
     crew: Crew | None = None,
 ) -> optuna.Study:
-    """Run the study until it has `trials` finished trials, and return it.
+    """As `run_trials`; at the end the study's note says what the arm's features were worth."""
+    study = run_trials(experiment, arm, run, trials, storage, report, crew)
+    with crew.turn() if crew else nullcontext():
+        note_worth(experiment, arm, run, study)
+    return study
 
-    At the end its note in the dashboard says what the arm's features were worth, if it
-    has any.
+
+def run_trials(
+    experiment: Experiment,
+    arm: Arm,
+    run: int,
+    trials: int,
+    storage: BaseStorage,
+    report: Report | None = None,
+    crew: Crew | None = None,
+) -> optuna.Study:
+    """Run the study until it has `trials` finished trials, and return it.
 
     Finished means COMPLETE. Trials found running are taken for dead (the caller sees to
     it that no other process runs this study: `storage.databases.studies.only_run`);
@@ -90,8 +103,6 @@ def run_study(
         _repeat(experiment, one.study, running(one.study))
         while one.trials < trials and not _ended(experiment, one):
             report(one.study, _run_trial(experiment, one))
-    with crew.turn() if crew else nullcontext():
-        note_worth(experiment, arm, run, one.study)
     return one.study
 
 

@@ -23,14 +23,16 @@ from bokeh.themes import Theme
 from storage.simulator import WALKER
 from storage.specification import require_parameters
 from storage.store import Store
+from storage.tables import document_hash
+from study.experiment.repair import DIGITS
 from study.explore.server import NIGHT, Latest, Message, Saver, flow
 from study.explore.store_view import StoreView, file_of_selection, numbers_of
 from study.explore.trials import Trials, open_rows
 from study.explore.walk_view import WalkView
 from study.pictures.movie import filmable, filmed
 
-Page = Callable[[Executor, Executor, Document], None]
-"""Takes the processes that simulate, those that make files, and the document of a tab."""
+Page = Callable[[Executor, Executor, Executor, Document], None]
+"""Takes processes that simulate, make files and repair, and the document of a tab."""
 
 BASE = "base setting"
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
@@ -154,11 +156,13 @@ def numbers_text(store: Store, place: int) -> str:
     return f"<div style='columns: 240px; font-size: 11px'><table>{rows}</table></div>"
 
 
-def page_of(path: Path, study: str | None = None, simulator: str | None = None) -> Page:
+def page_of(
+    path: Path, repairs: Path, study: str | None = None, simulator: str | None = None
+) -> Page:
     """What fills the document of a tab with a store, finished or not, or a study.
 
     Each tab reads the rows anew: there may be more. The arguments are those of
-    `open_rows`, and a simulator that films the rows of its own.
+    `open_rows`, a folder for repairs, and a simulator that films the rows of its own.
 
     Raises:
         InputError: as `open_rows`, or no simulator to film.
@@ -169,7 +173,12 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
     if robot is not None and not isinstance(rows, Trials):
         require_parameters(rows, robot)
 
-    def fill(walkers: Executor, makers: Executor, document: Document) -> None:
+    rows_hash = document_hash({"path": str(path.resolve()), "study": study})
+    noted = repairs / f"{rows_hash[:DIGITS]}.json"  # of what is repaired
+
+    def fill(
+        walkers: Executor, makers: Executor, menders: Executor, document: Document
+    ) -> None:
         message = Message("message")
         document.template = TEMPLATE
         document.theme = THEME
@@ -177,7 +186,14 @@ def page_of(path: Path, study: str | None = None, simulator: str | None = None) 
             store = open_rows(path, study)
             view: WalkView | RobotView
             if store.simulator == WALKER:
-                view = WalkView(document, walkers, makers, message, store)
+                view = WalkView(
+                    document=document,
+                    walkers=walkers,
+                    makers=makers,
+                    message=message,
+                    store=store,
+                    repairs=(menders, noted),
+                )
             else:
                 view = RobotView(
                     document=document,

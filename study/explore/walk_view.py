@@ -4,6 +4,7 @@ import html
 from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from bokeh import models
@@ -19,6 +20,7 @@ from study.experiment.gains import (
     named_gains,
 )
 from study.explore import walk as walking
+from study.explore.repair_view import RepairView
 from study.explore.server import WRAPS, Latest, Message, Saver, flow
 from study.explore.signals import Signals
 from study.explore.stage import Player
@@ -38,7 +40,8 @@ FIRST_GAIT = "reference"
 class WalkView:
     """Choices of a setting, the stages, the gains, and files to save.
 
-    Of processes, `walkers` simulate and `makers` make files. The walks of a study of
+    Of processes, `walkers` simulate and `makers` make files; `repairs` are those that
+    run trials, and a file, as `RepairView` has them. The walks of a study of
     ours are as its experiment has them, until another setting is chosen.
     """
 
@@ -49,6 +52,7 @@ class WalkView:
         makers: Executor,
         message: Message,
         store: Store,
+        repairs: tuple[Executor, Path],
     ) -> None:
         self._message = message
         self._store = store
@@ -68,6 +72,15 @@ class WalkView:
         self._hands = Hands(self._again, self.show)
         self._files: dict[str, Any] = {}  # grounds of a person's own
         self._what_if = WhatIf(self._chosen, self._add_ground)
+        menders, noted = repairs
+        self._repair = RepairView(
+            document=document,
+            menders=menders,
+            noted=noted,
+            store=store,
+            show=self.show,
+            page=self._page,
+        )
         self._choices = _choices(self._own)
         self._refusal = refusal = Message("setting-message")
         for name, choice in self._choices.items():
@@ -75,7 +88,11 @@ class WalkView:
             refusal.watch(choice, "value", answer)
         self._parts = {
             "gains": self._hands.layout,
-            "what if": self._what_if.layout,
+            "what if": column(
+                self._what_if.layout,
+                self._repair.layout,
+                sizing_mode="stretch_width",
+            ),
             "score": self._score,
             SIGNALS: None,
             STRIDE: None,
@@ -107,6 +124,26 @@ class WalkView:
             name="Gains, what if, score, signals, stride and files",
         )
         self.panels = [walk, parts]
+        refusal.safely(self._go_on)()
+
+    def _page(self) -> dict[str, Any]:
+        """What a repair is of, for a later tab."""
+        return {
+            "files": self._files,
+            "choices": {name: each.value for name, each in self._choices.items()},
+            "what_if": self._what_if.tables,
+        }
+
+    def _go_on(self) -> None:
+        """Repair what an earlier tab was repairing."""
+        known = self._repair.left()
+        if known is not None:
+            for name, table in known["files"].items():
+                self._add_ground(name, table)
+            for name, value in known["choices"].items():
+                self._choices[name].value = value
+            self._what_if.take(known["what_if"])
+            self._repair.begin()
 
     def start(self) -> None:
         """Let the first gait walk."""
@@ -156,6 +193,7 @@ class WalkView:
         setting = walking.chosen_setting(
             **chosen, own=self._own, files=self._files, changes=self._what_if.tables
         )
+        self._repair.take(setting)
         self._player.stages[0].say(self._hands.gains.name, "simulating ...")
         self._walks.ask(walking.walk, self._hands.gains, setting)
         if self._beside is not None:

@@ -119,7 +119,7 @@ class WhatIf:
         )
         self._refusal.watch(self._lines, "value", self._read_lines)
         undo = models.Button(label="none of this", name="undo")
-        undo.on_click(self._refusal.safely(lambda: self._try({})))
+        undo.on_click(self._refusal.safely(lambda: self.take({})))
         which = models.RadioButtonGroup(
             labels=list(groups), active=0, name="what", stylesheets=[WRAPS]
         )
@@ -165,11 +165,11 @@ class WhatIf:
             value = None if foot["side"] == NO_FOOT else foot
         elif "pair" in control.tags and value is not None:
             value = [value, value]
-        self._try(with_value(self.tables, names, value))
+        self.take(with_value(self.tables, names, value))
 
     def _read_lines(self) -> None:
         if not self._still:
-            self._try(read_lines(self._lines.value))
+            self.take(read_lines(self._lines.value))
 
     def _read_file(self) -> None:
         name, content = self._file.filename, b64decode(self._file.value)
@@ -177,7 +177,7 @@ class WhatIf:
         self._file.clear()  # so that the same file can be read again
         self._ground(name, read_file(name, content))
 
-    def _try(self, tables: Tables) -> None:
+    def take(self, tables: Tables) -> None:
         """Take other tables, unless they are refused."""
         before, self.tables = self.tables, tables
         self._refusal.tell("")

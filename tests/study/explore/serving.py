@@ -14,7 +14,8 @@ WALKS = "window.walk_player?.shown"
 def explorer(folder: Path, *words: str, errors: IO[str] | None = None) -> Iterator[str]:
     """The address of its page; `words` are options, `errors` takes what it prints of errors."""
     command = ("-m", "taichi_nmm", "explore", folder, "--port", 0, "--no-browser")
-    with serving(*command, *words, stderr=errors, cwd=ROOT) as said:
+    repairs = ("--out", folder.parent / "repairs")
+    with serving(*command, *repairs, *words, stderr=errors, cwd=ROOT) as said:
         yield said.readline().split()[1]
 
 

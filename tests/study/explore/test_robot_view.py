@@ -86,7 +86,7 @@ def test_rows_that_mean_something_else_to_a_simulator_are_not_filmed(
     wide = rail.made(parameters=rail.PARAMETERS | {"beats": IntDistribution(1, 9)})
     store = made(wide, tmp_path / "rail", 4, simulation={"duration_s": 0.1})
     with pytest.raises(InputError, match=r"^store\.gains\.beats: .*'high': 4\.0"):
-        page_of(store.path, simulator="tests/storage/rail.py:Rail")
+        page_of(store.path, tmp_path, simulator="tests/storage/rail.py:Rail")
 
 
 def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
         ("rail.py:Rail", "thrust_n"),
     ):
         with pytest.raises(InputError, match=f"^simulator: .*{allowed}"):
-            page_of(cart.path, simulator=f"tests/storage/{name}")
+            page_of(cart.path, cart.path, simulator=f"tests/storage/{name}")
 
 
 @pytest.mark.slow
