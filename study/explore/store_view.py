@@ -29,7 +29,7 @@ from storage.inputs.errors import InputError, listed
 from storage.simulator import FAILED, SURVIVED, WALKER
 from storage.store import ORIGIN, SOBOL_ROW, Store, evaluated_name
 from study.explore.server import SCRIPTS, Message, flow
-from study.explore.trials import STATE, TRIAL
+from study.explore.trials import STATE, TRIAL, Trials
 from study.explore.words import Menu, described, menu
 from study.pictures import style
 from taichi_nmm.result import ENERGY, NEEDED_BY, OF_MUSCLES, unknown
@@ -119,7 +119,8 @@ RINGS_PX = (17, 11)  # about the row that walks, and about the row under the poi
 def cloud() -> dict[str, Any]:
     """A figure to drag a box over, and what the script moves on it.
 
-    That is its one image, which the script paints, two rings, and the colours' bar.
+    That is its one image, which the script paints, two rings, and the colours' bar; the
+    last renderers are a front of two goals.
     """
     box = BoxSelectTool(renderers=[])
     plot = figure(
@@ -152,8 +153,17 @@ def cloud() -> dict[str, Any]:
             line_width=width,
             fill_color=None,
         )
+    front = models.ColumnDataSource({"x": [], "y": []}, name="front")
+    plot.line("x", "y", source=front, line_color=style.INK, line_dash="dashed")
+    plot.scatter("x", "y", source=front, size=9, line_color=style.INK, fill_color=None)
     mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
-    return {"plot": plot, "image": image, "rings": rings, "mapper": mapper}
+    return {
+        "plot": plot,
+        "image": image,
+        "rings": rings,
+        "mapper": mapper,
+        "front": front,
+    }
 
 
 class Histogram(NamedTuple):
@@ -295,8 +305,8 @@ def first_columns(store: Store) -> list[str]:
     gains = [name for name in store.parameter_names if name in known]
     own = [name for name in known if name != "row" and name not in gains]
     found = [*own[1:3], *(survived or own)[:1], *own[3:], *gains, *known]
-    if store.ROW == TRIAL:
-        found = own + found
+    if isinstance(store, Trials):
+        found = [*store.goals, *own, *found]
     return list(islice(cycle(dict.fromkeys(found)), len(ROLES)))
 
 
@@ -318,6 +328,9 @@ class StoreView:
         self._pick = pick
         self._rows: NDArray[np.int64] = self._read(store.ROW).astype(np.int64)
         self._words = described(store, numeric_columns(store))
+        if isinstance(store, Trials):
+            for name, words in store.goals.items():
+                self._words[name] = self._words[name]._replace(words=words)
         options = menu(self._words)
         self._columns = [
             models.Select(
@@ -346,7 +359,7 @@ class StoreView:
             title=f"{store.ROW} shown", step=1, mode="int", name="row"
         )
         cloud_parts = cloud()
-        self._cloud = cloud_parts["plot"]
+        self._cloud, self._front = cloud_parts["plot"], cloud_parts.pop("front")
         self._bar = models.ColorBar(
             color_mapper=cloud_parts["mapper"], height=10, padding=4
         )
@@ -456,8 +469,20 @@ class StoreView:
             self._cloud.yaxis.axis_label = PlainText(words)
         elif place == "colour":
             self._bar.title = PlainText(words)
+        self._draw_front()
         # Last: it makes the script paint.
         self._source.data[f"c{slot}"] = self._read(name)
+
+    def _draw_front(self) -> None:
+        """Join the trials of a front where the axes are the two goals."""
+        store, axes = self._store, self._names[:2]
+        if isinstance(store, Trials) and {*axes} == {*store.goals}:
+            on_front = np.isin(self._rows, store.front)
+            x, y = (self._read(name)[on_front] for name in axes)
+            order = np.argsort(x)
+            self._front.data = {"x": x[order], "y": y[order]}
+        elif len(self._front.data["x"]):
+            self._front.data = {"x": [], "y": []}
 
     def _connect(self, **parts: Any) -> None:
         """Let the page's script know its parts, and hear of what a person does."""

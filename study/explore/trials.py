@@ -7,6 +7,7 @@ walked.
 
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,6 +26,7 @@ from storage.inputs.reading import is_file, json_document, reading
 from storage.simulator import SIMULATOR_KEY, WALKER
 from storage.store import Store, open_store
 from study.experiment import folder
+from study.report.runs import goals_of
 from taichi_nmm.parameters import GAIN_NAMES
 
 TRIAL, STATE, VALUE = "trial", "state", "value"  # the first columns
@@ -43,6 +45,9 @@ class Trials(Store):
         rows: the table, a row a trial.
         best: number of the best trial, by its first value.
         document: of the walker's experiment, and the study's "run"; empty: unknown.
+        goals: of a study of two, what their columns are called; empty: it has another
+            number of them.
+        front: numbers of the trials that no other beats in both goals.
     """
 
     ROW: ClassVar[str] = TRIAL
@@ -50,6 +55,8 @@ class Trials(Store):
     rows: pa.Table
     best: int
     document: dict[str, Any]
+    goals: dict[str, str]
+    front: list[int]
 
     def tables(self, columns: Iterable[str] | None = None) -> Iterator[pa.Table]:
         """The one table, or columns of it."""
@@ -119,6 +126,7 @@ def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) ->
         raise InputError("study", name, "a study of which a trial has a value")
     table, parameters = _table(trials)
     document = _document(study, file)
+    goals = _goals(study, document)
     fixed = document.get("fixed_gains", {})
     walks = {*parameters, *fixed}.issuperset(GAIN_NAMES)
     _, best = ranked[0]
@@ -135,7 +143,24 @@ def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) ->
         rows=table,
         best=best,
         document=document,
+        goals=goals,
+        front=[trial.number for trial in study.best_trials] if goals else [],
     )
+
+
+def _goals(study: optuna.Study, document: dict[str, Any]) -> dict[str, str]:
+    """Names of two goals by their columns, and what they pay for where this project knows."""
+    columns = (VALUE, f"{VALUE}_1")
+    if len(study.directions) != len(columns):
+        return {}
+    paid: dict[str, str] = {}
+    with suppress(AttributeError):  # a study may say anything of itself
+        paid = goals_of(document.get("objective", {}))
+    names = study.metric_names or columns
+    return {
+        column: ": ".join(filter(None, (name, paid.get(name))))
+        for column, name in zip(columns, names, strict=True)
+    }
 
 
 def _document(study: optuna.Study, file: Path) -> dict[str, Any]:

@@ -1,6 +1,7 @@
-"""Writes a report, or the overview of several, into its folder: the words, and two figures.
+"""Writes a report, or the overview of several, into its folder: the words, and figures.
 
-They are best cost against trials, and a dot a run at its first walker. An arm has its
+They are best cost against trials, a dot a run at its first walker and, of two goals, the
+front. An arm has its
 colour and marker in every figure, apart for colour-blind readers; three arms stand in
 front. In a grey print width and marker show the lines in front, and the label at its
 end names every line.
@@ -63,6 +64,8 @@ def write_report(results: Results, stores: Mapping[str, Path]) -> Numbers:
     with together(results.folder / REPORT_NAME) as new:
         write_best_cost(new / "best-cost.png", results)
         write_first_walker(new / "first-walker.png", results)
+        if results.goals:
+            write_front(new / "front.png", results)
         commit_json(new / "summary.json", document)
         commit_text(new / "report.md", report_text(results, found, stores))
     return found
@@ -301,6 +304,60 @@ def write_best_cost(path: Path, results: Results) -> Path:
     title = f"Best {results.cost} cost so far, median over runs"
     headline(figure, LEFT_IN, title, f"{results.name}; {IN_FRONT}")
     return style.save_png(figure, path)
+
+
+PLACES = 200  # of a front, at most
+
+
+def write_front(path: Path, results: Results) -> Path:
+    """Both costs of walks: what half of an arm's runs reach, each with its front."""
+    figure = style.new_figure(LEFT_IN + PANEL_IN + LABELS_IN, HEIGHT_IN)
+    axes = style.axes_at(figure, LEFT_IN, 0.5, PANEL_IN, HEIGHT_IN - MARGINS_IN)
+    style.tidy(axes)
+    styles = looks(results.arms)
+    for name in by_rank(results.arms):
+        look = styles[name].line() | {"marker": ""}
+        axes.step(
+            *median_front(results.arms[name]),
+            where="post",
+            label=styles[name].label,
+            **look,
+        )
+    across, up = (f"{goal} ({columns})" for goal, columns in results.goals.items())
+    # Names are of a configuration: a dollar begins no formula.
+    axes.set_xlabel(across, parse_math=False, **style.TEXT)
+    axes.set_ylabel(up, parse_math=False, **style.TEXT)
+    axes.legend(
+        loc="upper left",
+        bbox_to_anchor=(1.0, 1.0),
+        frameon=False,
+        fontsize=style.SMALL_PT,
+    )
+    title = "What half of the runs reach in both goals: the lower left is best"
+    headline(figure, LEFT_IN, title, f"{results.name}, {results.trials} trials")
+    return style.save_png(figure, path)
+
+
+def median_front(arm: ArmRuns) -> tuple[Floats, Floats]:
+    """Costs by the first goal, ascending, and what half of the runs reach by the second, [k] each.
+
+    Trials that did not walk do not count.
+    """
+    assert arm.goals is not None
+    first, second = np.where(arm.walks, np.moveaxis(arm.goals, -1, 0), np.inf)
+    known = first[np.isfinite(first)]
+    if not len(known):
+        return known, known
+    shares = np.linspace(0.0, 1.0, PLACES)
+    across = np.unique(np.quantile(known, shares, method="lower"))
+    reached = np.array(
+        [
+            np.median(np.where(first <= place, second, np.inf).min(axis=1))
+            for place in across
+        ]
+    )
+    half = np.isfinite(reached)
+    return across[half], reached[half]
 
 
 ROW_IN = 0.38

@@ -117,7 +117,11 @@ def report_text(results: Results, numbers: Numbers, stores: Mapping[str, Path]) 
         "## What the arms saw before their first trial",
         _saw(numbers, stores),
         "## Figures",
-        *(f"![{words}]({name}.png)" for name, words in WORDS["figures"].items()),
+        *(
+            f"![{words}]({name}.png)"
+            for name, words in WORDS["figures"].items()
+            if name != "front" or results.goals
+        ),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 

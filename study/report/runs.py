@@ -4,7 +4,7 @@ Tables and documents are checked, whoever wrote them.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +42,7 @@ from study.experiment.folder import (
     table_files,
     without_gaps,
 )
+from study.experiment.objective import FRONT, GOAL_COLUMN
 
 COLUMNS = ("experiment", "arm", "run", "trial", "cost", "best_cost", "walked")
 
@@ -59,6 +60,8 @@ class ArmRuns:
         proposal_ms: median time of a proposal; None where it is not known.
         repeated: further trials in the arrays: the first walker of a run that ended
             with it.
+        goals: what each trial costs by the one goal, and by the other, [r, t, 2]; None:
+            there is one cost.
     """
 
     arm: str
@@ -68,6 +71,7 @@ class ArmRuns:
     found: int
     proposal_ms: float | None = None
     repeated: int = 0
+    goals: NDArray[np.float64] | None = None
 
     @property
     def trials(self) -> int:
@@ -108,6 +112,11 @@ class Results:
     cost: str
     arms: dict[str, ArmRuns]
     facts: dict[str, Any]
+
+    @property
+    def goals(self) -> dict[str, str]:
+        """As `goals_of`."""
+        return goals_of(self.facts.get("objective", {}))
 
     @property
     def runs(self) -> int:
@@ -157,14 +166,16 @@ def read_results(folder: str | Path) -> Results:
             "folder", str(folder), "the output folder of taichi-nmm compare"
         )
     arms: dict[str, pa.Table] = {}
+    times, facts = _proposal_times(folder), read_facts(folder)
+    objective = facts.get("objective", {})
+    columns = (*COLUMNS, *map(GOAL_COLUMN.format, goals_of(objective)))
     for path in table_files(folder):
-        for arm, rows in _by_arm(read_trials(path, COLUMNS)).items():
+        for arm, rows in _by_arm(read_trials(path, columns)).items():
             if arm not in arms or len(arms[arm]) < len(rows):
                 arms[arm] = rows
     if not arms:
         allowed = f"the output of taichi-nmm compare: {RESULTS_NAME}, with trials"
         raise InputError("folder", str(folder), allowed)
-    times, facts = _proposal_times(folder), read_facts(folder)
     found = {arm: len(rows) for arm, rows in arms.items()}
     if facts.get("until_walker"):
         arms = _by_arm(as_if_gone_on(pa.concat_tables(arms.values())))
@@ -173,9 +184,19 @@ def read_results(folder: str | Path) -> Results:
         for arm, rows in arms.items()
     }
     name = next(iter(arms.values()))["experiment"][0].as_py()
-    return Results(
-        folder, name, facts.get("objective", {}).get("cost", "smooth"), runs, facts
-    )
+    return Results(folder, name, objective.get("cost", "smooth"), runs, facts)
+
+
+def goals_of(objective: Mapping[str, Any]) -> dict[str, str]:
+    """The two goals of a front by name, each with the columns that it pays for; empty: one cost."""
+    goals: dict[str, Any] = objective.get("goals", {})
+    if objective.get("cost") != FRONT or len(goals) != 2:
+        return {}
+    terms = {name: goal.get("terms") for name, goal in goals.items()}
+    return {
+        name: ", ".join(paid) if isinstance(paid, dict) else "a function"
+        for name, paid in terms.items()
+    }
 
 
 def runs_of(trials: pa.Table) -> dict[str, ArmRuns]:
@@ -210,9 +231,18 @@ def _arm_runs(
     shared, shape = table["trial"].to_numpy() < counts.min(), (len(runs), -1)
     best, walks = (table[name].to_numpy()[shared] for name in ("best_cost", "walked"))
     best, walks = best.reshape(shape), walks.astype(bool).reshape(shape)
-    repeated = len(table) - found
+    goals = [
+        table[name].to_numpy()[shared] for name in table.column_names[len(COLUMNS) :]
+    ]
     return ArmRuns(
-        arm, runs.astype(np.int64), best, walks, found, proposal_ms, repeated
+        arm=arm,
+        runs=runs.astype(np.int64),
+        best=best,
+        walks=walks,
+        found=found,
+        proposal_ms=proposal_ms,
+        repeated=len(table) - found,
+        goals=np.stack(goals, axis=-1).reshape(*best.shape, 2) if goals else None,
     )
 
 

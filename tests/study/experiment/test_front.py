@@ -13,8 +13,10 @@ from study.experiment.features import WORLDS, front_of
 from study.experiment.live_study import run_study
 from study.experiment.trials import best_trial, progress_line, study_facts, study_line
 from study.experiment.walker import read_experiment
-from study.report.figures import write_report
+from study.pictures import style
+from study.report.figures import write_front, write_report
 from study.report.markdown import dashboard_summary
+from study.report.numbers import label_of
 from study.report.runs import read_results
 from tests.cases import refused
 from tests.study import fake_walker
@@ -75,6 +77,30 @@ def test_a_comparison_has_each_goal_and_the_front(comparisons):
     )
     report = (comparisons.folder / "whole" / "report" / "report.md").read_text()
     assert "median best front cost after" in report and "minus the area" in report
+    assert "](front.png)" in report
+
+
+def test_the_front_is_drawn_as_half_of_the_runs_reach_it(comparisons, monkeypatch):
+    experiment = front(comparisons.folder)
+    comparisons.run("out", experiment=experiment, arms=("random", "worlds"), runs=3)
+    results = read_results(comparisons.folder / "out")
+    table = comparisons.table("out").to_pandas()
+    drawn = []
+    monkeypatch.setattr(style, "save_png", lambda figure, _: drawn.append(figure))
+    write_front(comparisons.folder / "front.png", results)
+    (axes,) = drawn[0].axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "effort (m1_mean)",
+        "slow (mean_speed_mps)",
+    )
+    lines = {line.get_label(): line.get_xydata() for line in axes.lines}
+    for arm in results.arms:
+        walks = table[(table.arm == arm) & table.walked]
+        runs = [walks[walks.run == run] for run in range(3)]
+        for effort, slow in lines[label_of(arm)]:
+            reached = [run.goal_slow[run.goal_effort <= effort].min() for run in runs]
+            assert np.median(np.nan_to_num(reached, nan=np.inf)) == slow
+        assert len(lines[label_of(arm)]) > 1 or arm == "random"
 
 
 @pytest.mark.parametrize("arm", ["worlds", "nsga2"])

@@ -27,6 +27,8 @@ from tests.cases import asset
 from tests.study import fake_walker
 from tests.study.explore.serving import change, opened
 
+PAID = ("mean_speed_mps", "m1_mean")
+
 
 def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> None:
     journal = optuna.storages.JournalStorage(
@@ -51,15 +53,43 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
         assert rows.simulator == f"study {name}"
         named = ("trial", "state", "value", "value_1", "value_", "leg_kind", "score")
         assert rows.columns == named and rows.parameter_names == named[4:6]
-        assert first_columns(rows) == ["trial", "value", "value_1", "score", "value_"]
+        assert first_columns(rows) == ["value", "value_1", "trial", "score", "value_"]
+        assert rows.front == [2]  # of the most and the least
         table = rows.table()
         assert table["state"].to_pylist() == ["complete"] * 3 + ["fail"]
         np.testing.assert_equal(table["value"].to_numpy(), [0.0, 1.0, 2.0, np.nan])
     one = optuna.create_study(storage=f"sqlite:///{tmp_path / 'one.db'}")
     document = Document()
     one.tell(one.ask(space), 0.5)
-    page_of(tmp_path / "one.db")(Executor(), Executor(), document)
+    page_of(tmp_path / "one.db", tmp_path)(Executor(), Executor(), Executor(), document)
     assert document.title.endswith(f"one.db: 1 trial of {one.study_name}")
+
+
+def test_a_front_of_two_goals_is_drawn_between_its_axes(tmp_path: Path) -> None:
+    names, url = ["slowness", "energy"], f"sqlite:///{tmp_path / 'two.db'}"
+    study = optuna.create_study(
+        study_name="two/worlds/run-000", storage=url, directions=["minimize"] * 2
+    )
+    study.set_metric_names(names)
+    goals = {
+        name: {"terms": {column: 1.0}} for name, column in zip(names, PAID, strict=True)
+    }
+    walker = {"seed": 1, "simulation": {}, "body": {}, "ground": {}}
+    objective = {"cost": "front", "goals": goals}
+    study.set_user_attr("experiment", walker | {"objective": objective})
+    for costs in ((3.0, 1.0), (1.0, 4.0), (2.0, 2.0), (2.5, 2.5)):
+        study.tell(study.ask({"gain": FloatDistribution(0, 1)}), costs)
+    document = Document()
+    page_of(tmp_path / "two.db", tmp_path)(*[Executor()] * 3, document)
+    cloud, front = (document.get_model_by_name(name) for name in ("cloud", "front"))
+    axes = [axis.axis_label.text for axis in (*cloud.below[:1], *cloud.left)]
+    assert axes == ["slowness: mean_speed_mps", "energy: m1_mean"]
+    assert np.transpose([*front.data.values()]).tolist() == [[1, 4], [2, 2], [3, 1]]
+    for slot, name in ((0, "value_1"), (1, "trial")):
+        document.get_model_by_name(f"column-{slot}").value = name
+    assert len(front.data["x"]) == 0
+    document.get_model_by_name("column-1").value = "value"
+    assert np.transpose([*front.data.values()]).tolist() == [[1, 3], [2, 2], [4, 1]]
 
 
 def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
