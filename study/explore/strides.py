@@ -70,14 +70,10 @@ class Cycle:
             if far := distances.get(name):
                 unit = name.rpartition("_")[2]
                 title += f": {far.rmse:.3g} {unit}, {far.deviations:.2g} sd"
-            seen = np.concatenate(list(curves.values()))
-            lowest = float(np.nanmin([*seen, panel.low]))
-            highest = float(np.nanmax([*seen, panel.low]))
-            if highest > panel.ceiling:
-                title += f"; cut at {panel.ceiling:g}: to {highest:.1f}"
+            seen = np.concatenate([*curves.values()])
             plot.figure.title.text = title
-            plot.figure.y_range.start = max(lowest, panel.floor)
-            plot.figure.y_range.end = min(max(highest, panel.high), panel.ceiling)
+            plot.figure.y_range.start = np.nanmin([*seen, panel.low])
+            plot.figure.y_range.end = np.nanmax([*seen, panel.high])
 
 
 def _plot(name: str, panel: Panel) -> Plot:
