@@ -104,9 +104,11 @@ class WhatIf:
             for title, parts in CHOICES["what_if"].items()
         }
         self._file = models.FileInput(
-            accept=".csv,.txt,.gz", name="ground-file", stylesheets=[NIGHT]
+            title="a ground of your own, lines x_m,height_m",
+            accept=".csv,.txt,.gz",
+            name="ground-file",
+            stylesheets=[NIGHT],
         )
-        words = models.Div(text="a ground of your own, lines x_m,height_m:")
         read = self._refusal.safely(self._read_file)
         # It comes last, and is empty once the file has been read.
         self._file.on_change("filename", lambda attr, old, new: new and read())
@@ -129,7 +131,7 @@ class WhatIf:
         self.layout: models.Column = column(
             which,
             shown,
-            flow(words, self._file),
+            flow(self._file),
             self._lines,
             self._refusal.layout,
             flow(undo),
