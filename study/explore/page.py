@@ -37,8 +37,14 @@ Page = Callable[[Executor, Executor, Executor, Document], None]
 BASE = "base setting"
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
 VIDEO_CSS = "video { width: 100% }"
-# Of widgets without a sheet of their own.
-THEME = Theme(json={"attrs": {"Widget": {"stylesheets": [NIGHT]}}})
+# Of a figure Bokeh does not clear the outermost pixels: it paints half a pixel further.
+# What an earlier size left there is hidden.
+EDGE_CSS = ":host { clip-path: inset(1px 1px 0 2px) }"
+# Of those without a sheet of their own.
+SHEETS = {"Widget": NIGHT, "Plot": EDGE_CSS}
+THEME = Theme(
+    json={"attrs": {name: {"stylesheets": [css]} for name, css in SHEETS.items()}}
+)
 
 
 class RobotView:

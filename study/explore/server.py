@@ -24,7 +24,7 @@ from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.util.token import get_session_id, get_token_payload
 from tornado.httpserver import HTTPServer
-from tornado.httputil import HTTPServerRequest
+from tornado.httputil import HTTPHeaders, HTTPServerRequest, ResponseStartLine
 from tornado.ioloop import IOLoop
 from tornado.routing import HostMatches, Matcher, PathMatches, Rule, RuleRouter
 
@@ -43,6 +43,29 @@ NO_TOKEN = (
     zlib.error,
     RecursionError,
 )
+
+
+# A sign at once: the page itself takes seconds, in which a browser would show nothing.
+OPENING = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>opening</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>:root { color-scheme: light dark; font: 14px/1.4 system-ui, sans-serif }</style>
+<p role="status">The page opens ...</p><script>location.replace("/?opened")</script>"""
+
+
+class IsFirst(Matcher):  # type: ignore[misc]  # Tornado may lack types
+    """Whether a browser asks for the page, and not yet by the address that the sign has."""
+
+    def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
+        """An empty dict where it does."""
+        return {} if (request.method, request.uri) == ("GET", "/") else None
+
+
+def show_opening(request: HTTPServerRequest) -> None:
+    """Answer with the sign."""
+    headers = {"Content-Type": "text/html", "Content-Length": str(len(OPENING))}
+    start = ResponseStartLine("HTTP/1.1", 200, "OK")
+    request.connection.write_headers(start, HTTPHeaders(headers), OPENING)
+    request.connection.finish()
 
 
 class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
@@ -72,7 +95,11 @@ def serve(page: Callable[[Document], None], taken: socket.socket) -> tuple[IOLoo
     port = taken.getsockname()[1]
     origins = [f"{name}:{port}" for name in (HOST, "localhost")]
     application = BokehTornado(page, extra_websocket_origins=origins)
-    asked = [Rule(PathMatches(PAGE), application), Rule(TokenMatches(), application)]
+    asked = [
+        Rule(IsFirst(), show_opening),
+        Rule(PathMatches(PAGE), application),
+        Rule(TokenMatches(), application),
+    ]
     http = HTTPServer(RuleRouter([Rule(HostMatches(LOOPBACK), RuleRouter(asked))]))
     http.add_sockets([taken])
     server = BaseServer(IOLoop.current(), application, http)

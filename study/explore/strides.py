@@ -69,7 +69,7 @@ class Cycle:
             title = panel.title.removeprefix("ground ")
             if far := distances.get(name):
                 unit = name.rpartition("_")[2]
-                title += f": {far.rmse:.3g} {unit}, {far.deviations:.2g} sd"
+                title += f": {far.rmse:.2g} {unit}, {far.deviations:.2g} sd"
             seen = np.concatenate([*curves.values()])
             plot.figure.title.text = title
             plot.figure.y_range.start = np.nanmin([*seen, panel.low])
@@ -89,7 +89,7 @@ def _plot(name: str, panel: Panel) -> Plot:
         y_axis_label=panel.unit,
         y_range=(panel.low, panel.high),
     )
-    plot.title.text_font_size = "11px"
+    plot.title.update(text_font_size="11px", align="right")  # where it has most room
     if panel.rows:
         mean, sd = panel.at(PERCENT)
         plot.varea(

@@ -1,7 +1,8 @@
 """The eight pictures of docs/explorer.md, of a store and comparisons in out/, which these make:
 
-    taichi-nmm precompute --config quickstart-store    # and store-worlds, store-exo
-    taichi-nmm compare --config risers --arms worlds --runs 1    # and exo
+    taichi-nmm precompute --config quickstart-store
+    taichi-nmm compare --config risers --arms worlds --runs 1 --store out/quickstart-store
+    taichi-nmm compare --config exo --arms bo-euclidean --runs 1
     python -m tests.study.explore.screenshots
 
 Walks stand still at one moment; a picture has 256 colours, and so few bytes.
@@ -20,13 +21,15 @@ from tests.study.explore.serving import change, opened, show_row, walks
 OUT, IMG = Path("out"), Path("docs/img")  # of the checkout
 ROW = 1485  # of the store
 SHOWN_S = 4.4  # of each walk
+LAID_OUT_MS = 3000  # until a page has been laid out anew
 
 
 def keep(page: Any, name: str, part: Any = None, columns: int = 1) -> None:
     """A picture of the window or of a part; or of the whole page, cut into columns."""
     change(page, "play", "active", False)
-    change(page, "time", "value", SHOWN_S)
-    page.wait_for_timeout(1500)  # it has been laid out anew
+    page.wait_for_timeout(LAID_OUT_MS)
+    page.wait_for_function("stopped_at", arg=SHOWN_S)
+    page.wait_for_timeout(500)
     taken = part.screenshot() if part else page.screenshot(full_page=columns > 1)
     pixels = np.asarray(Image.open(BytesIO(taken)).convert("RGB"))
     pixels = np.hstack(np.split(pixels[: len(pixels) // columns * columns], columns))
@@ -70,7 +73,7 @@ def draw_studies(page: Any) -> None:
     with opened(page, OUT / "compare" / "risers", "--study", "risers/worlds/run-000"):
         keep(page, "study")
     page.set_viewport_size({"width": 1500, "height": 1000})
-    with opened(page, OUT / "compare" / "exo", "--study", "exo/worlds/run-000"):
+    with opened(page, OUT / "compare" / "exo", "--study", "exo/bo-euclidean/run-000"):
         walks(page, lambda: page.get_by_text("keep it beside").click())
         walks(page, lambda: change(page, "start", "value", "reference"))
         change(page, "ghost", "active", True)

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from shutil import copy
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
@@ -234,6 +236,17 @@ def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
     wide, apart, beside = page.evaluate(edges)
     page.set_viewport_size({"width": 1500, "height": 1250})
     assert wide <= width and apart and beside == (width > 1000)
+
+
+def test_a_figure_hides_what_bokeh_does_not_clear(page: Any, store: Path) -> None:
+    """Its outermost pixels, where parts of an earlier size stay: at night no paper is there."""
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_timeout(300)
+    cloud = page.evaluate_handle("view_of('cloud').el").as_element()
+    pixels = np.asarray(Image.open(BytesIO(cloud.screenshot())).convert("L"))
+    page.emulate_media(color_scheme="light")
+    assert pixels[:, 0].max() < 50 and pixels[0].max() < 50
+    assert pixels[1:-2, 3:5].min() == 255
 
 
 def test_play_pause_and_scrub(page: Any, store: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, call
 from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pytest
 
@@ -59,6 +60,12 @@ def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -
     embedding = "/autoload.js?bokeh-autoload-element=1"
     for path in (embedding, "/metadata", "/robots.txt", "/static"):
         assert status(address, path, {}) == 404
+
+
+def test_a_sign_comes_before_the_page_which_takes_seconds(address: str) -> None:
+    found = [urlopen(f"{address}{query}").read().decode() for query in ("", "?opened")]
+    assert "The page opens" in found[0] and 'replace("/?opened")' in found[0]
+    assert "Bokeh" not in found[0] and "Bokeh" in found[1]
 
 
 @pytest.mark.parametrize(
