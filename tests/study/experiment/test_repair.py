@@ -1,7 +1,6 @@
 """A repair: whose experiment it is, which arm it takes, and that it goes on as the same study."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import optuna
 import pytest
@@ -12,15 +11,12 @@ from study.experiment.arms import find_arm
 from study.experiment.experiment import study_name
 from study.experiment.live_study import run_study
 from study.experiment.repair import TRIALS, repair_of, repaired
-from study.experiment.walker import WalkerExperiment
 from taichi_nmm.world import Exoskeleton
+from tests.cases import refused
 from tests.study import fake_walker
-from tests.study.conftest import refused
-
-Trial = tuple[dict[str, float], list[float]]
 
 
-def study_in(out: Path, arm: str) -> list[Trial]:
+def study_in(out, arm):
     """Parameters and costs of the finished trials of the one repair in a folder."""
     (database,) = out.glob("repair-*/study.db")
     name = study_name("repair", arm, 2)  # the last of three runs
@@ -30,8 +26,8 @@ def study_in(out: Path, arm: str) -> list[Trial]:
 
 
 def test_a_repair_is_a_study_of_thirty_trials_also_when_it_was_interrupted(
-    toy: WalkerExperiment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    toy, tmp_path, monkeypatch
+):
     experiment, arm = repair_of(toy, open_store(toy.stores["worlds"]))
     assert (arm, experiment.trial_s, experiment.runs) == ("worlds", 100.0, 3)
     plain = optuna.storages.InMemoryStorage()
@@ -54,9 +50,7 @@ def test_a_repair_is_a_study_of_thirty_trials_also_when_it_was_interrupted(
     assert f"at {study.best_trial.user_attrs['mean_speed_mps']:.2f} m/s" in best.words
 
 
-def test_another_walker_is_another_repair(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_another_walker_is_another_repair(toy, tmp_path):
     store = open_store(toy.stores["worlds"])
     weak = replace(toy, seed=6)
     assert repair_of(toy, store) == repair_of(toy, store) != repair_of(weak, store)
@@ -65,9 +59,7 @@ def test_another_walker_is_another_repair(
     assert len(list(tmp_path.glob("repair-*"))) == 2
 
 
-def test_what_is_searched_is_the_stores_and_the_device_of_the_setting(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_what_is_searched_is_the_stores_and_the_device_of_the_setting(toy, tmp_path):
     store = open_store(toy.stores["worlds"])
     device = replace(
         toy.conditions.world_ranges, exoskeleton=Exoskeleton(motion="knee_flexion")
@@ -81,9 +73,7 @@ def test_what_is_searched_is_the_stores_and_the_device_of_the_setting(
     assert repaired(experiment, arm, tmp_path).gains.by_name()["theta_ref"] != 0.105
 
 
-def test_a_store_of_too_few_rows_is_refused(
-    toy: WalkerExperiment, tmp_path: Path
-) -> None:
+def test_a_store_of_too_few_rows_is_refused(toy, tmp_path):
     fake_walker.write_plain_store(tmp_path / "few", samples=20)
     experiment, arm = repair_of(toy, open_store(tmp_path / "few"))
     with refused("^trials: 30 .*at most 20"):
