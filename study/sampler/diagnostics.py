@@ -67,9 +67,7 @@ class RankCorrelation:
         n = int(known.sum())
         if n < LEAST_RANKED:
             return None
-        a, b = (
-            scipy.stats.rankdata(v) - (n + 1) / 2 for v in (feature[known], cost[known])
-        )
+        a, b = _centred_ranks(feature[known]), _centred_ranks(cost[known])
         spread = sqrt(float((a @ a) * (b @ b)))
         if spread == 0:
             return None
@@ -80,6 +78,16 @@ class RankCorrelation:
         z, error = atanh(inner), sqrt((1.0 + inner**2 / 2.0) / (n - 3))
         low, high = tanh(z - NORMAL_95 * error), tanh(z + NORMAL_95 * error)
         return cls(value, min(low, value), max(high, value), z / error)
+
+
+def _centred_ranks(values: Floats) -> Floats:
+    """Ranks less their mean, equal values sharing the mean of theirs, [n].
+
+    As of `scipy.stats.rankdata`, which takes half a second to load.
+    """
+    ordered = np.sort(values)
+    less = np.searchsorted(ordered, values)
+    return (less + np.searchsorted(ordered, values, "right") - len(values)) / 2
 
 
 @dataclass(frozen=True)

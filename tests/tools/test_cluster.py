@@ -87,7 +87,9 @@ def test_a_folder_of_another_kind_is_refused_unless_it_begins_anew(folder, capfd
 
 
 def test_ctrl_c_is_one_line_and_what_is_done_is_kept(folder):
-    line = f"precompute --config store.toml --samples 4000 --out stopped {THERE}"
+    line = (
+        "precompute --config store.toml --samples 4000 --out stopped --cluster local:1"
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         process = start(*line.split(), program=("-m", "taichi_nmm"))

@@ -141,7 +141,7 @@ ENDS = {
     "victim", ["all", "a worker", pytest.param("it", marks=pytest.mark.campaign)]
 )
 def test_all_processes_end_and_the_table_is_the_same(victim, command):
-    arms = {"arms": "random,dog,ranking,cmaes-cold,cmaes-warm", "trials": 20}
+    arms = {"arms": "random,dog,ranking,cmaes-cold,cmaes-warm", "trials": 14}
     process = command.start(**arms, workers=2)
     command.wait_for_more(process)
     number, code, line = ENDS[victim]
@@ -155,7 +155,7 @@ def test_all_processes_end_and_the_table_is_the_same(victim, command):
     # last of us.
     until(lambda: left_over(process.pid) == [], 10.0)
     assert done.code == code and done.last.startswith(line)
-    assert "Traceback" not in done.error and 0 < command.rows() < 20 * 15
+    assert "Traceback" not in done.error and 0 < command.rows() < 14 * 15
     whole = command.folder / "whole"
     assert command.run(**arms) == command.run(**arms, out=whole) == 0
     found = (command.out / "trials.parquet").read_bytes()
