@@ -122,12 +122,15 @@ def test_soles_touch_the_nearest_points(kind, model, tmp_path):
     rng = np.random.default_rng(3)
     hollows = 0
     for ground in grounds_of(kind, tmp_path):
+        soles, poses = [], []
         for x_m in places(ground, rng):
             sole, pose = rng.integers(CONTACTS), rng.normal(scale=0.5, size=7)
-            qpos = posed(model, ground, sole, x_m, rng.uniform(0, 0.015), pose)
+            soles.append(sole)
+            poses.append(posed(model, ground, sole, x_m, rng.uniform(0, 0.015), pose))
+        planes = zip(*planes_under(ground, poses), strict=True)
+        for sole, qpos, both in zip(soles, poses, planes, strict=True):
             centre = centres(model, qpos)[sole]
-            own = slice(2 * sole, 2 * sole + 2)
-            points, normals = (values[0, own] for values in planes_under(ground, qpos))
+            points, normals = (values[2 * sole : 2 * sole + 2] for values in both)
             distances = np.sum((centre - points) * normals, axis=1)
             on_planes = points + distances[:, None] * normals
             np.testing.assert_allclose(on_planes, [centre] * 2, atol=1e-9)
@@ -143,13 +146,16 @@ def test_soles_touch_the_nearest_points(kind, model, tmp_path):
 def test_a_sole_in_the_ground_is_led_out(kind, model, tmp_path):
     rng = np.random.default_rng(4)
     for ground in grounds_of(kind, tmp_path):
-        for x_m in places(ground, rng):
-            qpos = posed(model, ground, 2, x_m, -rng.uniform(0, 0.02), np.zeros(7))
+        poses = [
+            posed(model, ground, 2, x_m, -rng.uniform(0, 0.02), np.zeros(7))
+            for x_m in places(ground, rng)
+        ]
+        for qpos, *plane in zip(poses, *planes_under(ground, poses), strict=True):
             centre = centres(model, qpos)[2]
-            points, normals = (values[0, 4] for values in planes_under(ground, qpos))
-            depth = (points - centre) @ normals
+            point, normal = (values[4] for values in plane)
+            depth = (point - centre) @ normal
             assert_near(np.array([depth]), valleys(ground, centre)[:1])
-            assert normals[1] > 0.0
+            assert normal[1] > 0.0
 
 
 def contacts(model, ground, qpos):
