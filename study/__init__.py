@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from storage.inputs.errors import InputError
     from study.bench.bench import Bench
     from study.experiment.features import world_table
+    from study.sampler.forecast import Forecast, forecast
     from study.sampler.prediction import Best, Prediction
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
@@ -24,9 +25,11 @@ __all__ = [
     "DoGSampler",
     "FeatureKernelSampler",
     "FeatureTable",
+    "Forecast",
     "InputError",
     "Prediction",
     "TableExhaustedError",
+    "forecast",
     "world_table",
 ]
 
@@ -34,6 +37,7 @@ _PLACES = {
     "storage.inputs.errors": ("InputError",),
     "study.bench.bench": ("Bench",),
     "study.experiment.features": ("world_table",),
+    "study.sampler.forecast": ("Forecast", "forecast"),
     "study.sampler.prediction": ("Best", "Prediction"),
     "study.sampler.sampler": ("DoGSampler", "FeatureKernelSampler"),
     "study.sampler.table": ("FeatureTable",),

@@ -7,27 +7,22 @@ not the known one is refused.
 """
 
 import json
-import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from functools import cache
 from typing import Any
 
 import sqlalchemy as sql
-from optuna.distributions import distribution_to_json
 from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial
 
 from storage.databases.studies import known_tables
+from storage.databases.trial_rows import Row, attribute_rows, naive_utc, rows_of
 
-Row = dict[str, Any]
 Tables = dict[str, sql.Table]
 # where `optuna.Study.set_metric_names` puts them
 METRIC_ATTRIBUTE = "study:metric_names"
-as_json = cache(distribution_to_json)
 TRIALS_PER_TRANSACTION = 2000  # 30 rows each: some 20 MB of memory, half a second
 
 
@@ -128,7 +123,7 @@ def attach(storage: RDBStorage, study: str, number: int, key: str, value: Any) -
             known.trial_id == trial_id, known.key == key
         )
         if connection.execute(there).first() is None:
-            row = {"trial_id": trial_id, **_attributes({key: value})[0]}
+            row = {"trial_id": trial_id, **attribute_rows({key: value})[0]}
             _insert(connection, tables, {"trial_system_attributes": [row]})
 
 
@@ -171,7 +166,7 @@ def _write(
     }
     rows: dict[str, list[Row]] = defaultdict(list)
     for study_id, number, trial in fresh:
-        for table, row in _rows_of(trial):
+        for table, row in rows_of(trial):
             rows[table].append({"trial_id": trial_ids[study_id, number]} | row)
     _insert(connection, tables, rows)
     return len(fresh)
@@ -185,37 +180,10 @@ def _trial_row(study_id: int, number: int, trial: FrozenTrial) -> Row:
         "study_id": study_id,
         "number": number,
         "state": trial.state.name,
-        "datetime_start": _naive_utc(trial.datetime_start),
-        "datetime_complete": _naive_utc(trial.datetime_complete),
+        "datetime_start": trial.datetime_start and naive_utc(trial.datetime_start),
+        "datetime_complete": trial.datetime_complete
+        and naive_utc(trial.datetime_complete),
     }
-
-
-def _rows_of(trial: FrozenTrial) -> Iterator[tuple[str, Row]]:
-    """All that a trial has, row by row, each with the name of its table; the trial's id is not."""
-    for objective, value in enumerate(trial.values or ()):
-        kind = {math.inf: "INF_POS", -math.inf: "INF_NEG"}.get(value, "FINITE")
-        stored = value if kind == "FINITE" else None
-        yield (
-            "trial_values",
-            {"objective": objective, "value": stored, "value_type": kind},
-        )
-    for name, distribution in trial.distributions.items():
-        value = distribution.to_internal_repr(trial.params[name])
-        about = {"param_value": value, "distribution_json": as_json(distribution)}
-        yield "trial_params", {"param_name": name, **about}
-    for owner in ("user", "system"):
-        for attribute in _attributes(getattr(trial, f"{owner}_attrs")):
-            yield f"trial_{owner}_attributes", attribute
-
-
-def _attributes(values: dict[str, Any]) -> list[Row]:
-    return [
-        {"key": key, "value_json": json.dumps(value)} for key, value in values.items()
-    ]
-
-
-def _naive_utc(local: datetime | None) -> datetime | None:
-    return None if local is None else local.astimezone(UTC).replace(tzinfo=None)
 
 
 def _study_ids(
@@ -247,10 +215,12 @@ def _study_ids(
                 }
                 rows["study_directions"].append(own | direction)
             rows["study_user_attributes"] += [
-                own | row for row in _attributes(study.user_attrs)
+                own | row for row in attribute_rows(study.user_attrs)
             ]
             named = {METRIC_ATTRIBUTE: list(study.metrics)} if study.metrics else {}
-            rows["study_system_attributes"] += [own | row for row in _attributes(named)]
+            rows["study_system_attributes"] += [
+                own | row for row in attribute_rows(named)
+            ]
         _insert(connection, tables, rows)
     return ids
 

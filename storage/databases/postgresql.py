@@ -8,7 +8,7 @@ one that is dead, or its machine, or its network. Optuna's heartbeats run within
 after a while.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import Any
 
@@ -16,6 +16,7 @@ import sqlalchemy as sql
 from optuna.storages import RDBStorage
 from sqlalchemy.exc import NoSuchModuleError, SQLAlchemyError
 
+from storage.databases.files import unusable
 from storage.databases.urls import POSTGRESQL_FORM, public_url
 from storage.inputs.errors import InputError
 
@@ -111,6 +112,19 @@ def connected(url: str) -> Iterator[sql.Engine]:
         engine.dispose()
 
 
+@contextmanager
+def asked(url: str) -> Iterator[Callable[..., list[Any]]]:
+    """Ask a server's database, reading alone: a `files.Ask`."""
+    engine = sql.create_engine(url, **READING_OPTIONS)
+    try:
+        with engine.connect() as connection:
+            yield lambda query, told=None: [
+                tuple(row) for row in connection.execute(sql.text(query), told or {})
+            ]
+    finally:
+        engine.dispose()
+
+
 class Crew:
     """One of several processes that work on a study; made by `joined`.
 
@@ -165,16 +179,6 @@ class Crew:
         """Run a statement; its first value, if it has one."""
         found = self._connection.execute(sql.text(statement), self._study)
         return found.scalar() if found.returns_rows else None
-
-
-def unusable(shown: str, error: Exception) -> InputError:
-    """The error of a database, in one line for its user."""
-    cause = error.__cause__ or error
-    words = str(getattr(cause, "orig", cause)).strip().splitlines()
-    reason = words[0] if words else type(cause).__name__
-    return InputError(
-        "storage", shown, f"a study database that can be written ({reason})"
-    )
 
 
 def _engine(url: str, shown: str) -> sql.Engine:

@@ -65,6 +65,7 @@ class Advice:
         state: of the bench; its context is the present one.
         simulated: the least and the largest value in the worlds; None: in none of these
             units.
+        errors: of predictions, as another process found them (the sampler's `errors`).
     """
 
     def __init__(
@@ -74,12 +75,14 @@ class Advice:
         space: Mapping[str, BaseDistribution],
         state: State,
         simulated: Sequence[float] | None,
+        errors: Mapping[str, list[float]],
     ) -> None:
         self.plan = plan
         self.candidates = candidates
         self.space = space
         self.state = state
         self.simulated = simulated
+        self.errors = errors
         self.here = state.of_context(state.context)
         self.told = [
             trial for trial in state.finished if trial.context == state.context
@@ -364,7 +367,9 @@ class Advice:
 
     def _sampler(self, allowed: Mask | None = None) -> FeatureKernelSampler:
         limits = [frozen(trial, self.space, self.plan) for trial in self.elsewhere]
-        return self.plan.sampler(self._known, allowed, limits)
+        sampler = self.plan.sampler(self._known, allowed, limits)
+        sampler.errors = self.errors
+        return sampler
 
     @cached_property
     def _known(self) -> FeatureTable:

@@ -6,7 +6,7 @@ is best, and `doubts` what was perhaps entered wrongly.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,11 @@ from optuna.distributions import (
     json_to_distribution,
 )
 
-from storage.databases.studies import read_errors, shown_url
+from storage.databases.files import read_errors, shown_url
 from storage.inputs import checks
+from storage.inputs.documents import difference
 from storage.inputs.errors import InputError, listed
-from storage.tables import difference
+from storage.inputs.version import __version__
 from study.bench.advice import (
     EXPECTED,
     NOT_ENTERED,
@@ -33,6 +34,8 @@ from study.bench.advice import (
 from study.bench.doubts import Range, doubts, odd_failures
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
 from study.bench.limits import require_limits
+from study.bench.own import COLUMNS, a_trial
+from study.bench.own import Own as Own
 from study.bench.plan import Plan, read_plan, require_failures
 from study.bench.shown import require_shown, show
 from study.bench.words import operator_here, require_names
@@ -40,8 +43,6 @@ from study.sampler.space import as_suggested, printed_tolerance
 from study.sampler.table import FeatureTable
 
 WHOLE = checks.whole(0)
-WORDS = checks.optional(checks.text)
-COLUMNS = checks.by_name(checks.number())
 RESULT = {
     "number": WHOLE,
     "value": checks.optional(checks.number()),
@@ -50,57 +51,6 @@ RESULT = {
     "note": checks.text,
 }
 MOST_BATCH = 1000
-
-
-@dataclass(frozen=True)
-class Own:
-    """A trial that nobody proposed.
-
-    Attributes:
-        params: its parameters, by name.
-        value: in the unit of the goal.
-        columns: other numbers, by the names of the bench's columns, in their units.
-        note: of whoever enters it.
-        failed: whether it failed.
-        context: in which it was tried; None: the present one.
-        operator: who tried it; None: who enters it.
-        time: of the trial, ISO 8601; None: of the entry.
-    """
-
-    params: Mapping[str, Any]
-    value: float
-    columns: Mapping[str, float] = field(default_factory=dict)
-    note: str = ""
-    failed: bool = False
-    context: str | None = None
-    operator: str | None = None
-    time: str | None = None
-
-    def __post_init__(self) -> None:
-        checks.check_fields(
-            self,
-            "",
-            value=checks.number(),
-            columns=COLUMNS,
-            note=checks.text,
-            failed=checks.flag,
-            context=WORDS,
-            operator=WORDS,
-            time=WORDS,
-        )
-
-
-_a_trial = checks.that(
-    lambda row: (
-        isinstance(row, Own)
-        or (
-            isinstance(row, tuple)
-            and 2 <= len(row) <= len(fields(Own))
-            and isinstance(row[0], Mapping)
-        )
-    ),
-    "a trial: (parameters by name, value), or an Own",
-)
 
 
 class Bench:
@@ -122,8 +72,8 @@ class Bench:
     def __init__(self, path: str | Path, operator: str | None = None) -> None:
         self.plan: Plan = read_plan(Path(path))
         self.operator = operator or operator_here()
-        self._journal = Journal(self.plan.url, self.plan.name)
-        self._entries = self._journal.entries()
+        self.journal = Journal(self.plan.url, self.plan.name)
+        self._entries = self.journal.entries()
         if not self._entries:
             return
         with read_errors(self.plan.url):  # which somebody may have edited
@@ -174,7 +124,7 @@ class Bench:
         Raises:
             InputError: the database is gone, or is another one now.
         """
-        found = self._journal.entries()
+        found = self.journal.entries()
         if self._entries and found[:1] != list(self._entries[:1]):
             allowed = "the database with this bench, which was removed or replaced"
             raise InputError("storage", shown_url(self.plan.url), allowed)
@@ -246,7 +196,10 @@ class Bench:
                 told = _with_expectations(advice, asked)
                 self._add("next", {"trials": [_given(trial) for trial in told]})
             new = [self.state.trials[trial.number] for trial in asked]
-            return [*_with_expectations(advice, mine[:batch]), *new]
+            found = [*_with_expectations(advice, mine[:batch]), *new]
+            if advice.sampler.errors.keys() != self._errors.keys():
+                self.journal.set(self._errors_key, advice.sampler.errors)
+            return found
 
     def _new(
         self,
@@ -365,7 +318,7 @@ class Bench:
             state.trial(number, finished=False)
             self._add("abort", {"trial": number, "note": note})
 
-    @checks.checked(rows=checks.each(_a_trial))
+    @checks.checked(rows=checks.each(a_trial))
     def add(self, rows: Sequence[Own | tuple[Any, ...]]) -> list[int]:
         """Enter trials that nobody proposed, as `Own` has them; their numbers.
 
@@ -542,7 +495,7 @@ class Bench:
     def shown(self) -> optuna.Study:
         """The study that the dashboard shows."""
         return optuna.load_study(
-            study_name=self.plan.name, storage=self._journal.storage
+            study_name=self.plan.name, storage=self.journal.storage
         )
 
     @property
@@ -553,17 +506,35 @@ class Bench:
     @contextmanager
     def _turn(self) -> Iterator[State]:
         """Alone, after the entries of others; in the end what is shown follows from all entries."""
-        with self._journal.turn():
+        with self.journal.turn():
             self._entries = self._read()
-            require_shown(self._journal.storage, self.plan)
+            require_shown(self.journal, self.plan)
             yield self.state
-            show(self._journal.storage, self.plan, self.space, self.state)
+            show(self.journal, self.plan, self.space, self.state)
 
     def _add(self, kind: str, data: Mapping[str, Any]) -> None:
-        self._entries.append(self._journal.append(kind, data, self.operator))
+        self._entries.append(self.journal.append(kind, data, self.operator))
+
+    @property
+    def _errors_key(self) -> str:
+        """Where errors of predictions are kept, which take long to compute."""
+        return f"errors {self.candidates.digest} {__version__}"
+
+    @property
+    def _errors(self) -> Mapping[str, list[float]]:
+        with read_errors(self.plan.url):  # which somebody may have edited
+            known = self.journal.kept(self._errors_key) or {}
+            return {key: [*map(float, each)] for key, each in known.items()}
 
     def _advice(self, state: State) -> Advice:
-        return Advice(self.plan, self.candidates, self.space, state, self._simulated)
+        return Advice(
+            self.plan,
+            self.candidates,
+            self.space,
+            state,
+            self._simulated,
+            self._errors,
+        )
 
 
 def _with_expectations(advice: Advice, trials: Sequence[Trial]) -> list[Trial]:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatch
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,14 @@ from optuna.distributions import (
     IntDistribution,
 )
 
-from storage.foreign_tables import ForeignTable
 from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
 from study.bench.limits import ByFamily
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
+
+if TYPE_CHECKING:
+    from storage.foreign_tables import ForeignTable
 
 Told = Callable[[str, tuple[str, ...]], ByFamily]
 """What columns of a file tell, by the key that names them and their names or patterns."""
@@ -52,7 +54,7 @@ class Declared:
     step: float | None = None
     log: bool = False
 
-    def distribution(self, name: str, table: ForeignTable) -> BaseDistribution:
+    def distribution(self, name: str, table: "ForeignTable") -> BaseDistribution:
         """The distribution of the parameter that a column of a table has.
 
         Raises:
@@ -78,7 +80,7 @@ class Declared:
             return self._whole_numbers(name, low, high)
         return FloatDistribution(low, high, log=self.log, step=self.step)
 
-    def _choice(self, name: str, table: ForeignTable) -> CategoricalDistribution:
+    def _choice(self, name: str, table: "ForeignTable") -> CategoricalDistribution:
         for key, given in (("bounds", self.bounds), ("step", self.step)):
             if given is not None:
                 raise InputError(f"candidates.{key}.{name}", given, "none of a choice")
@@ -166,6 +168,8 @@ def of_file(
     Raises:
         InputError: naming the key of the file, or the column and row.
     """
+    from storage.foreign_tables import ForeignTable  # PyArrow is slow to load
+
     path = table.folder / table.text("file")
     names = table.texts("parameters")
     features = table.texts("features")
@@ -218,14 +222,14 @@ def of_file(
     )
 
 
-def _named(table: ForeignTable, pattern: str) -> list[str]:
+def _named(table: "ForeignTable", pattern: str) -> list[str]:
     """The columns of a table by a name or a pattern."""
     if pattern in table.names:  # a name may look like a pattern: cost [J]
         return [pattern]
     return [name for name in table.names if fnmatch(name, pattern)]
 
 
-def _columns(table: ForeignTable, names: Iterable[str]) -> NDArray[np.float64]:
+def _columns(table: "ForeignTable", names: Iterable[str]) -> NDArray[np.float64]:
     """Columns of numbers, one at least, [n, k]."""
     return np.column_stack([table.numbers(name) for name in names])
 

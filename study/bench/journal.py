@@ -12,20 +12,22 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import optuna
-from optuna.storages import RDBStorage
-
-from storage.databases.studies import (
+from storage.databases import plain
+from storage.databases.files import (
     only_run,
-    open_studies,
     read_attributes,
     read_errors,
     storage_errors,
-    write_down,
 )
+from storage.databases.urls import is_postgresql
 from storage.inputs.errors import InputError, listed
+
+if TYPE_CHECKING:
+    from optuna.storages import RDBStorage
+
+    from study.bench.optuna_studies import OptunaStudies
 
 LOG = " (log)"  # after the name of the study whose attributes are the entries
 KEY = "entry {:06d}"
@@ -196,15 +198,28 @@ class Journal:
     def __init__(self, url: str, name: str) -> None:
         self.url = url
         self.name = name
+        self._known = dict[str, Any]()  # attributes, as last read
 
     @cached_property
-    def storage(self) -> RDBStorage:
-        """The database, to be written; it is made where it is missing.
+    def storage(self) -> "RDBStorage":
+        """The database as Optuna has it; it is made where it is missing."""
+        from storage.databases.studies import open_studies
 
-        Reading does without: also where nothing may be written, and before Optuna is
-        loaded.
-        """
         return open_studies(self.url)
+
+    @cached_property
+    def writer(self) -> "plain.PlainStudies | OptunaStudies":
+        """What writes: SQLite itself, since Optuna takes a second to begin; on a server, Optuna.
+
+        Reading does without: also where nothing may be written.
+        """
+        if is_postgresql(self.url):
+            from study.bench.optuna_studies import OptunaStudies
+
+            return OptunaStudies(self.storage)
+        if not plain.is_known(self.url):
+            self.storage.engine.dispose()  # which has made it
+        return plain.PlainStudies(self.url)
 
     @contextmanager
     def turn(self) -> Iterator[None]:
@@ -226,7 +241,7 @@ class Journal:
                     time.sleep(0.1)
             with storage_errors(self.url):
                 yield
-                write_down(self.storage)
+                self.writer.write_down()
 
     def entries(self) -> list[Entry]:
         """All entries, in their order; none where the bench has not begun."""
@@ -235,21 +250,33 @@ class Journal:
             if self.name in names:
                 raise InputError("name", self.name, "a name that no other study has")
             return []
+        self._known = known
         found = list[Entry]()
         with read_errors(self.url):
             while (written := known.get(KEY.format(len(found)))) is not None:
                 found.append(_entry(len(found), written))
         return found
 
+    def kept(self, key: str) -> Any:
+        """What was kept beside the entries under a key when they were read; None: nothing."""
+        return self._known.get(key)
+
+    def keep(self, key: str, value: Any) -> None:
+        """Keep a JSON value beside the entries of a bench that has begun."""
+        with self.turn():
+            self.set(key, value)
+
+    def set(self, key: str, value: Any) -> None:
+        """The same, in a turn."""
+        self.writer.set_attribute(self.name + LOG, key, value)
+        self._known[key] = value
+
     def append(self, kind: str, data: Mapping[str, Any], operator: str) -> Entry:
         """Add an entry of an operator, in a turn."""
         number = len(self.entries())
-        study = optuna.create_study(
-            storage=self.storage, study_name=self.name + LOG, load_if_exists=True
-        )
         moment = datetime.now(UTC).isoformat(timespec="seconds")
         written = {"kind": kind, "time": moment, "by": operator, **data}
-        study.set_user_attr(KEY.format(number), written)
+        self.writer.set_attribute(self.name + LOG, KEY.format(number), written)
         return _entry(number, written)
 
 

@@ -8,20 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-import optuna
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial
 
-from storage.databases.studies import read_studies, shown_url, studies_path
+from storage.databases.files import read_attributes, shown_url, studies_path
 from storage.databases.urls import file_url, is_postgresql
 from storage.inputs import checks
 from storage.inputs.config import Table, read_whole
 from storage.inputs.errors import InputError
 from storage.inputs.reading import toml_document
 from storage.simulator import SURVIVED
-from storage.store import open_store
 from study.bench.candidates import better_of, of_file
 from study.bench.journal import LOG, Trial
 from study.bench.limits import (
@@ -274,6 +272,7 @@ class Plan:
         """A line for each family of the store in which no row came to the end."""
         if self.priced_store is None:
             return []
+        from storage.store import open_store
         from study.experiment.features import cautions_of
 
         return cautions_of(open_store(self.priced_store))
@@ -282,6 +281,8 @@ class Plan:
         """A sentence on runs of the store that last longer or shorter than a trial; "": none."""
         if self.priced_store is None:
             return ""
+        from storage.store import open_store
+
         store = open_store(self.priced_store)
         trial_s = self.goal.duration_s
         runs_s = {store.settings_of(name)["horizon_s"] for name in store.families}
@@ -394,8 +395,7 @@ def _beside(path: Path, url: str, name: str) -> str:
     beside = path.parent / file
     if file.is_absolute() or beside.exists() or not file.exists():
         return file_url(beside)
-    with read_studies(url) as found:
-        begun = found is not None and name + LOG in optuna.get_all_study_names(found)
+    begun = read_attributes(url, name + LOG)[0] is not None
     return url if begun else file_url(beside)
 
 
@@ -465,6 +465,7 @@ def require_failures(goal: Goal, simulated: Sequence[float] | None) -> None:
 def _of_store(table: Table, plan: Plan) -> FeatureTable:
     """The rows of a store: with features, or else in the worlds of its families."""
     # Of the walker: what has no store does without, as `status` does.
+    from storage.store import open_store
     from study.experiment.features import told_of, world_table
     from study.experiment.objective import PRINTED, Objective, Term, named_function
 

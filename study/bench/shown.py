@@ -5,15 +5,13 @@ after a command that was killed between an entry and what it shows.
 """
 
 from collections.abc import Iterable, Mapping
-from itertools import zip_longest
 
 import optuna
 from optuna.distributions import BaseDistribution
-from optuna.storages import RDBStorage
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
-from storage.databases.studies import load_whole, read_errors
-from study.bench.journal import State, Trial
+from storage.databases.files import read_errors
+from study.bench.journal import Journal, State, Trial
 from study.bench.plan import Plan
 
 Space = Mapping[str, BaseDistribution]
@@ -47,54 +45,21 @@ def study_of(trials: Iterable[Trial], space: Space, plan: Plan) -> optuna.Study:
     return study
 
 
-def require_shown(storage: RDBStorage, plan: Plan) -> None:
+def require_shown(journal: Journal, plan: Plan) -> None:
     """Read the study that is shown, if there is one, before an entry is made that it has to show.
 
     Raises:
         InputError: somebody has edited it.
     """
     with read_errors(plan.url):
-        if plan.name in optuna.get_all_study_names(storage):
-            load_whole(storage, plan.name)
+        journal.writer.require_readable(plan.name)
 
 
-def show(storage: RDBStorage, plan: Plan, space: Space, state: State) -> None:
+def show(journal: Journal, plan: Plan, space: Space, state: State) -> None:
     """Bring the study that the dashboard shows up to date; its trials are those of the bench."""
-    study = optuna.create_study(
-        storage=storage,
-        study_name=plan.name,
-        direction=plan.direction,
-        load_if_exists=True,
-    )
     gone = create_trial(state=TrialState.FAIL, user_attrs={"note": "undone"})
     wanted = [
         frozen(state.trials[number], space, plan) if number in state.trials else gone
         for number in range(state.count)
     ]
-    for trial, own in zip_longest(study.get_trials(deepcopy=False), wanted):
-        if trial is None:
-            study.add_trial(own)
-        elif own is None or not _shows(study, trial, own):
-            optuna.delete_study(study_name=plan.name, storage=storage)
-            show(storage, plan, space, state)
-            return
-
-
-def _shows(study: optuna.Study, trial: FrozenTrial, wanted: FrozenTrial) -> bool:
-    """Whether a trial shows what is wanted, perhaps after it was finished, if it was running."""
-    parts = ("state", "values", "params", "user_attrs")
-    if all(getattr(trial, part) == getattr(wanted, part) for part in parts):
-        return True
-    unfinished = (
-        trial.state is TrialState.RUNNING and wanted.state is not TrialState.FAIL
-    )
-    if not unfinished or trial.params != wanted.params:
-        return False
-    storage, number = study._storage, trial._trial_id
-    for key, value in wanted.user_attrs.items():
-        storage.set_trial_user_attr(number, key, value)
-    for key, value in wanted.system_attrs.items():
-        storage.set_trial_system_attr(number, key, value)
-    return wanted.state is TrialState.RUNNING or storage.set_trial_state_values(
-        number, wanted.state, wanted.values
-    )
+    journal.writer.bring(plan.name, plan.direction, wanted)

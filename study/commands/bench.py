@@ -8,7 +8,8 @@ import tempfile
 import warnings
 from argparse import Namespace
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,9 @@ from storage.inputs.reading import json_document, toml_document
 from study.bench.advice import EXPECTED
 from study.bench.bench import Bench, Own
 from study.bench.candidates import beyond_bounds
-from study.bench.exchange import export_text, read_trials
 from study.bench.journal import Trial
 from study.bench.words import PROGRAM, clashes, number_of, shown, times
+from study.cli import ProgressBar
 from study.options import COMMANDS, require_used
 from study.sampler.unlike import UNLIKE
 
@@ -47,6 +48,7 @@ def main(args: Namespace) -> None:
         warn([*bench.plan.cautions(), *bench.doubts()])
         line = [*PROGRAM, "next", "--bench", str(bench.plan.path)]
         print(f"next: {shlex.join(line)}")
+        tell_forecast(bench, is_asked=False)
         return
     require_used(args, [*used, "--bench"], args.action)
     bench = Bench(args.bench or only_bench(), args.operator)
@@ -205,6 +207,30 @@ def recommend(bench: Bench, args: Namespace) -> None:
         print(f"A repeat of trial {number} would tell most: --repeat {number}")
 
 
+def forecast(bench: Bench, args: Namespace) -> None:
+    """Print what to expect before the first trial."""
+    tell_forecast(bench, is_asked=True)
+
+
+def tell_forecast(bench: Bench, *, is_asked: bool) -> None:
+    """Print what to expect; if it takes long and nobody asked for it, how to ask."""
+    from study.bench import forecasts
+
+    error = forecasts.refusal(bench)
+    if error is not None:
+        if is_asked:
+            raise error
+        print(f"what to expect before the first trial is unknown: {error}")
+        return
+    is_quick = forecasts.is_quick(bench.candidates.rows)
+    if not (is_asked or is_quick or forecasts.known_forecast(bench)):
+        line = [*PROGRAM, "forecast", "--bench", str(bench.plan.path)]
+        print(f"what to expect, in some minutes: {shlex.join(line)}")
+        return
+    with closing(ProgressBar()) as bar:
+        print(forecasts.forecast_of(bench, partial(bar.move, "robot")))
+
+
 def compare_to_simulator(bench: Bench, args: Namespace) -> None:
     """Print, draw and note what was simulated beside what was seen."""
     from optuna_dashboard import save_note
@@ -238,6 +264,8 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
 
 def export(bench: Bench, args: Namespace) -> None:
     """Write the trials as CSV."""
+    from study.bench.exchange import export_text
+
     path = Path(needed(args.what, "what", "a file to write"))
     commit_text(path, export_text(bench))
     print(f"{len(bench.state.trials)} trials: {path}")
@@ -245,6 +273,8 @@ def export(bench: Bench, args: Namespace) -> None:
 
 def import_trials(bench: Bench, args: Namespace) -> None:
     """Enter the trials of a CSV, those that are not there yet."""
+    from study.bench.exchange import read_trials
+
     path = Path(needed(args.what, "what", "a CSV file"))
     with warnings.catch_warnings(record=True, action="always") as said:
         entered, known = bench.add_new(read_trials(bench, path))
@@ -312,6 +342,7 @@ ACTIONS: dict[str, Callable[[Bench, Namespace], None]] = {
     "context": other,
     "status": status,
     "recommend": recommend,
+    "forecast": forecast,
     "compare-to-simulator": compare_to_simulator,
     "export": export,
     "import": import_trials,

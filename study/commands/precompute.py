@@ -2,21 +2,30 @@
 
 import json
 import sys
+import warnings
 from argparse import Namespace
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from threading import Thread
+from typing import TYPE_CHECKING
 
 from storage.cluster import open_pool
 from storage.inputs.config import read_toml, read_whole
+from storage.inputs.errors import InputError
 from storage.pool import Cluster, cores
 from storage.precompute import Summary, precompute
+from storage.simulator import WALKER
 from storage.specification import read_specification
 from study.cli import ProgressBar
 from taichi_nmm.settings import may_have_gpu
 
+if TYPE_CHECKING:
+    from study.sampler.forecast import Forecast
+
+Report = Callable[[int, int], object]
 SEARCH_ON_GPU = "note: a search tries few points at a time: --arch cpu is faster"
 
 
@@ -31,6 +40,9 @@ def main(args: Namespace) -> None:
     if may_have_gpu():
         Thread(target=__import__, args=("scipy.stats.qmc",)).start()
     simulator.require_machine()
+    if args.forecast and (simulator.name != WALKER or not specification.families):
+        allowed = "a store of the walker with families; of others, `taichi-nmm bench forecast`"
+        raise InputError("forecast", simulator.name, allowed)
     out = args.out or Path("out") / args.config.stem
     workers = simulator.processes(cores()) if args.workers is None else args.workers
     if specification.repertoire is not None and simulator.points_at_once:
@@ -41,9 +53,27 @@ def main(args: Namespace) -> None:
     with opened as pool, closing(ProgressBar()) as bar:
         progress = partial(bar.move, "run", total=specification.work)
         summary = precompute(specification, out, args.fresh, progress, pool)
+        said = text(summary)
+        told = asdict(summary)
+        if args.forecast:
+            told["forecast"] = str(expected(out, partial(bar.move, "robot")))
+            said += f"\n{told['forecast']}"
     for line in summary.cautions:
         print(f"warning: {line}", file=sys.stderr)
-    print(json.dumps(asdict(summary)) if args.json else text(summary))
+    print(json.dumps(told) if args.json else said)
+
+
+def expected(store: Path, report: Report) -> "Forecast":
+    """What walkers like the worlds of a store may need, by the smooth cost of a trial."""
+    from study.experiment.features import world_table
+    from study.experiment.objective import Objective
+    from study.sampler.forecast import forecast
+    from taichi_nmm.conditions import TRIAL_S
+
+    objective = Objective()
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
+        candidates = world_table(store, objective.in_worlds)
+    return forecast(candidates, success=objective.success(TRIAL_S), report=report)
 
 
 def text(summary: Summary) -> str:

@@ -123,13 +123,13 @@ class Policy:
         # How many trials have to finish before there is a model.
         self.first_trials = ENDS if self.learns_trust else RANDOM
         self.known: Learned = {}  # in this process
-        self._errors: Errors = {}  # likewise
+        self.past_errors: Errors = {}  # likewise
         self._proposals: dict[tuple[int, datetime | None], Proposal] = {}
         self._said: set[str] = set()
 
     def __getstate__(self) -> dict[str, Any]:
         """The state without constants, which another process computes again, and own trials."""
-        return self.__dict__ | {"known": {}, "_errors": {}, "_proposals": {}}
+        return self.__dict__ | {"known": {}, "past_errors": {}, "_proposals": {}}
 
     def remember(self, trial: FrozenTrial, proposal: Proposal) -> None:
         """Keep what was proposed for a trial, and forget the oldest if they are many."""
@@ -215,7 +215,7 @@ class Policy:
 
     def errors(self, model: Model) -> Floats:
         """Errors of the last trials, each predicted before it was made, [t, 1 + c]."""
-        return past_errors(model, self.of_turn, self._errors)
+        return past_errors(model, self.of_turn, self.past_errors)
 
     def doubts(self, model: Model, turn: int) -> bool:
         """Whether the trial of this turn is left to the parameters."""

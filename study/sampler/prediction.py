@@ -14,13 +14,14 @@ from study.sampler.calibration import (
     COST,
     COST_UNLIKE,
     Calibration,
+    chance_in_worlds,
     ends_of,
     reading_of,
     tells_scale,
 )
 from study.sampler.diagnostics import Present, trials_text
 from study.sampler.gp import misfit
-from study.sampler.history import History, read_limits
+from study.sampler.history import OFF_TABLE, History, read_limits
 from study.sampler.transforms import Points
 from study.sampler.unlike import unlike
 
@@ -47,6 +48,7 @@ class Best:
         high: its other end.
         trials: finished ones of these parameters.
         untold: limits of which other trials have told, and this one has not.
+        unlike: as of a `Prediction`.
     """
 
     number: int
@@ -57,6 +59,7 @@ class Best:
     high: float
     trials: int
     untold: tuple[str, ...]
+    unlike: str
 
     def __str__(self) -> str:
         row = "" if self.row is None else f", row {self.row}"
@@ -67,8 +70,8 @@ class Best:
         )
         return (
             f"Trial {self.number}{row}: {self.value:.4g} ({_interval_text(self.low, self.high)}), "
-            f"by {trials_text(self.trials)} of it and what the others tell.{limits}"
-        )
+            f"by {trials_text(self.trials)} of it and what the others tell.{limits} {self.unlike}"
+        ).strip()
 
 
 def best_of(present: Present, *, maximised: bool) -> Best:
@@ -85,11 +88,14 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     mean, variance = _over_noise(model)
     mean += model.expected(model.trials, model.cost())
     best = _chosen(present, mean, variance, maximised=maximised)
+    rows = np.array([OFF_TABLE if row is None else row for row in present.rows])
+    strange = unlike(model, rows, -1.0 if maximised else 1.0)
     trial = trials[best]
     value = trial.values[0]
     low = high = np.nan
     if np.isfinite(value):
-        calibration = Calibration.of(present.errors[:, 0])
+        expected = COST_UNLIKE if strange else COST
+        calibration = Calibration.of(present.errors[:, 0], expected)
         away = calibration.reach * sqrt(float(variance[best]))
         ends = model.in_units(mean[best] + away * np.array([0.0, -1.0, 1.0]))
         value, low, high = (-ends[[0, 2, 1]] if maximised else ends).tolist()
@@ -105,6 +111,7 @@ def best_of(present: Present, *, maximised: bool) -> Best:
         high=high,
         trials=sum(other.params == trial.params for other in trials),
         untold=tuple(sorted(limits - trial.constraints.keys())),
+        unlike="" if strange is None else str(strange),
     )
 
 
@@ -258,7 +265,11 @@ def prediction_of(
     success = unknown
     if model.success is not None:
         (goal,) = model.standard(np.array([model.success]), costs)
-        chance = found.chance_below(goal, mean, variance)
+        chance = (
+            found.chance_below(goal, mean, variance)
+            if len(costs)
+            else chance_in_worlds(model, points, goal)
+        )
         success = np.where(is_known, chance, np.nan)
     return replace(
         nothing,

@@ -221,6 +221,21 @@ class FeatureKernelSampler(BaseSampler):
         """Whether candidates are compared by features, so that `worth` has something to report."""
         return self._policy.options.kernel.of_features
 
+    @property
+    def errors(self) -> dict[str, list[float]]:
+        """How far off the last predictions were, by a digest of what they follow from.
+
+        They take most of the time of a `predict` after many trials. Another process that
+        is given them does not compute them again, if it has the same table and options.
+        """
+        known = self._policy.past_errors
+        return {key: [*map(float, found)] for key, found in known.items()}
+
+    @errors.setter
+    def errors(self, known: Mapping[str, Sequence[float]]) -> None:
+        found = {key: np.array(errors, float) for key, errors in known.items()}
+        self._policy.past_errors = found
+
     @checks.checked(study=checks.instance(optuna.Study))
     def worth(self, study: optuna.Study) -> Worth | Likeness:
         """The importance of the features in the finished trials of a study, which is not changed.

@@ -21,8 +21,8 @@ Where costs are smooth functions of the parameters, and some trials are done, a 
 cost counts by the logarithm of its excess over the best one (`Model.in_table_units`).
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -144,6 +144,27 @@ class Worlds:
         """k, 1 where outcomes have two axes."""
         return self.costs.shape[2] if self.costs.ndim > 2 else 1
 
+    def of_numbers(self, numbers: Whole) -> "Worlds":
+        """The same worlds, of some of the rows."""
+        return replace(self, costs=self.costs[numbers], as_before=None)
+
+    def without(self, names: Collection[str]) -> "Worlds":
+        """The worlds but those of these names; a family keeps its weight while any is left."""
+        left = np.array([name not in names for name in self.names])
+        families = [name.rpartition(" ")[0] for name in self.names]
+        weights = self.weights.copy()
+        for family in set(families):
+            own = np.array([name == family for name in families])
+            if (own & left).any():
+                weights[own] *= weights[own].sum() / weights[own & left].sum()
+        return replace(
+            self,
+            names=tuple(name for name in self.names if name not in names),
+            costs=self.costs[:, left],
+            weights=weights[left] / weights[left].sum(),
+            as_before=None,
+        )
+
     def of_rows(self, rows: Whole, signs: Floats, goals: Goals | None) -> Floats:
         """Costs [m, w] of some rows; `signs` are -1 where values are maximised, [k]."""
         if goals is not None:
@@ -250,13 +271,13 @@ class Ensemble:
         self.parts = (own - self.mean[:, None]) * np.sqrt(worlds.weights)  # d, [m, w]
         # As `transforms.Columns` has them.
         self.columns = np.column_stack([self.parts, np.ones(len(own)), self.mean])
-        self._weights = worlds.weights
+        self.weights = worlds.weights
 
     def told(self, features: Floats) -> Floats:
         """What each world costs, [t, w], where points have these features, [t, k]."""
         worlds, mean = len(self.names), features[:, -1]
         parts = features[:, -2 - worlds : -2]
-        return np.asarray(mean[:, None] + parts / np.sqrt(self._weights))
+        return np.asarray(mean[:, None] + parts / np.sqrt(self.weights))
 
     @property
     def floor(self) -> float:

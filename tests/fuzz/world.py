@@ -70,7 +70,7 @@ def make_world(folder):
         bench = Bench.new(robot.write(folder), "me")
         robot.run(bench, 3)
         bench.next()  # trial 3, whose log is read
-        bench._journal.storage.engine.dispose()
+        bench.journal.writer.close()
     (folder / "trials.csv").write_text(
         "stiffness,damping,value,torque\n50,1,0.9,80\n60,1,1.2,\n"
     )

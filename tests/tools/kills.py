@@ -37,6 +37,7 @@ from optuna.trial import TrialState
 from sqlalchemy import Engine, Pool, event
 
 import taichi_nmm
+from storage.databases.plain import COMMIT
 from storage.databases.urls import file_url
 from study.cli import main as command_line
 from study.cli import run_command
@@ -107,6 +108,8 @@ class Watch:
     def _on_audit(self, name, arguments):
         if name in NAMING:
             self._on_commit(Path(arguments[1]).name, "audit")
+        elif name == COMMIT:  # of a database that Optuna does not write
+            self._on_commit(DATABASE, "audit")
         elif self._dying is not None:
             self._on_next("audit")
 

@@ -281,7 +281,7 @@ def go_on(path, entries):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("entries", "step"),
-    [(2, 6), pytest.param(len(DAY), 3, marks=pytest.mark.campaign)],
+    [(2, 2), pytest.param(len(DAY), 1, marks=pytest.mark.campaign)],
 )
 def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
     entries, step, tmp_path
@@ -297,7 +297,7 @@ def test_a_command_that_is_killed_at_a_commit_has_done_it_or_not(
         if ended.code == 0:
             break
         assert ended.code == -SIGKILL
-    assert last > 20 * entries
+    assert last > 2 * entries  # each is one, and what shows it another
 
 
 @pytest.mark.slow

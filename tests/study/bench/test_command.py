@@ -9,11 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from study.bench import forecasts
 from study.bench.bench import Bench
 from study.cli import main
 from study.commands.bench import ACTIONS
+from study.sampler import calibration
 from tests.cases import asset
 from tests.study.bench import robot
+from tests.study.sampler.studies import run_code
 from tests.tools.running import ROOT, Done, finish, start
 from tests.tools.test_hostile import without_the_rights_of_root
 
@@ -352,3 +355,74 @@ def test_trials_go_out_and_come_in(folder, bench, is_european):
             other.value,
             other.note,
         )
+
+
+def test_a_new_bench_says_what_to_expect_and_computes_it_once(bench, monkeypatch):
+    said = bench("new walk.toml")
+    (line,) = [line for line in said.splitlines() if "robots like your worlds" in line]
+    assert line.startswith("Of 6 robots like your worlds ") and "in the first" in line
+
+    def never(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(forecasts, "forecast", never)
+    assert line in bench("new walk.toml") and line in bench("forecast")
+    entries = len(Bench("walk.toml").entries)
+    assert entries == 1
+
+
+def test_what_takes_long_is_asked_for(bench, monkeypatch):
+    monkeypatch.setattr(forecasts, "QUICK", 10)
+    said = bench("new walk.toml")
+    assert "taichi-nmm bench forecast --bench walk.toml" in said
+    assert "robots like" not in said
+    assert "robots like your worlds" in bench("forecast")
+    assert "robots like your worlds" in bench("new walk.toml")  # it is known by now
+
+
+@pytest.mark.parametrize("known", ['outcomes = ["world0"]', robot.FEATURES])
+def test_where_nothing_can_be_forecast_one_line_says_so(folder, bench, known):
+    robot.write(folder, known)
+    assert "what to expect before the first trial is unknown: " in bench(
+        "new walk.toml"
+    )
+    found = bench("forecast", 2)
+    assert found.startswith("error: table.outcomes: ") and found.count("\n") == 1
+
+
+HEAVY = ("sqlalchemy", "alembic", "pyarrow", "scipy.linalg", "pandas", "matplotlib")
+LOADED = f"""
+import sys
+from study.cli import main
+main(sys.argv[1:])
+print(*(name for name in {HEAVY} if name in sys.modules))
+"""
+
+
+def test_entering_a_number_loads_nothing_that_takes_long(folder, asked):
+    """SQLAlchemy alone is half of what a command that reads a number took."""
+    for words in (["status"], ["record", "0", "--value", "0.9"], ["status"]):
+        ended = run_code(LOADED, "bench", *words, "--bench", str(folder / "walk.toml"))
+        assert ended.returncode == 0, ended.stderr
+        assert ended.stdout.splitlines()[-1] == ""
+    words = ["next", "--bench", str(folder / "walk.toml")]
+    ended = run_code(LOADED, "bench", *words)
+    assert "sqlalchemy" not in ended.stdout.splitlines()[-1]
+
+
+def test_errors_of_past_predictions_are_computed_once(asked, monkeypatch):
+    asked("record 0 --value 0.9")
+    asked("next")
+    asked("record 1 --value 0.8")
+    said, errors_of = asked("next"), calibration._errors_of
+    numbers = []
+
+    def counted(model, of_turn, number):
+        numbers.append(number)
+        return errors_of(model, of_turn, number)
+
+    monkeypatch.setattr(calibration, "_errors_of", counted)
+    assert asked("next") == said and not numbers
+    asked("record 2 --value 0.7")
+    asked("next")
+    assert numbers == [2]

@@ -1,0 +1,120 @@
+"""What worlds let expect of the walker, beside what came of the experiments' robots.
+
+    python tools/compare_forecast.py out/compare/rough8-smooth out/compare/risers
+
+For each comparison the worlds of its store, left out in turn, are the machine
+(`study.sampler.forecast`): all of them, and those of the families whose ground is that of
+the experiment. Prints a table of when the first success came, and of the least cost after
+ten trials: the middle 80 % of the forecast, and the middle 80 % and the median of the
+robots of the arm `worlds`. A line at the end counts the medians that are within.
+"""
+
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from checkout import guarded_imports, run_command
+
+with guarded_imports():
+    import numpy as np
+
+    from storage.inputs.config import Table
+    from study.experiment.features import world_table
+    from study.experiment.objective import Objective, read_objective
+    from study.options import Options
+    from study.report.runs import known_stores, read_results
+    from study.sampler.forecast import MIDDLE, TRIALS, Forecast, forecast
+    from taichi_nmm.result import RESULT_DTYPE
+
+ARM = "worlds"
+NONE = "none"
+GROUNDS = {  # the families of a ground, by the begin of their names
+    "rough": "rough",
+    "outside": "rough",
+    "risers": "blocks",
+    "ramp-up": "up",
+    "ramp-down": "down",
+}
+OTHER = ("outside-gravel", "stairs-down")  # no family has their ground
+
+
+def main() -> None:
+    parser = Options(__file__)
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR")
+    for line in table(parser.parse_args().folders):
+        print(line, flush=True)
+
+
+def table(folders: list[Path]) -> Iterator[str]:
+    """The lines of the table."""
+    yield (
+        "| experiment | first success: all worlds | of this ground | robots | median "
+        f"| least cost after {TRIALS}: all worlds | of this ground | robots | median |"
+    )
+    yield "|---|---|---|---|---:|---|---|---|---:|"
+    within = {"all worlds": 0, "of this ground": 0}
+    count = 0
+    for folder in folders:
+        results = read_results(folder)
+        arm = results.arms.get(ARM)
+        if arm is None:
+            print(f"{folder}: no trials of {ARM} yet", file=sys.stderr)
+            continue
+        forecasts = expected(folder)
+        first = np.where(arm.first_walker <= TRIALS, arm.first_walker, np.inf)
+        cells = list[str]()
+        # Of robots whose trials ended with the first walker no later cost is known.
+        best = arm.best[:, TRIALS - 1 : TRIALS]
+        for name, values in (("first", first), ("best", best.ravel())):
+            if not len(values):
+                cells += 4 * ["-"]
+                continue
+            low, median, high = np.quantile(
+                values, MIDDLE, method="inverted_cdf"
+            ).tolist()
+            for which, found in zip(within, forecasts, strict=True):
+                ends = getattr(found, name)
+                cells.append(f"{shown(ends[0])} to {shown(ends[2])}")
+                if name == "first":
+                    within[which] += ends[0] <= median <= ends[2]
+            cells += [f"{shown(low)} to {shown(high)}", shown(median)]
+        count += 1
+        yield f"| {results.name} | {' | '.join(cells)} |"
+    said = ", ".join(f"{which}: {number}" for which, number in within.items())
+    yield f"\nMedian trial of the first success within the forecast, of {count}: {said}"
+
+
+def shown(value: float) -> str:
+    """A number in a cell."""
+    return f"{value:.4g}" if value < float("inf") else NONE
+
+
+def expected(folder: Path) -> tuple[Forecast, Forecast]:
+    """The forecast for an experiment: of all worlds, and of those of its ground."""
+    results = read_results(folder)
+    store = known_stores(results)[ARM]
+    given = Table(dict(results.facts["objective"]), "objective")
+    objective = read_objective(given, RESULT_DTYPE.names or ())
+    every = computed(store, objective, results.facts["simulation"]["duration_s"])
+    names = {robot.family for robot in every.like}
+    ground = next((GROUNDS[key] for key in GROUNDS if results.name.startswith(key)), "")
+    if results.name in OTHER:
+        ground = ""
+    return every, every.of([name for name in names if name.startswith(ground)])
+
+
+@cache
+def computed(store: Path, objective: Objective, duration_s: float) -> Forecast:
+    """The forecast of all worlds of a store."""
+    candidates = world_table(store, objective.in_worlds)
+    assert candidates.rows.worlds is not None
+    return forecast(
+        candidates,
+        success=objective.success(duration_s),
+        robots=len(candidates.rows.worlds.names),
+    )
+
+
+if __name__ == "__main__":
+    run_command(main)
