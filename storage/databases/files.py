@@ -23,6 +23,7 @@ from optuna.exceptions import StorageInternalError, UpdateFinishedTrialError
 from storage import commit
 from storage.commit import remove_orphans, require_writable, writable
 from storage.databases.urls import FORMS, SQLITE, is_postgresql, public_url
+from storage.databases.urls import unusable as unusable
 from storage.inputs.errors import InputError
 
 Ask = Callable[..., list[Any]]
@@ -263,16 +264,6 @@ def read_errors(url: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise unusable(shown_url(url), error) from None
-
-
-def unusable(shown: str, error: Exception) -> InputError:
-    """The error of a database, in one line for its user."""
-    cause = error.__cause__ or error
-    words = str(getattr(cause, "orig", cause)).strip().splitlines()
-    reason = words[0] if words else type(cause).__name__
-    return InputError(
-        "storage", shown, f"a study database that can be written ({reason})"
-    )
 
 
 @contextmanager

@@ -16,8 +16,7 @@ import sqlalchemy as sql
 from optuna.storages import RDBStorage
 from sqlalchemy.exc import NoSuchModuleError, SQLAlchemyError
 
-from storage.databases.files import unusable
-from storage.databases.urls import POSTGRESQL_FORM, public_url
+from storage.databases.urls import POSTGRESQL_FORM, public_url, unusable
 from storage.inputs.errors import InputError
 
 CONNECT_TIMEOUT_S = 10

@@ -1,7 +1,9 @@
-"""The URLs of study databases: their forms, and the parts that may be shown."""
+"""The URLs of study databases: their forms, the parts that may be shown, and errors of them."""
 
 import re
 from pathlib import Path
+
+from storage.inputs.errors import InputError
 
 SQLITE = "sqlite:///"
 POSTGRESQL = "postgresql+psycopg://"
@@ -47,3 +49,13 @@ def public_url(url: str) -> str:
                 f"{kind}{who}{found['where']}{f'?{HIDDEN}' if found['options'] else ''}"
             )
     return HIDDEN
+
+
+def unusable(shown: str, error: Exception) -> InputError:
+    """The error of a database, in one line for its user."""
+    cause = error.__cause__ or error
+    words = str(getattr(cause, "orig", cause)).strip().splitlines()
+    reason = words[0] if words else type(cause).__name__
+    return InputError(
+        "storage", shown, f"a study database that can be written ({reason})"
+    )

@@ -275,7 +275,10 @@ class Advice:
             return f"limits unknown ({', '.join(limited)})"
         if unknown:
             return f"limits of {known} kept {100 * kept:.0f} %, of {unknown} unknown"
-        return f"all limits kept {100 * kept:.0f} %"
+        all_kept = found.kept[place]
+        if FALL in found.risks:
+            all_kept = all_kept / max(1.0 - float(found.risks[FALL][place]), 1e-9)
+        return f"all limits kept {100 * all_kept:.0f} %"
 
     def _why(self) -> str:
         """Why a proposal is made, in a sentence or two."""

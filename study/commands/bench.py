@@ -225,7 +225,7 @@ def tell_forecast(bench: Bench, *, is_asked: bool) -> None:
     is_quick = forecasts.is_quick(bench.candidates.rows)
     if not (is_asked or is_quick or forecasts.known_forecast(bench)):
         line = [*PROGRAM, "forecast", "--bench", str(bench.plan.path)]
-        print(f"what to expect, in some minutes: {shlex.join(line)}")
+        print(f"what to expect, in a quarter of a minute: {shlex.join(line)}")
         return
     with closing(ProgressBar()) as bar:
         print(forecasts.forecast_of(bench, partial(bar.move, "robot")))

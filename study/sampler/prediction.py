@@ -217,6 +217,7 @@ def prediction_of(
     history: History,
     errors: Floats,
     risks: Mapping[str, Floats],
+    kept: Floats,
 ) -> Prediction:
     """The prediction at points, after the trials of a history.
 
@@ -230,18 +231,16 @@ def prediction_of(
         history: of the study.
         errors: of past trials, each predicted before it was made, [t, 1 + c].
         risks: of limits, by their names, [m].
+        kept: the chance that all are kept, [m].
     """
     unknown = np.full(len(points), np.nan)
-    kept = unknown
-    if risks:
-        kept = np.prod([1.0 - risk for risk in risks.values()], axis=0)
     nothing = Prediction(
         rows=rows,
         value=unknown,
         low=unknown,
         high=unknown,
         success=unknown,
-        kept=kept,
+        kept=kept if risks else unknown,
         risks=risks,
         unlike="",
     )

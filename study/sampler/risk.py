@@ -19,7 +19,7 @@ A limit of which worlds tell nothing has the chance that the model of its trials
 (`prediction`), and none before three have told.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import isnan, sqrt
@@ -357,7 +357,7 @@ def by_trials(
             found[names[column]] = np.full(len(points), np.nan)
             continue
         by_rule = (kept + 1.0) / (n + 2.0)
-        trusted = max(1.0 - RULE / n**2, 0.0)
+        trusted = _trusted(n)
         if not trusted or (told == told[0]).all():
             found[names[column]] = np.full(len(points), 1.0 - by_rule)
             continue
@@ -366,3 +366,44 @@ def by_trials(
         by_model = calibration.chance_below(0.0, mean, variance + noise_of(posterior))
         found[names[column]] = 1.0 - trusted * by_model - (1.0 - trusted) * by_rule
     return found
+
+
+def _trusted(n: int) -> float:
+    """How far the model counts after n trials, and not the rule of succession."""
+    return max(1.0 - RULE / n**2, 0.0)
+
+
+def all_kept(
+    risks: Mapping[str, Floats],
+    by_worlds: Collection[str],
+    trials: Sequence[FrozenTrial],
+) -> Floats:
+    """The chance of k candidates to keep all limits, [k]; NaN where a risk is.
+
+    To keep all is one event: where the rule of succession counts, of trials that tell of
+    several limits, it is of the trials that kept them all. The product of two rules made
+    11 % of what came in 60 % of the trials.
+
+    Args:
+        risks: to break each limit, by its name, one at least, [k].
+        by_worlds: names of the limits of which worlds tell.
+        trials: of the study.
+    """
+    chances = {name: 1.0 - risk for name, risk in risks.items()}
+    product = np.prod([*chances.values()], axis=0)
+    names = [name for name in chances if name not in by_worlds]
+    if len(names) < 2:
+        return np.asarray(product)
+    told = [
+        [trial.constraints[name] for name in names]
+        for trial in trials
+        if trial.constraints.keys() >= set(names)
+    ]
+    if not told:
+        return np.asarray(product)
+    kept = sum(max(limits) <= 0.0 for limits in told)
+    others = [chances[name] for name in chances if name in by_worlds]
+    by_rule = (kept + 1.0) / (len(told) + 2.0) * np.prod(others, axis=0)
+    trusted = _trusted(len(told))
+    known = trusted * product + (1.0 - trusted) * by_rule
+    return np.where(np.isnan(product), np.nan, known)

@@ -62,7 +62,7 @@ from study.sampler.policy import (
     take_back,
 )
 from study.sampler.prediction import Prediction, prediction_of
-from study.sampler.risk import Certificate, Places, by_trials, risks_of
+from study.sampler.risk import Certificate, Places, all_kept, by_trials, risks_of
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among, not_near
@@ -548,9 +548,10 @@ class TablePolicy(Policy):
             places = Places(asked.rows, self.rows.space.unit(asked.parameters))
             points = self._seen(asked, model.ensemble)
         risks = self._risks(history, model, places, points)
-        return prediction_of(
-            model, points, places.rows, history, self.errors(model), risks
-        )
+        trials = [*self.options.limits_of, *history.done.trials]
+        kept = all_kept(risks, self.rows.limits, trials)
+        told = history, self.errors(model), risks, kept
+        return prediction_of(model, points, places.rows, *told)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.

@@ -90,13 +90,18 @@ def test_each_trial_is_predicted_by_those_before_it(features):
 
 def test_errors_are_computed_once_and_the_same_by_another_process():
     study = study_on(values=[0.35, 0.6, 0.31, 0.5])
-    first, known = errors_of(study), study.sampler._policy._errors
+    first, known = errors_of(study), study.sampler._policy.past_errors
     kept = {key: id(value) for key, value in known.items()}
     study.sampler.predict(study)
     assert {key: id(value) for key, value in known.items()} == kept
     other = FeatureKernelSampler(study.sampler._policy._table, seed=9)
-    study.sampler = other
+    study.sampler, told = other, study.sampler.errors
     assert_allclose(errors_of(study), first)
+    assert other.errors.keys() == told.keys()
+    third = FeatureKernelSampler(study.sampler._policy._table, seed=9)
+    study.sampler, third.errors = third, told
+    assert_allclose(errors_of(study), first)
+    assert_allclose([*third.errors.values()], [*told.values()])
 
 
 def test_a_machine_unlike_all_worlds_is_predicted_with_more_doubt():

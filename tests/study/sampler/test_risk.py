@@ -7,9 +7,10 @@ import optuna
 import pytest
 from numpy.testing import assert_allclose
 from optuna.distributions import FloatDistribution
+from optuna.trial import create_trial
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.risk import Prior, RiskError
+from study.sampler.risk import Prior, RiskError, all_kept
 from study.sampler.worlds import limits_in_worlds
 from tests.study.conftest import refused
 from tests.study.sampler import risky
@@ -261,3 +262,27 @@ def test_the_harness_counts_falls():
     assert "any risk" in lines[0] and " 5 % " in lines[1]
     shares = [float(line.split("fell")[1].split("%")[0]) for line in lines]
     assert shares[1] <= 7.0 and min(shares) >= 0.0
+
+
+def tried(**limits):
+    return create_trial(value=1.0, constraints=limits)
+
+
+def test_to_keep_all_limits_is_one_event():
+    """After a trial that broke two limits the chance was said to be 1 in 9."""
+    risks = {"a": np.array([2 / 3]), "b": np.array([2 / 3])}
+    broke, kept = tried(a=1.0, b=1.0), tried(a=-1.0, b=-1.0)
+    assert_allclose(all_kept(risks, (), [broke]), 1 / 3)
+    assert_allclose(all_kept(risks, (), [broke, kept]), 1 / 2)
+    assert_allclose(all_kept(risks, (), [tried(a=1.0, b=-1.0)]), 1 / 3)
+    # Of what worlds tell, and of one limit, nothing changes.
+    assert_allclose(all_kept(risks, ("a", "b"), [broke]), 1 / 9)
+    assert_allclose(all_kept({"a": risks["a"]}, (), [broke]), 1 / 3)
+    three = risks | {"c": np.array([0.1])}
+    assert_allclose(all_kept(three, ("c",), [broke]), 0.3)
+    # Trials that tell of one limit alone are not of all, and many leave it to the model.
+    assert_allclose(all_kept(risks, (), [tried(a=1.0)]), 1 / 9)
+    many = all_kept(risks, (), 200 * [broke])
+    assert_allclose(many, 1 / 9, rtol=0.01)
+    unknown = risks | {"a": np.array([np.nan])}
+    assert np.isnan(all_kept(unknown, (), [broke])).all()

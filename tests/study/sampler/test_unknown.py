@@ -5,11 +5,13 @@ import optuna
 import pytest
 from numpy.testing import assert_allclose
 from optuna.distributions import FloatDistribution
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.calibration import COST, MISFIT
 from study.sampler.prediction import REACH
+from study.sampler.unlike import READING
 from tests.study.sampler.studies import told
 
 LINE = np.linspace(0.0, 1.0, 40)
@@ -72,8 +74,9 @@ def test_before_a_trial_the_interval_is_that_of_a_machine_unlike_one_more_world(
     most += REACH * outcomes.std() * np.array([-1.0, 1.0])
     assert_allclose(found.low, np.clip(middle - away, *most))
     assert_allclose(found.high, np.clip(middle + away, *most))
-    z = (0.5 - outcomes.mean(axis=1)) / sd - COST.bias
-    assert_allclose(found.success, student.cdf(z, 2))
+    # A success in as many of the worlds, and of one more of each kind.
+    z = (0.5 - outcomes) / (READING * outcomes.std())
+    assert_allclose(found.success, (norm.cdf(z).sum(axis=1) + 1.0) / 5.0)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 from optuna.distributions import FloatDistribution
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler import prediction
 from study.sampler.acquisition import FAMILIAR
 from study.sampler.calibration import COST, COST_UNLIKE
 from study.sampler.unlike import FALSE_ALARMS, LEAST_WORLDS
@@ -101,3 +102,16 @@ def test_false_alarms_are_about_as_many_as_were_chosen():
             called[is_like] += bool(sampler.predict(study, [trial.params]).unlike)
     assert called[True] <= 120 * (FALSE_ALARMS[0] + 3.0 * np.sqrt(0.04 * 0.96 / 120))
     assert called[False] >= 120 * 0.25
+
+
+def test_what_is_recommended_on_an_unlike_machine_has_a_wider_interval(monkeypatch):
+    table = FeatureTable.from_arrays({"x": LINE}, outcomes=COSTS)
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
+    for place, value in enumerate([2.0, 1.9, 2.1]):
+        told(study, SPACE, {"x": LINE[4 * place]}, value)
+    found = study.sampler.best(study)
+    assert found.unlike and str(found).endswith(found.unlike)
+    monkeypatch.setattr(prediction, "unlike", lambda *_: None)
+    other = study.sampler.best(study)
+    assert not other.unlike and not str(other).endswith(" ")
+    assert found.high - found.low > 1.1 * (other.high - other.low)
