@@ -47,6 +47,7 @@ PACKAGES = (taichi_nmm, storage, study)
 # Made by us, of values that were checked; or made by nobody.
 CONTAINERS = {
     "Best",
+    "Forecast",
     "InputError",
     "Muscles",
     "Prediction",
@@ -361,6 +362,15 @@ def table_doors(folder):
         door(study.FeatureTable.from_parquet, path=folder / "frame.parquet", **named),
         door(
             study.FeatureTable.from_kernel, gram=np.eye(2), parameters={"x": [0.0, 1.0]}
+        ),
+        door(
+            study.forecast,
+            table=from_arrays({"x": [0.0, 1.0]}, outcomes=np.eye(2)),
+            success=0.5,
+            maximise=False,
+            allowed_risk={},
+            seed=1,
+            robots=1,
         ),
         door(study.FeatureTable.from_graph, weights=np.ones((2, 2)), hops=2.0),
     ]

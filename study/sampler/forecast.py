@@ -161,10 +161,10 @@ def _successes(first: Floats, trials: int) -> str:
     if not np.isfinite(first).any():
         return f"none succeeded within {trials} trials"
     last = int(first[np.isfinite(first)].max())
-    for count in (1, SOON, last):
+    for count in sorted({1, min(SOON, last), last}):
         within = int((first <= count).sum())
         when = "in the first trial" if count == 1 else f"within {count} trials"
-        if count <= last and within:
+        if within:
             told.append(f"{'all' if within == every else within} {when}")
         if within == every:
             break
@@ -172,7 +172,7 @@ def _successes(first: Floats, trials: int) -> str:
     if missed:
         told.append(f"{missed} not within {trials}")
     told[0] = told[0].replace(" ", " succeeded ", 1)
-    return ", ".join(dict.fromkeys(told))
+    return ", ".join(told)
 
 
 @checks.checked(
@@ -182,6 +182,7 @@ def _successes(first: Floats, trials: int) -> str:
     allowed_risk=checks.optional(allowed_risk),
     seed=checks.whole(0, checks.LARGEST_SEED),
     robots=checks.whole(1),
+    report=checks.optional(checks.function),
 )
 def forecast(
     table: FeatureTable,

@@ -70,6 +70,14 @@ def test_text_says_what_was_done_where(command, monkeypatch):
     assert (command.folder / "out" / "store" / "manifest.json").is_file()
 
 
+def test_a_forecast_is_said_where_worlds_tell_of_walkers(command):
+    found = command.tool.json(*command.words(), "--forecast")["forecast"]
+    assert found.startswith("Of 2 robots like your worlds ")
+    (command.folder / "store.toml").write_text(CONFIG.partition("families")[0])
+    message = "forecast: 'walker' cannot be used; allowed: a store of the walker with"
+    command.tool.refuses(message, *command.words(), "--forecast")
+
+
 def test_interrupt_exits_130_and_resumes(command, uninterrupted):
     done = run(command, signal="5:SIGINT")  # a shard takes two, for its family
     assert (done.code, done.last) == (130, INTERRUPTED) and shards(command.out) == 2

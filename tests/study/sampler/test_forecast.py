@@ -78,6 +78,7 @@ def robots(*firsts, family="world"):
             (1.0, 3.0, 9.0),
             "1 succeeded in the first trial, 2 within 3 trials, all within 9 trials",
         ),
+        ((2.0, 2.0), "all succeeded within 2 trials"),
         ((2.0, inf), "1 succeeded within 2 trials, 1 not within 10"),
         ((inf, inf), "none succeeded within 10 trials"),
     ],
