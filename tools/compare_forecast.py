@@ -11,6 +11,7 @@ robots of the arm `worlds`. A line at the end counts the medians that are within
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -97,11 +98,14 @@ def expected(folder: Path) -> tuple[Forecast, Forecast]:
     given = Table(dict(results.facts["objective"]), "objective")
     objective = read_objective(given, RESULT_DTYPE.names or ())
     every = computed(store, objective, results.facts["simulation"]["duration_s"])
-    names = {robot.family for robot in every.like}
     ground = next((GROUNDS[key] for key in GROUNDS if results.name.startswith(key)), "")
     if results.name in OTHER:
         ground = ""
-    return every, every.of([name for name in names if name.startswith(ground)])
+    like, strange = (
+        tuple(robot for robot in robots if robot.family.startswith(ground))
+        for robots in (every.like, every.strange)
+    )
+    return every, replace(every, like=like, strange=strange)
 
 
 @cache

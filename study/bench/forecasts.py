@@ -8,13 +8,21 @@ it is computed once.
 import hashlib
 import json
 from contextlib import suppress
+from dataclasses import asdict
 from typing import Any
 
+from storage.databases.files import read_errors
 from storage.inputs.errors import InputError
 from storage.inputs.version import __version__
 from study.bench.bench import Bench
 from study.bench.limits import by_limit
-from study.sampler.forecast import Forecast, Report, forecast, require_worlds
+from study.sampler.forecast import (
+    Forecast,
+    Report,
+    Robot,
+    forecast,
+    require_worlds,
+)
 from study.sampler.rows import Rows
 
 QUICK = 50_000  # rows times worlds that are looked at: some seconds
@@ -37,8 +45,15 @@ def refusal(bench: Bench) -> InputError | None:
 
 def known_forecast(bench: Bench) -> Forecast | None:
     """The forecast that was computed before; None: none was."""
-    document = bench.journal.kept(_key(bench))
-    return None if document is None else Forecast.of_document(document)
+    kept = bench.journal.kept(_key(bench))
+    if kept is None:
+        return None
+    with read_errors(bench.plan.url):  # which somebody may have edited
+        like, strange = (
+            tuple(Robot(**robot) for robot in kept[kind])
+            for kind in ("like", "strange")
+        )
+        return Forecast(kept["trials"], like, strange)
 
 
 def forecast_of(bench: Bench, report: Report | None = None) -> Forecast:
@@ -57,7 +72,7 @@ def forecast_of(bench: Bench, report: Report | None = None) -> Forecast:
     if known is None:
         known = forecast(bench.candidates, **_options(bench), report=report)
         with suppress(InputError):  # where nothing may be written, it is computed again
-            bench.journal.keep(_key(bench), known.document())
+            bench.journal.keep(_key(bench), asdict(known))
     return known
 
 

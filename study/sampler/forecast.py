@@ -12,7 +12,7 @@ a machine points beside them are tried too.
 
 import warnings
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from math import inf, isnan, nan
 from typing import Any
 
@@ -85,14 +85,6 @@ class Forecast:
         low, median, high = _middle([robot.best for robot in self._all])
         return low, median, high
 
-    def of(self, families: Collection[str]) -> "Forecast":
-        """The part of some families."""
-        like, strange = (
-            tuple(robot for robot in robots if robot.family in families)
-            for robots in (self.like, self.strange)
-        )
-        return replace(self, like=like, strange=strange)
-
     @property
     def _all(self) -> tuple[Robot, ...]:
         return self.like + self.strange
@@ -130,19 +122,6 @@ class Forecast:
             best = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
             parts.append(f"best value after {self.trials}: {best} (the middle 80 %)")
         return "; ".join(parts) + "."
-
-    def document(self) -> dict[str, Any]:
-        """As JSON has it; `of_document` reads it back."""
-        return asdict(self)
-
-    @classmethod
-    def of_document(cls, document: Mapping[str, Any]) -> "Forecast":
-        """The forecast of a document."""
-        like, strange = (
-            tuple(Robot(**robot) for robot in document[kind])
-            for kind in ("like", "strange")
-        )
-        return cls(document["trials"], like, strange)
 
 
 def _middle(values: Collection[float]) -> list[float]:

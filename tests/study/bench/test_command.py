@@ -367,8 +367,10 @@ def test_a_new_bench_says_what_to_expect_and_computes_it_once(bench, monkeypatch
 
     monkeypatch.setattr(forecasts, "forecast", never)
     assert line in bench("new walk.toml") and line in bench("forecast")
-    entries = len(Bench("walk.toml").entries)
-    assert entries == 1
+    begun = Bench("walk.toml")
+    assert len(begun.entries) == 1
+    begun.journal.keep(forecasts._key(begun), {"trials": 10, "like": [{"far": 1}]})
+    assert bench("forecast", 2).startswith("error: storage: ")
 
 
 def test_what_takes_long_is_asked_for(bench, monkeypatch):
