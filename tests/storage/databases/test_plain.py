@@ -9,7 +9,7 @@ import optuna
 import pytest
 from optuna.distributions import CategoricalDistribution, FloatDistribution
 from optuna.study import StudyDirection
-from optuna.trial import FrozenTrial, TrialState, create_trial
+from optuna.trial import TrialState, create_trial
 
 from storage.databases.files import read_attributes, read_errors
 from storage.databases.plain import PlainStudies, is_known
@@ -23,7 +23,7 @@ SPACE = {
 MAXIMISED = StudyDirection.MAXIMIZE
 
 
-def trial_of(value: float | None, note: str = "", x: float = 0.3) -> FrozenTrial:
+def trial_of(value, note="", x=0.3):
     """A trial with this value; None: it runs."""
     is_told = value is not None
     return create_trial(
@@ -37,14 +37,14 @@ def trial_of(value: float | None, note: str = "", x: float = 0.3) -> FrozenTrial
 
 
 @pytest.fixture
-def url(tmp_path: Path) -> str:
+def url(tmp_path):
     """Of a database that Optuna has made."""
     found = f"sqlite:///{tmp_path}/studies.db"
     optuna.create_study(storage=open_studies(found), study_name="another")
     return found
 
 
-def shown(url: str) -> list[FrozenTrial]:
+def shown(url):
     """The trials, as Optuna reads them."""
     storage = optuna.storages.RDBStorage(url)
     study = optuna.load_study(study_name="walk", storage=storage)
@@ -52,7 +52,7 @@ def shown(url: str) -> list[FrozenTrial]:
     return study.trials
 
 
-def assert_equal(found: list[FrozenTrial], wanted: list[FrozenTrial]) -> None:
+def assert_equal(found, wanted):
     for number, (trial, own) in enumerate(zip(found, wanted, strict=True)):
         assert trial.number == number
         for part in ("state", "values", "params", "distributions", "user_attrs"):
@@ -61,7 +61,7 @@ def assert_equal(found: list[FrozenTrial], wanted: list[FrozenTrial]) -> None:
         assert trial.datetime_complete == own.datetime_complete
 
 
-def test_trials_are_those_that_optuna_would_have_added(url: str) -> None:
+def test_trials_are_those_that_optuna_would_have_added(url):
     studies = PlainStudies(url)
     wanted = [trial_of(1.5, "é"), trial_of(-np.inf), trial_of(None, "runs")]
     studies.bring("walk", MAXIMISED, wanted)
@@ -75,8 +75,8 @@ def test_trials_are_those_that_optuna_would_have_added(url: str) -> None:
 
 
 def test_a_trial_that_runs_may_be_finished_and_one_that_was_corrected_makes_all_anew(
-    url: str,
-) -> None:
+    url,
+):
     studies = PlainStudies(url)
     studies.bring("walk", MAXIMISED, [trial_of(None)])
     (runs,) = shown(url)
@@ -91,7 +91,7 @@ def test_a_trial_that_runs_may_be_finished_and_one_that_was_corrected_makes_all_
     assert_equal(shown(url), corrected[:1])
 
 
-def test_attributes_are_kept_and_a_transaction_is_whole_or_not_there(url: str) -> None:
+def test_attributes_are_kept_and_a_transaction_is_whole_or_not_there(url):
     studies = PlainStudies(url)
     for value in ({"a": [1, 0.1]}, {"a": None}):
         studies.set_attribute("walk (log)", "entry", value)
@@ -115,7 +115,7 @@ def test_attributes_are_kept_and_a_transaction_is_whole_or_not_there(url: str) -
         "UPDATE study_directions SET direction = 'UP'",
     ],
 )
-def test_what_optuna_could_not_read_is_refused(url: str, edit: str) -> None:
+def test_what_optuna_could_not_read_is_refused(url, edit):
     studies = PlainStudies(url)
     studies.bring("walk", MAXIMISED, [trial_of(1.0)])
     studies.require_readable("walk")
@@ -127,7 +127,7 @@ def test_what_optuna_could_not_read_is_refused(url: str, edit: str) -> None:
         studies.require_readable("walk")
 
 
-def test_a_file_of_another_schema_is_left_to_optuna(url: str, tmp_path: Path) -> None:
+def test_a_file_of_another_schema_is_left_to_optuna(url, tmp_path):
     assert is_known(url)
     assert not is_known(f"sqlite:///{tmp_path}/none.db")
     with closing(sqlite3.connect(url.removeprefix("sqlite:///"))) as database:
@@ -136,7 +136,7 @@ def test_a_file_of_another_schema_is_left_to_optuna(url: str, tmp_path: Path) ->
     assert not is_known(url)
 
 
-def test_a_file_that_was_removed_is_not_written(url: str) -> None:
+def test_a_file_that_was_removed_is_not_written(url):
     studies = PlainStudies(url)
     Path(url.removeprefix("sqlite:///")).unlink()
     with pytest.raises(InputError, match="no trial since then is kept"):
