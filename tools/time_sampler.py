@@ -9,7 +9,6 @@ each number, and a number above it is bold.
 """
 
 import math
-import resource
 import sys
 import time
 import warnings
@@ -189,6 +188,8 @@ def _propose_ms(study: optuna.Study, features: int) -> float:
 
 def peak_mib() -> float:
     """Most memory that this process has held."""
+    import resource  # of POSIX
+
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 

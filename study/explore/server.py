@@ -6,6 +6,7 @@ found either.
 """
 
 import html
+import signal
 import socket
 import sys
 import time
@@ -13,6 +14,7 @@ import traceback
 import zlib
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -260,3 +262,17 @@ class Saver:
             "name": [name],
             "content": [np.frombuffer(content, np.uint8)],
         }
+
+
+def run(loop: IOLoop) -> None:
+    """Serve until Ctrl-C, which the loop itself sees.
+
+    Raised as an exception it may be lost: Python drops what is raised while it frees an
+    object, such as a connection that has just been closed.
+    """
+    with suppress(KeyboardInterrupt):
+        try:
+            loop.asyncio_loop.add_signal_handler(signal.SIGINT, loop.stop)
+            loop.start()
+        finally:
+            loop.asyncio_loop.remove_signal_handler(signal.SIGINT)

@@ -1,6 +1,7 @@
 """The page's server: whom it answers, calls of which the latest counts, and the message line."""
 
 import http.client
+import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
@@ -12,8 +13,9 @@ from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import pytest
+from tornado.ioloop import IOLoop
 
-from study.explore.server import OURS, Latest, Message
+from study.explore.server import OURS, Latest, Message, run
 from tests.study import fake_walker
 from tests.study.explore.serving import explorer
 
@@ -183,3 +185,21 @@ def test_a_mistake_of_ours_is_called_so(capsys: pytest.CaptureFixture[str]) -> N
     )
     assert message.layout.text == OURS
     assert "cannot import name 'x'" in capsys.readouterr().err
+
+
+class Freed:
+    """An object during whose end Ctrl-C is typed."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_ctrl_c_is_not_lost_while_an_object_is_freed() -> None:
+    before, late = signal.getsignal(signal.SIGINT), Mock()
+    loop = IOLoop(make_current=False)
+    for wait_s, called in ((0.0, Freed), (20.0, late), (20.0, loop.stop)):
+        loop.call_later(wait_s, called)
+    run(loop)
+    assert not late.called
+    assert signal.getsignal(signal.SIGINT) is before
+    loop.close()
