@@ -51,11 +51,13 @@ class Robot:
             says what a success is.
         best: its best value after all trials; NaN: there was none, since no candidate
             was within the allowed risk.
+        refused: whether its trials ended early, for that.
     """
 
     family: str
     first: float
     best: float
+    refused: bool = False
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class Forecast:
         """Families of which fewer than half succeed soon: how many do, by name."""
         found = dict[str, str]()
         for family in dict.fromkeys(robot.family for robot in self.like):
-            own = [robot for robot in self._all if robot.family == family]
+            own = [robot for robot in self.like if robot.family == family]
             soon = sum(robot.first <= SOON for robot in own)
             if 2 * soon < len(own) and not isnan(own[0].first):
                 found[family] = f"{soon} of {len(own)}"
@@ -102,7 +104,12 @@ class Forecast:
 
     def __str__(self) -> str:
         """Some lines for people."""
-        lines = [f"Of {len(self.like)} robots like your worlds {self._said(self.like)}"]
+        count = "1 robot" if len(self.like) == 1 else f"{len(self.like)} robots"
+        said = self._said(self.like)
+        if isnan(self.like[0].first):
+            lines = [f"{count} like your worlds: {said}"]
+        else:
+            lines = [f"Of {count} like your worlds {said}"]
         if self.strange:
             said = self._said(self.strange)
             lines.append(f"While no world of their kind was known, {said}")
@@ -117,6 +124,9 @@ class Forecast:
         first = np.array([robot.first for robot in robots])
         if not np.isnan(first).any():
             parts.append(_successes(first, self.trials))
+        refused = sum(robot.refused for robot in robots)
+        if refused:
+            parts.append(f"for {refused} no candidate was within the allowed risk")
         low, _, high = _middle([robot.best for robot in robots])
         if not isnan(low):
             best = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
@@ -323,26 +333,32 @@ class _Left:
             StudyDirection.MAXIMIZE if self._maximise else StudyDirection.MINIMIZE
         )
         study = optuna.create_study(sampler=sampler, direction=direction)
-        values = list[float]()
+        values, refused = list[float](), False
         for _ in range(TRIALS):
             try:
                 trial = study.ask(rows.space.as_dict())
-            except (RiskError, TableExhaustedError):
+            except TableExhaustedError:
                 break
-            row = int(trial.user_attrs["row"])
+            except RiskError:
+                refused = True
+                break
+            # Of a table of one row Optuna asks no sampler, and there is no note.
+            row = rows.find(trial.params)
+            assert row is not None
             for name, limit in rows.limits.items():
                 if self._worlds.names[robot] in limit.names:
                     world = limit.names.index(self._worlds.names[robot])
                     trial.set_constraint(name, 2.0 * limit.costs[row, world] - 1.0)
             values.append(float(self._worlds.costs[row, robot]))
             study.tell(trial, values[-1])
-        return self._robot(robot, np.array(values))
+        return self._robot(robot, np.array(values), refused=refused)
 
-    def _robot(self, robot: int, values: Floats) -> Robot:
+    def _robot(self, robot: int, values: Floats, *, refused: bool) -> Robot:
         sign, success = -1.0 if self._maximise else 1.0, self._options["success"]
         first = nan
         if success is not None:
             good = np.flatnonzero(sign * values <= sign * success)
             first = float(good[0]) + 1.0 if len(good) else inf
         best = sign * float((sign * values).min()) if len(values) else nan
-        return Robot(family_of(self._worlds.names[robot]), first, best)
+        family = family_of(self._worlds.names[robot])
+        return Robot(family=family, first=first, best=best, refused=refused)

@@ -91,6 +91,7 @@ def test_families_of_which_few_succeed_soon_are_called_hard():
     found = Forecast(TRIALS, up + down, ())
     assert found.hard == {"up": "1 of 3"} and "Hard, within 3 trials: up" in str(found)
     assert found.first == (1.0, 7.0, inf)
+    assert replace(found, strange=up).hard == found.hard
 
 
 def test_a_table_whose_worlds_all_fall_says_so():
@@ -103,7 +104,21 @@ def test_without_a_success_it_tells_of_values_alone():
     found = forecast(table_of())
     assert all(isnan(robot.first) for robot in found.like)
     assert "succeed" not in str(found) and not found.hard
-    assert "like your worlds best value after 10: 0.3" in str(found)
+    assert str(found).startswith("8 robots like your worlds: best value after 10: 0.3")
+
+
+def test_one_row_is_tried_again_and_again():
+    table = FeatureTable.from_arrays({"x": [0.5]}, outcomes=[[0.3, 0.4]])
+    found = forecast(table, success=0.35)
+    assert [robot.first for robot in found.like] == [1.0, inf]
+    assert [robot.best for robot in found.like] == [0.3, 0.4]
+
+
+def test_robots_of_which_nothing_is_within_the_risk_are_named():
+    broken = {"fall": np.where(LINE[:, None] + PLACES > 0.0, 1.0, -1.0)}
+    found = forecast(table_of(limits=broken), success=SUCCESS, allowed_risk=0.05)
+    assert all(robot.refused and isnan(robot.best) for robot in found.like)
+    assert "for 8 no candidate was within the allowed risk" in str(found)
 
 
 @pytest.mark.parametrize(
