@@ -21,23 +21,24 @@ with guarded_imports():
     import numpy as np
 
     from storage.inputs.config import Table
+    from storage.inputs.errors import InputError
     from study.experiment.features import world_table
     from study.experiment.objective import Objective, read_objective
     from study.options import Options
-    from study.report.runs import known_stores, read_results
-    from study.sampler.forecast import MIDDLE, TRIALS, Forecast, forecast
+    from study.report.runs import Results, known_stores, read_results
+    from study.sampler.forecast import TRIALS, Forecast, forecast, middle
     from taichi_nmm.result import RESULT_DTYPE
 
 ARM = "worlds"
 NONE = "none"
 GROUNDS = {  # the families of a ground, by the begin of their names
     "rough": "rough",
+    "outside-gravel": "",  # no family has its ground
     "outside": "rough",
     "risers": "blocks",
     "ramp-up": "up",
     "ramp-down": "down",
 }
-OTHER = ("outside-gravel", "stairs-down")  # no family has their ground
 
 
 def main() -> None:
@@ -48,7 +49,13 @@ def main() -> None:
 
 
 def table(folders: list[Path]) -> Iterator[str]:
-    """The lines of the table."""
+    """The lines of the table.
+
+    Raises:
+        InputError: before the first line: no comparison of walkers, or its store is gone.
+    """
+    every = [read_results(folder) for folder in folders]
+    known = [known_of(results) for results in every]
     yield (
         "| experiment | first success: all worlds | of this ground | robots | median "
         f"| least cost after {TRIALS}: all worlds | of this ground | robots | median |"
@@ -56,13 +63,12 @@ def table(folders: list[Path]) -> Iterator[str]:
     yield "|---|---|---|---|---:|---|---|---|---:|"
     within = {"all worlds": 0, "of this ground": 0}
     count = 0
-    for folder in folders:
-        results = read_results(folder)
+    for results, (objective, store) in zip(every, known, strict=True):
         arm = results.arms.get(ARM)
         if arm is None:
-            print(f"{folder}: no trials of {ARM} yet", file=sys.stderr)
+            print(f"{results.folder}: no trials of {ARM} yet", file=sys.stderr)
             continue
-        forecasts = expected(folder)
+        forecasts = expected(results, objective, store)
         first = np.where(arm.first_walker <= TRIALS, arm.first_walker, np.inf)
         cells = list[str]()
         # Of robots whose trials ended with the first walker no later cost is known.
@@ -71,9 +77,7 @@ def table(folders: list[Path]) -> Iterator[str]:
             if not len(values):
                 cells += 4 * ["-"]
                 continue
-            low, median, high = np.quantile(
-                values, MIDDLE, method="inverted_cdf"
-            ).tolist()
+            low, median, high = middle(values)
             for which, found in zip(within, forecasts, strict=True):
                 ends = getattr(found, name)
                 cells.append(f"{shown(ends[0])} to {shown(ends[2])}")
@@ -91,16 +95,26 @@ def shown(value: float) -> str:
     return f"{value:.4g}" if value < float("inf") else NONE
 
 
-def expected(folder: Path) -> tuple[Forecast, Forecast]:
+def known_of(results: Results) -> tuple[Objective, Path]:
+    """What a trial of the experiment costs, and the store whose worlds the arm knew.
+
+    Raises:
+        InputError: no walker had these trials, or the store is gone, or another one now.
+    """
+    facts, store = results.facts, known_stores(results).get(ARM)
+    if store is None or "simulator" in facts or "objective" not in facts:
+        allowed = f"a comparison of walkers, whose store of {ARM} is there, unchanged"
+        raise InputError("folder", str(results.folder), allowed)
+    given = Table(dict(facts["objective"]), "objective")
+    return read_objective(given, RESULT_DTYPE.names or ()), store
+
+
+def expected(
+    results: Results, objective: Objective, store: Path
+) -> tuple[Forecast, Forecast]:
     """The forecast for an experiment: of all worlds, and of those of its ground."""
-    results = read_results(folder)
-    store = known_stores(results)[ARM]
-    given = Table(dict(results.facts["objective"]), "objective")
-    objective = read_objective(given, RESULT_DTYPE.names or ())
     every = computed(store, objective, results.facts["simulation"]["duration_s"])
     ground = next((GROUNDS[key] for key in GROUNDS if results.name.startswith(key)), "")
-    if results.name in OTHER:
-        ground = ""
     like, strange = (
         tuple(robot for robot in robots if robot.family.startswith(ground))
         for robots in (every.like, every.strange)

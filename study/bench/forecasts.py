@@ -21,7 +21,6 @@ from study.sampler.forecast import (
     Report,
     Robot,
     forecast,
-    require_worlds,
 )
 from study.sampler.rows import Rows
 
@@ -32,15 +31,6 @@ KEY = "forecast"  # of the attribute, before the digest
 def is_quick(rows: Rows) -> bool:
     """Whether a forecast takes seconds, and not a minute."""
     return rows.worlds is not None and rows.worlds.costs.size <= QUICK
-
-
-def refusal(bench: Bench) -> InputError | None:
-    """Why nothing can be forecast; None: it can."""
-    try:
-        require_worlds(bench.candidates.rows)
-    except InputError as error:
-        return error
-    return None
 
 
 def known_forecast(bench: Bench) -> Forecast | None:

@@ -215,11 +215,13 @@ def forecast(bench: Bench, args: Namespace) -> None:
 def tell_forecast(bench: Bench, *, is_asked: bool) -> None:
     """Print what to expect; if it takes long and nobody asked for it, how to ask."""
     from study.bench import forecasts
+    from study.sampler.forecast import require_worlds
 
-    error = forecasts.refusal(bench)
-    if error is not None:
+    try:
+        require_worlds(bench.candidates.rows)
+    except InputError as error:
         if is_asked:
-            raise error
+            raise
         print(f"what to expect before the first trial is unknown: {error}")
         return
     is_quick = forecasts.is_quick(bench.candidates.rows)

@@ -78,28 +78,26 @@ class Forecast:
     @property
     def first(self) -> tuple[float, float, float]:
         """The trial of the first success: the ends of the middle 80 %, and the median between."""
-        low, median, high = _middle([robot.first for robot in self._all])
-        return low, median, high
+        return middle([robot.first for robot in self._all])
 
     @property
     def best(self) -> tuple[float, float, float]:
         """The best value after all trials, likewise."""
-        low, median, high = _middle([robot.best for robot in self._all])
-        return low, median, high
+        return middle([robot.best for robot in self._all])
 
     @property
     def _all(self) -> tuple[Robot, ...]:
         return self.like + self.strange
 
     @property
-    def hard(self) -> dict[str, str]:
-        """Families of which fewer than half succeed soon: how many do, by name."""
-        found = dict[str, str]()
+    def hard(self) -> list[str]:
+        """Families of which fewer than half succeed soon, and how many do."""
+        found = list[str]()
         for family in dict.fromkeys(robot.family for robot in self.like):
             own = [robot for robot in self.like if robot.family == family]
             soon = sum(robot.first <= SOON for robot in own)
             if 2 * soon < len(own) and not isnan(own[0].first):
-                found[family] = f"{soon} of {len(own)}"
+                found.append(f"{family} ({soon} of {len(own)})")
         return found
 
     def __str__(self) -> str:
@@ -114,8 +112,7 @@ class Forecast:
             said = self._said(self.strange)
             lines.append(f"While no world of their kind was known, {said}")
         if self.hard:
-            parts = [f"{family} ({count})" for family, count in self.hard.items()]
-            lines.append(f"Hard, within {SOON} trials: {', '.join(parts)}.")
+            lines.append(f"Hard, within {SOON} trials: {', '.join(self.hard)}.")
         lines.append("Each is a world that was left out. Another machine is harder.")
         return "\n".join(lines)
 
@@ -127,21 +124,21 @@ class Forecast:
         refused = sum(robot.refused for robot in robots)
         if refused:
             parts.append(f"for {refused} no candidate was within the allowed risk")
-        low, _, high = _middle([robot.best for robot in robots])
+        low, _, high = middle([robot.best for robot in robots])
         if not isnan(low):
             best = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
             parts.append(f"best value after {self.trials}: {best} (the middle 80 %)")
         return "; ".join(parts) + "."
 
 
-def _middle(values: Collection[float]) -> list[float]:
+def middle(values: Collection[float]) -> tuple[float, float, float]:
     """Quantiles `MIDDLE` of values, of which some are infinite; NaN is none."""
     known = np.array([value for value in values if not isnan(value)])
     if not len(known):
-        return [nan] * len(MIDDLE)
+        return nan, nan, nan
     # Not interpolated: between a number and infinity there is nothing.
-    found: list[float] = np.quantile(known, MIDDLE, method="inverted_cdf").tolist()
-    return found
+    low, median, high = np.quantile(known, MIDDLE, method="inverted_cdf").tolist()
+    return low, median, high
 
 
 def _successes(first: Floats, trials: int) -> str:

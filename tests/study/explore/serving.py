@@ -1,9 +1,6 @@
 """The explorer as a process, and hands on its page."""
 
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import IO, Any
 
 from tests.processes import ROOT, serving
 
@@ -11,7 +8,7 @@ WALKS = "window.walk_player?.shown"
 
 
 @contextmanager
-def explorer(folder: Path, *words: str, errors: IO[str] | None = None) -> Iterator[str]:
+def explorer(folder, *words, errors=None):
     """The address of its page; `words` are options, `errors` takes what it prints of errors."""
     command = ("-m", "taichi_nmm", "explore", folder, "--port", 0, "--no-browser")
     repairs = ("--out", folder.parent / "repairs")
@@ -20,7 +17,7 @@ def explorer(folder: Path, *words: str, errors: IO[str] | None = None) -> Iterat
 
 
 @contextmanager
-def opened(page: Any, folder: Path, *words: str) -> Iterator[str]:
+def opened(page, folder, *words):
     """The address of a page whose first gait walks, and which is left before its server ends."""
     with explorer(folder, *words) as address:
         page.goto(address)
@@ -29,7 +26,7 @@ def opened(page: Any, folder: Path, *words: str) -> Iterator[str]:
         page.goto("about:blank")
 
 
-def change(page: Any, name: str, attribute: str, value: Any) -> None:
+def change(page, name, attribute, value):
     """What a hand on the model does."""
     page.evaluate(
         "([name, attribute, value]) => { named(name)[attribute] = value }",
@@ -37,13 +34,13 @@ def change(page: Any, name: str, attribute: str, value: Any) -> None:
     )
 
 
-def walks(page: Any, act: Callable[[], Any]) -> None:
+def walks(page, act):
     """Do something, and wait until another walk is seen."""
     seen = page.evaluate(WALKS)
     act()
     page.wait_for_function(f"{WALKS} > {seen}")
 
 
-def show_row(page: Any, row: int) -> None:
+def show_row(page, row):
     """Let a row walk."""
     walks(page, lambda: change(page, "row", "value", row))

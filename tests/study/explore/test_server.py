@@ -3,10 +3,8 @@
 import http.client
 import signal
 import time
-from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 from unittest.mock import Mock, call
 from urllib.parse import urlsplit
@@ -31,13 +29,13 @@ SOCKET = {
 
 
 @pytest.fixture(scope="module")
-def errors(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def errors(tmp_path_factory):
     """What the explorer prints of errors."""
     return tmp_path_factory.mktemp("printed") / "errors.txt"
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory, errors: Path) -> Iterator[str]:
+def address(tmp_path_factory, errors):
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     store = tmp_path_factory.mktemp("served") / "store"
     fake_walker.write_plain_store(store)
@@ -45,14 +43,14 @@ def address(tmp_path_factory: pytest.TempPathFactory, errors: Path) -> Iterator[
         yield found
 
 
-def status(address: str, path: str, headers: dict[str, str]) -> int:
+def status(address, path, headers):
     connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=30)
     with closing(connection):
         connection.request("GET", path, headers=headers)
         return connection.getresponse().status
 
 
-def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -> None:
+def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address):
     assert urlsplit(address).hostname == "127.0.0.1"
     assert status(address, "/", {}) == 200
     port = urlsplit(address).port
@@ -64,7 +62,7 @@ def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address: str) -
         assert status(address, path, {}) == 404
 
 
-def test_a_sign_comes_before_the_page_which_takes_seconds(address: str) -> None:
+def test_a_sign_comes_before_the_page_which_takes_seconds(address):
     found = [urlopen(f"{address}{query}").read().decode() for query in ("", "?opened")]
     assert "The page opens" in found[0] and 'replace("/?opened")' in found[0]
     assert "Bokeh" not in found[0] and "Bokeh" in found[1]
@@ -74,18 +72,18 @@ def test_a_sign_comes_before_the_page_which_takes_seconds(address: str) -> None:
     "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""]
 )
 @pytest.mark.parametrize("path", ["/", "/static/js/bokeh.min.js", "/ws", "/metadata"])
-def test_other_names_find_nothing(address: str, host: str, path: str) -> None:
+def test_other_names_find_nothing(address, host, path):
     assert status(address, path, {"Host": host}) in (400, 404)
 
 
-def token_of(lasts_s: int = 300) -> str:
+def token_of(lasts_s=300):
     """A token as the page's own script sends it; Bokeh's word for a session is free."""
     from bokeh.util.token import generate_jwt_token
 
     return generate_jwt_token("stranger", expiration=lasts_s)
 
 
-def open_socket(address: str, words: str, origin: str | None = None) -> int:
+def open_socket(address, words, origin=None):
     headers = {
         **SOCKET,
         "Origin": origin or address.rstrip("/"),
@@ -97,13 +95,11 @@ def open_socket(address: str, words: str, origin: str | None = None) -> int:
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "http://127.0.0.1:1", "null"]
 )
-def test_a_socket_of_another_page_is_refused(address: str, origin: str) -> None:
+def test_a_socket_of_another_page_is_refused(address, origin):
     assert open_socket(address, f"bokeh, {token_of()}", origin) == 403
 
 
-def test_a_socket_without_a_page_s_token_finds_nothing(
-    address: str, errors: Path
-) -> None:
+def test_a_socket_without_a_page_s_token_finds_nothing(address, errors):
     # The page's own way works.
     assert open_socket(address, f"bokeh, {token_of()}") == 101
     late, huge = token_of(lasts_s=-1), "W" * 60_000
@@ -114,7 +110,7 @@ def test_a_socket_without_a_page_s_token_finds_nothing(
     assert "Traceback" not in errors.read_text()
 
 
-def start() -> tuple[Latest, Mock, list[Future[Any]]]:
+def start():
     """With its tab, executor and callbacks in one, and the calls that a test ends."""
     calls, all_else = [Future[Any]() for _ in range(3)], Mock()
     all_else.submit.side_effect = calls
@@ -122,7 +118,7 @@ def start() -> tuple[Latest, Mock, list[Future[Any]]]:
     return Latest(all_else, all_else, all_else.done, all_else.failed), all_else, calls
 
 
-def test_what_waits_gives_way() -> None:
+def test_what_waits_gives_way():
     latest, seen, calls = start()
     for number in range(5):
         latest.ask(print, number)
@@ -135,7 +131,7 @@ def test_what_waits_gives_way() -> None:
     assert seen.submit.call_count == 3
 
 
-def test_an_error_is_told_and_what_waits_comes_after_it() -> None:
+def test_an_error_is_told_and_what_waits_comes_after_it():
     latest, seen, calls = start()
     latest.ask(print, 0)
     latest.ask(print, 1)
@@ -146,7 +142,7 @@ def test_an_error_is_told_and_what_waits_comes_after_it() -> None:
     assert seen.done.mock_calls == [call("one")]
 
 
-def test_a_closed_tab_gets_nothing() -> None:
+def test_a_closed_tab_gets_nothing():
     latest, seen, calls = start()
     latest.ask(print, 0)
     latest.ask(print, 1)
@@ -172,13 +168,13 @@ def test_a_closed_tab_gets_nothing() -> None:
         ),
     ],
 )
-def test_what_the_machine_lacks_is_said(error: ImportError, said: str) -> None:
+def test_what_the_machine_lacks_is_said(error, said):
     message = Message("message")
     message.failed(error)
     assert message.layout.text == said.replace("'", "&#x27;")
 
 
-def test_a_mistake_of_ours_is_called_so(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mistake_of_ours_is_called_so(capsys):
     message = Message("message")
     message.failed(
         ImportError("cannot import name 'x'", name="study.view", path="/study/view.py")
@@ -190,11 +186,11 @@ def test_a_mistake_of_ours_is_called_so(capsys: pytest.CaptureFixture[str]) -> N
 class Freed:
     """An object during whose end Ctrl-C is typed."""
 
-    def __del__(self) -> None:
+    def __del__(self):
         signal.raise_signal(signal.SIGINT)
 
 
-def test_ctrl_c_is_not_lost_while_an_object_is_freed() -> None:
+def test_ctrl_c_is_not_lost_while_an_object_is_freed():
     before, late = signal.getsignal(signal.SIGINT), Mock()
     loop = IOLoop(make_current=False)
     for wait_s, called in ((0.0, Freed), (20.0, late), (20.0, loop.stop)):

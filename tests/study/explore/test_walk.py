@@ -13,10 +13,10 @@ import pytest
 from storage.inputs.config import read_toml
 from study.commands.walk import summary
 from study.experiment.gains import gains_of_source, named_gains
-from study.experiment.walker import WalkerExperiment, as_written, read_experiment
+from study.experiment.walker import as_written, read_experiment
 from study.explore import walk as walking
 from study.explore.strides import Cycle
-from study.explore.walk import Walk, chosen_setting, walk
+from study.explore.walk import chosen_setting, walk
 from study.explore.walk_view import score_text
 from study.options import config_path
 from study.pictures.gait_cycle import PANELS
@@ -28,7 +28,7 @@ from tests.study import synthetic_gait
 from tests.tools.running import run_tool
 
 
-def same_robot(one: WalkerExperiment, other: WalkerExperiment) -> None:
+def same_robot(one, other):
     """Body, world and ground have the same bits."""
     np.testing.assert_array_equal(one.body(0).mass_kg, other.body(0).mass_kg)
     np.testing.assert_array_equal(one.world(0).strength, other.world(0).strength)
@@ -37,7 +37,7 @@ def same_robot(one: WalkerExperiment, other: WalkerExperiment) -> None:
     assert simulations[0] == simulations[1]
 
 
-def reread(experiment: WalkerExperiment, folder: Path) -> WalkerExperiment:
+def reread(experiment, folder):
     path = folder / "walk.toml"
     path.write_text(walking.to_toml(as_written(experiment)))
     return read_experiment(path)
@@ -55,7 +55,7 @@ LEVEL: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("ground", walking.GROUNDS)
-def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> None:
+def test_a_chosen_setting_is_a_configuration(ground, tmp_path):
     robots = zip(walking.WORLDS, [*walking.DISTURBANCES] * 2, strict=False)
     for seed, (world, disturbance) in enumerate(robots):
         setting = chosen_setting(
@@ -73,7 +73,7 @@ def test_a_chosen_setting_is_a_configuration(ground: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     "name", ["rough8-smooth", "mujoco-rough8-soft", "outside-weak", "ramp-up"]
 )
-def test_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
+def test_an_experiment_is_a_configuration(name, tmp_path):
     experiment = read_experiment(config_path(name))
     again = reread(experiment, tmp_path)
     same_robot(experiment, again)
@@ -81,8 +81,8 @@ def test_an_experiment_is_a_configuration(name: str, tmp_path: Path) -> None:
 
 
 def test_a_seed_that_no_configuration_takes_and_tables_within_tables(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     with pytest.raises(InputError, match="seed: -1"):
         chosen_setting(**LEVEL | {"seed": -1})
     tables = {"a": {"b": {"c": 1.5}, "d": [1, 2]}, "e": "x\ty", "f": True}
@@ -91,7 +91,7 @@ def test_a_seed_that_no_configuration_takes_and_tables_within_tables(
 
 
 @pytest.fixture(scope="module")
-def fell() -> Walk:
+def fell():
     """The published gains on stairs, on which it falls."""
     setting = chosen_setting(
         ground="stairs up, 10 cm a step",
@@ -105,7 +105,7 @@ def fell() -> Walk:
 
 
 @pytest.mark.slow
-def test_a_fall_has_frames_and_a_reason(fell: Walk) -> None:
+def test_a_fall_has_frames_and_a_reason(fell):
     frames, trajectory = fell.frames, fell.trajectory
     count = len(frames["time_s"])
     assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
@@ -124,7 +124,7 @@ def test_a_fall_has_frames_and_a_reason(fell: Walk) -> None:
     assert leaned or height_m < 0.62
 
 
-def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
+def test_a_walk_that_never_was_finite_still_has_frames_or_says_so():
     trajectory = synthetic_gait.walk(2.0, 100.0)
     q = trajectory.q.copy()
     q[50:] = np.nan
@@ -135,11 +135,11 @@ def test_a_walk_that_never_was_finite_still_has_frames_or_says_so() -> None:
 
 @pytest.mark.slow
 def test_what_is_taken_walks_the_same_to_the_bit(
-    fell: Walk,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    fell,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
     monkeypatch.chdir(tmp_path)
     for wanted in walking.NAMES:
         name, content = walking.file_of_walk(fell, wanted)
@@ -157,9 +157,7 @@ def test_what_is_taken_walks_the_same_to_the_bit(
 
 
 @pytest.mark.slow
-def test_recordings_and_pictures_are_those_of_the_command(
-    fell: Walk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_recordings_and_pictures_are_those_of_the_command(fell, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pytest.importorskip("ezc3d", reason="no ezc3d: pip install 'taichi-nmm[c3d]'")
     Path("walk.toml").write_bytes(walking.file_of_walk(fell, "walk.toml")[1])
@@ -172,7 +170,7 @@ def test_recordings_and_pictures_are_those_of_the_command(
         assert name == wanted and Path(wanted).read_bytes() == content, wanted
 
 
-def test_axes_of_the_stride_show_all() -> None:
+def test_axes_of_the_stride_show_all():
     """The impact of the heel goes beyond what people's tables need."""
     cycle = Cycle()
     cycle.show(walk(gains_of_source("published"), chosen_setting(**LEVEL)), None)
@@ -185,7 +183,7 @@ def test_axes_of_the_stride_show_all() -> None:
     assert force.y_range.end == highest > PANELS["vertical_bw"].ceiling
 
 
-def test_the_score_has_the_numbers_and_the_words_of_the_command() -> None:
+def test_the_score_has_the_numbers_and_the_words_of_the_command():
     """By their labels; of a walk that made no step most are unknown."""
     level = chosen_setting(**LEVEL | {"duration_s": 2.0})
     weak = gains_of_source("reference").as_document() | {"K_VAS": 0.0}

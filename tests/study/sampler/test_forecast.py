@@ -89,7 +89,7 @@ def test_a_sentence_says_how_many_and_when(firsts, said):
 def test_families_of_which_few_succeed_soon_are_called_hard():
     up, down = robots(inf, 7.0, 2.0, family="up"), robots(1.0, 9.0, family="down")
     found = Forecast(TRIALS, up + down, ())
-    assert found.hard == {"up": "1 of 3"} and "Hard, within 3 trials: up" in str(found)
+    assert found.hard == ["up (1 of 3)"] and "Hard, within 3 trials: up" in str(found)
     assert found.first == (1.0, 7.0, inf)
     assert replace(found, strange=up).hard == found.hard
 

@@ -23,7 +23,6 @@ SPACE = {"x": FloatDistribution(0.0, 1.0)}
 PLACES = np.linspace(0.55, 0.85, 12)
 COSTS = np.abs(LINE[:, None] - PLACES) + 0.2
 FELL = LINE[:, None] > PLACES
-HALF = {"allowed_risk": {"fall": 0.5}}
 
 
 def table_of(fell=FELL, costs=COSTS, features=None):
