@@ -33,7 +33,14 @@ if TYPE_CHECKING:
     from taichi_nmm.simulator import forward_dynamics, simulate
     from taichi_nmm.terrain import Terrain
     from taichi_nmm.walkers import Switch
-    from taichi_nmm.world import Exoskeleton, Prosthesis, WorldRanges, Worlds
+    from taichi_nmm.world import (
+        Exoskeleton,
+        Prosthesis,
+        Push,
+        Slip,
+        WorldRanges,
+        Worlds,
+    )
 
 __all__ = [
     "END_REASONS",
@@ -49,8 +56,10 @@ __all__ = [
     "Muscles",
     "Observation",
     "Prosthesis",
+    "Push",
     "Result",
     "Settings",
+    "Slip",
     "Switch",
     "Terrain",
     "Trajectory",
@@ -90,7 +99,14 @@ _PLACES = {
     "taichi_nmm.simulator": ("forward_dynamics", "simulate"),
     "taichi_nmm.terrain": ("Terrain",),
     "taichi_nmm.walkers": ("Switch",),
-    "taichi_nmm.world": ("Exoskeleton", "Prosthesis", "WorldRanges", "Worlds"),
+    "taichi_nmm.world": (
+        "Exoskeleton",
+        "Prosthesis",
+        "Push",
+        "Slip",
+        "WorldRanges",
+        "Worlds",
+    ),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 

@@ -60,12 +60,14 @@ def read_conditions(table: Table, arch: str | None = None) -> Conditions:
     )
     settings = read_settings(simulation, arch)
     simulation.done()
+    world_ranges = read_world(table.table("world"), settings.engine)
+    world_ranges.draw([0]).require_begun(duration_s)
     return Conditions(
         duration_s=duration_s,
         settings=settings,
         build=read_body(table.table("body")),
         ground=read_ground(table.table("terrain")),
-        world_ranges=read_world(table.table("world"), settings.engine),
+        world_ranges=world_ranges,
     )
 
 

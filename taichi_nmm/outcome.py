@@ -28,7 +28,7 @@ from taichi_nmm.result import (
     Trajectory,
 )
 from taichi_nmm.settings import CONTROL_TICK_S, OWN_ENGINE, Settings
-from taichi_nmm.walkers import Batch
+from taichi_nmm.walkers import Batch, ticks_of
 
 Array = NDArray[np.float64]
 Part = tuple[NDArray[Any], Array]
@@ -215,6 +215,7 @@ class Recorder:
             joint_torque_nm=_joint_torques(state, fibres, self._settings, prosthesis),
             swing_torque_nm=swing.reshape(2 * LEGS, -1).T,
             device_torque_nm=state.device_torque.T,
+            push_n=_mean_push(self._worlds.push[[world]], ticks, self._interval),
             fibre_length_m=fibres.length.T * optimal_m,
             fibre_velocity_mps=fibres.velocity.T * optimal_m * FASTEST_PER_S,
             delayed=_delayed(walk.delay, ticks),
@@ -241,6 +242,14 @@ def _mean_forces(sums: Any, interval: int) -> Array:
     restarted = np.diff(sums.ticks, prepend=0.0) <= 0
     before[restarted] = 0.0
     return np.asarray((impulse - before) / (interval * CONTROL_TICK_S))
+
+
+def _mean_push(push: Array, ticks: NDArray[np.int64], interval: int) -> Array:
+    """Force of a push of `Worlds`, [1, 3], over the intervals before these ticks, [t, 1]."""
+    begin, end = ticks_of(push)
+    within = np.minimum(ticks, end) - np.maximum(ticks - interval, begin)
+    share = np.maximum(within, 0.0) / interval
+    return np.asarray((push[0, 2] * share)[:, None])
 
 
 # Of hip, knee and ankle: where the stops begin, how fast they give way, which are

@@ -140,6 +140,8 @@ class Trajectory:
         swing_torque_nm: the ideal part of it, left hip, left knee, right hip, right
             knee, [t, 4].
         device_torque_nm: of an exoskeleton, in the order of `joint_torque_nm`, [t, 6].
+        push_n: of a world's push on the trunk, forwards, mean over the sample interval,
+            [t, 1].
         fibre_length_m: of the contractile elements, in the order of `activation`, [t,
             14].
         fibre_velocity_mps: their rates, lengthening positive, [t, 14].
@@ -160,6 +162,7 @@ class Trajectory:
     joint_torque_nm: NDArray[np.float64]
     swing_torque_nm: NDArray[np.float64]
     device_torque_nm: NDArray[np.float64]
+    push_n: NDArray[np.float64]
     fibre_length_m: NDArray[np.float64]
     fibre_velocity_mps: NDArray[np.float64]
     delayed: NDArray[np.float64]

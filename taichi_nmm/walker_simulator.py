@@ -44,7 +44,14 @@ from taichi_nmm.result import (
 )
 from taichi_nmm.settings import OWN_ENGINE, Settings, may_have_gpu
 from taichi_nmm.terrain import Ground, Terrain, read_ground, rough
-from taichi_nmm.world import MUSCLE_LIMITS, NOMINAL, WorldRanges, Worlds, read_world
+from taichi_nmm.world import (
+    EVENT_LIMITS,
+    MUSCLE_LIMITS,
+    NOMINAL,
+    WorldRanges,
+    Worlds,
+    read_world,
+)
 
 # By the purpose of a world's seed: the purposes of the streams that draw its body, its
 # ground, and its contact, muscles and nerves.
@@ -123,7 +130,8 @@ class WalkerWorlds:
         """Names for people, and digests of all numbers that were drawn."""
         numbers = dict(vars(worlds.surroundings))
         # Newer than many stores, as is the key "world" below.
-        for newer in ("catch_ns", "prosthesis", "exoskeleton", *MUSCLE_LIMITS):
+        named = ("catch_ns", "prosthesis", "exoskeleton")
+        for newer in (*named, *EVENT_LIMITS, *MUSCLE_LIMITS):
             if getattr(self.ranges, newer) == getattr(NOMINAL, newer):
                 del numbers[newer]
         bodies = array_digest(*vars(worlds.bodies).values())
@@ -245,6 +253,7 @@ class Walker:
         report: Callable[[float], None],
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         """Walk all points in all worlds as one batch, [n, w]."""
+        worlds.surroundings.require_begun(horizon_s)
         count = len(worlds.terrains)
         world = np.tile(np.arange(count), len(points))
         gains, low_level = split_points(

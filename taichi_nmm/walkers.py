@@ -303,6 +303,10 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     const.sensing_noise[:] = worlds.sensing_noise
     const.noise_seed[:] = worlds.noise_seed
     const.catch_ns[:] = worlds.catch_ns
+    push, slip = ticks_of(worlds.push), ticks_of(worlds.slip)
+    const.push_begin[:], const.push_end[:] = push
+    const.slip_begin[:], const.slip_end[:] = slip
+    const.push_n[:], const.slip_friction[:] = worlds.push[:, 2], worlds.slip[:, 2]
     stiffness, damping, rest = worlds.prosthesis.T
     const.ankle_stiffness[:] = stiffness
     const.ankle_damping[:] = damping
@@ -321,6 +325,13 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
         const.b_leg[6 * leg : 6 * leg + 6] = b.T
         _check_prosthesis(batch, leg, b[:, 2], settings.physics_step_s)
     return rows
+
+
+def ticks_of(event: NDArray[np.float64]) -> NDArray[np.float64]:
+    """First tick of a push or slip of `Worlds`, [n, 3], and the first after it; 0: none, [2, n]."""
+    begins_s, lasts_s, _ = event.T
+    ends_s = np.where(lasts_s > 0.0, begins_s + lasts_s, 0.0)
+    return np.round(np.array([begins_s, ends_s]) / CONTROL_TICK_S)
 
 
 def _fill_muscles(const: Any, worlds: Worlds, step_s: float) -> None:

@@ -5,8 +5,8 @@ The nominal world is that of the published walker. `WorldRanges` draws others.
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from dataclasses import asdict, astuple, dataclass, fields, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,12 @@ PROSTHESIS_LIMITS: dict[str, Range] = {
         math.radians(40.0),
     ),  # between the stops of `kernel.joints`
 }
+# Of a push and of a slip; times are whole ticks of the controller.
+BEGINS: dict[str, Range] = {"time_s": (0.0, 1e4), "duration_s": (1e-3, 1e4)}
+EVENT_LIMITS = {
+    "push": BEGINS | {"force_n": (-5000.0, 5000.0)},
+    "slip": BEGINS | {"friction": (0.0, LIMITS["friction"][1])},
+}
 ACROSS_ANKLE = ("SOL", "TA", "GAS")
 MOTIONS = {  # of an exoskeleton: hip extension, knee flexion and plantarflexion, positive
     "hip_extension": (1.0, 0.0, 0.0),
@@ -63,6 +69,7 @@ MOTIONS = {  # of an exoskeleton: hip extension, knee flexion and plantarflexion
 POWER_W: Range = (1.0, 1e6)  # the last is no limit
 FOOT_SHAPE = (len(SIDES), len(PROSTHESIS_LIMITS))  # of a world's numbers
 DEVICE_SHAPE = (len(SIDES), 4)
+EVENT_SHAPE = (3,)
 
 
 @dataclass(frozen=True)
@@ -130,6 +137,51 @@ class Exoskeleton:
         return np.array([(*shares[side], self.power_w) for side in SIDES])
 
 
+@dataclass(frozen=True)
+class Push:
+    """A horizontal push at the trunk's centre of mass, once in a walk.
+
+    Attributes:
+        time_s: when it begins, before the walk ends.
+        duration_s: how long it lasts, 0.001 at least.
+        force_n: forwards; below 0 backwards, -5000 to 5000.
+    """
+
+    time_s: float
+    duration_s: float
+    force_n: float
+
+    def __post_init__(self) -> None:
+        _check_event(self, "push")
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Other friction of the ground, once in a walk.
+
+    Attributes:
+        time_s: when it begins, before the walk ends.
+        duration_s: how long it lasts, 0.001 at least.
+        friction: Coulomb's coefficient meanwhile, 0 to 10.
+    """
+
+    time_s: float
+    duration_s: float
+    friction: float
+
+    def __post_init__(self) -> None:
+        _check_event(self, "slip")
+
+
+Event = TypeVar("Event", Push, Slip)
+
+
+def _check_event(event: Push | Slip, name: str) -> None:
+    limits = EVENT_LIMITS[name]
+    numbers = {key: checks.number(*ends) for key, ends in limits.items()}
+    checks.check_fields(event, f"{name}.", **numbers)
+
+
 @dataclass(frozen=True, eq=False)
 class Worlds(Collection):
     """A batch of worlds, one row each.
@@ -160,6 +212,9 @@ class Worlds(Collection):
         exoskeleton: of the left leg, then the right: the shares of its torque that
             extend the hip, flex the knee and turn the foot down, -1 to 1, and its
             largest power in W, [n, 2, 4].
+        push: when it begins, how long it lasts, and its force, as in `Push`, [n, 3]; 0
+            where there is none.
+        slip: as in `Slip`, likewise.
     """
 
     contact_stiffness: NDArray[np.float64]
@@ -175,6 +230,8 @@ class Worlds(Collection):
     slack_length: NDArray[np.float64]
     activation_time: NDArray[np.float64]
     exoskeleton: NDArray[np.float64]
+    push: NDArray[np.float64]
+    slip: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         self._check_shapes("world", _size)
@@ -189,6 +246,10 @@ class Worlds(Collection):
             within[f"prosthesis.{name}"] = self.prosthesis[..., place], limits
         within["exoskeleton.share"] = self.exoskeleton[..., :3], (-1.0, 1.0)
         within["exoskeleton.power_w"] = self.exoskeleton[..., 3], POWER_W
+        for event, ends in EVENT_LIMITS.items():
+            columns = getattr(self, event).T
+            for (name, (low, high)), values in zip(ends.items(), columns, strict=True):
+                within[f"{event}.{name}"] = values, (min(low, 0.0), high)
         for name, (values, (low, high)) in within.items():
             outside = values[~((values >= low) & (values <= high))]
             if outside.size:
@@ -202,6 +263,19 @@ class Worlds(Collection):
         """`count` worlds of the published walker."""
         one = replace(NOMINAL.draw([0]), noise_seed=np.zeros(1))
         return one.take(np.zeros(count, dtype=np.intp))
+
+    def require_begun(self, duration_s: float) -> None:
+        """Refuse a push or a slip that begins once a walk of this length has ended.
+
+        Raises:
+            InputError: there is one.
+        """
+        for event in EVENT_LIMITS:
+            begins_s, lasts_s, _ = getattr(self, event).T
+            late = begins_s[(lasts_s > 0.0) & (begins_s >= duration_s)]
+            if late.size:
+                allowed = f"below {duration_s:g}, when the walk ends"
+                raise InputError(f"world.{event}.time_s", float(late[0]), allowed)
 
 
 @dataclass(frozen=True)
@@ -232,6 +306,8 @@ class WorldRanges:
         activation_time: of the time constants of activation, likewise, 0.1 to 10.
         exoskeleton: that all worlds have; without a peak torque among the gains it does
             nothing.
+        push: that all worlds have; None: none.
+        slip: likewise.
     """
 
     contact_stiffness: Range = AS_NOMINAL
@@ -248,6 +324,8 @@ class WorldRanges:
     slack_length: tuple[float, ...] = HEALTHY
     activation_time: tuple[float, ...] = HEALTHY
     exoskeleton: Exoskeleton = Exoskeleton()
+    push: Push | None = None
+    slip: Slip | None = None
 
     def __post_init__(self) -> None:
         pairs = {name: checks.interval(*LIMITS[name]) for name in RANGES}
@@ -258,6 +336,8 @@ class WorldRanges:
             **pairs,
             prosthesis=checks.optional(checks.instance(Prosthesis)),
             exoskeleton=checks.instance(Exoskeleton),
+            push=checks.optional(checks.instance(Push)),
+            slip=checks.optional(checks.instance(Slip)),
         )
         for name in ("muscles", *MUSCLE_LIMITS):
             given = getattr(self, name)
@@ -295,6 +375,9 @@ class WorldRanges:
         shared = {name: np.array(getattr(self, name), float) for name in MUSCLE_LIMITS}
         shared["prosthesis"] = np.zeros(FOOT_SHAPE) if foot is None else foot.row
         shared["exoskeleton"] = self.exoskeleton.row
+        for event in EVENT_LIMITS:
+            own = getattr(self, event)
+            shared[event] = np.array(astuple(own) if own else np.zeros(EVENT_SHAPE))
         for name, row in shared.items():
             drawn[name] = np.repeat(row[None], len(streams), axis=0)
         noise_seeds = [stream["noise_seed"].integers(NOISE_SEEDS) for stream in streams]
@@ -324,8 +407,9 @@ class WorldRanges:
                 muscles[name] = changed
         if muscles:
             document["muscles"] = muscles
-        if self.prosthesis:
-            document["prosthesis"] = asdict(self.prosthesis)
+        for name in ("prosthesis", *EVENT_LIMITS):
+            if own := getattr(self, name):
+                document[name] = asdict(own)
         if self.exoskeleton != NOMINAL.exoskeleton:
             document["exoskeleton"] = asdict(self.exoskeleton)
         return document
@@ -341,6 +425,7 @@ OWN_CONTACT = (
     "relaxation_speed",
 )
 NOT_OURS = "1 with the engine mujoco, whose contact is a setting of its own"
+NO_SLIP = "none with the engine mujoco, whose friction stays"
 
 
 def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
@@ -349,7 +434,8 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
     [world.muscles] has factors of the strength of single muscles, by name (`SOL`), or
     name and side (`SOL_left`); its tables `optimal_length`, `slack_length` and
     `activation_time` those of these. [world.prosthesis] has the fields of `Prosthesis`,
-    [world.exoskeleton] those of `Exoskeleton`. Reads every key.
+    [world.exoskeleton] those of `Exoskeleton`, [world.push] those of `Push`,
+    [world.slip] those of `Slip`. Reads every key.
 
     Raises:
         InputError: an unknown key, a range that is empty or out of bounds, or a contact
@@ -372,11 +458,15 @@ def read_world(table: Table, engine: str = OWN_ENGINE) -> WorldRanges:
         muscles=muscles,
         prosthesis=_read_prosthesis(table),
         exoskeleton=_read_exoskeleton(table.table("exoskeleton")),
+        push=_read_event(table, "push", Push),
+        slip=_read_event(table, "slip", Slip),
     )
     table.done()
     if engine != OWN_ENGINE:
         for name in set(ranges.document()) & set(OWN_CONTACT):
             raise InputError(table.path(name), getattr(ranges, name), NOT_OURS)
+        if ranges.slip:
+            raise InputError(table.path("slip"), "a table", NO_SLIP)
     return ranges
 
 
@@ -417,6 +507,18 @@ def _read_exoskeleton(table: Table) -> Exoskeleton:
     return Exoskeleton(motion=motion, side=side, power_w=power_w)
 
 
+def _read_event(world: Table, name: str, kind: type[Event]) -> Event | None:
+    if name not in world.unread:
+        return None
+    table = world.table(name)
+    numbers = {
+        key: table.number(key, REQUIRED, *ends)
+        for key, ends in EVENT_LIMITS[name].items()
+    }
+    table.done()
+    return kind(**numbers)
+
+
 def _streams(seed: int | np.random.SeedSequence) -> dict[str, np.random.Generator]:
     """A stream for each of a world's numbers, so that a new number changes no other's."""
     sequence = (
@@ -436,4 +538,6 @@ def _size(name: str) -> tuple[int, ...]:
         return FOOT_SHAPE
     if name == "exoskeleton":
         return DEVICE_SHAPE
+    if name in EVENT_LIMITS:
+        return EVENT_SHAPE
     return (MUSCLE_COUNT,) if name in ("strength", *MUSCLE_LIMITS) else ()

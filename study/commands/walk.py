@@ -166,6 +166,7 @@ def read(args: Namespace) -> WalkerExperiment:
     experiment = read_experiment(args.config, args.arch, args.seed)
     experiment.require_run(args.run)
     if args.duration is not None:
+        experiment.world(args.run).require_begun(args.duration)
         conditions = replace(experiment.conditions, duration_s=args.duration)
         experiment = replace(experiment, conditions=conditions)
     if args.engine is None:

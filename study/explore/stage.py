@@ -19,7 +19,7 @@ from study.explore.walk import COLOURS, Walk
 from study.pictures import stick_figure as stick
 from study.pictures import style
 from study.pictures.gait_cycle import PEOPLE
-from study.pictures.scene import BELOW_GROUND_M, FORCE_WIDTH_M, VIEW_WIDTH_M
+from study.pictures.scene import ARROWS, BELOW_GROUND_M, FORCE_WIDTH_M, VIEW_WIDTH_M
 from taichi_nmm.result import FELL, MUSCLES
 
 ASPECT = 1.45  # of a stage, width over height
@@ -47,8 +47,8 @@ LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
     "points": stick.PATH_POINTS,
     "force": FORCE_WIDTH_M,
     "ghost": GHOST,
+    "arrows": list(ARROWS),
     "ink": style.INK,
-    "model": style.MODEL,
     "far": style.FAR_LIMB,
     "near": style.NEAR_LIMB,
     "levels": COLOURS,

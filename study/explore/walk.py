@@ -138,7 +138,8 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
         "head": head[:, None],
         # Their lines, left leg, then right, [f, 14, p, 2]:
         "muscles": np.stack(paths, axis=1),
-        "forces": force_arrows(motion),  # foot and tip, left and right, [f, 2, 2, 2]
+        # Foot and tip: left, right, a push, [f, 3, 2, 2].
+        "forces": force_arrows(motion),
         "ground": np.stack([x, terrain.height(x)], axis=1),  # [k, 2]
         "strikes_s": event_times(trajectory, LEFT, STRIKE),
     }

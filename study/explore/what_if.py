@@ -27,9 +27,11 @@ from taichi_nmm.terrain import read_ground
 Tables = dict[str, Any]
 LEAST_PX = 170  # of a control
 STEPS = 200  # of a slider
-NO_FOOT = "none"
-FOOT = "world.prosthesis"
-SIDE = f"{FOOT}.side"
+WHOLE = {  # tables with all of their keys, or none: by the key that tells
+    "world.prosthesis": "side",
+    "world.push": "force_n",
+    "world.slip": "duration_s",
+}
 EVERY = {  # names of sliders that are alike, by the table that they are in
     "world.muscles": [f"{muscle}_{side}" for muscle in MUSCLES for side in SIDES],
     "body.mass": FACTOR_NAMES,
@@ -157,14 +159,17 @@ class WhatIf:
         control = self._controls[path]
         names = path.split(".")
         value = None if control.value == control.tags[0] else control.value
-        if path.startswith(FOOT):
-            foot = {
-                each.removeprefix(f"{FOOT}."): other.value
+        table = path.rpartition(".")[0]
+        if table in WHOLE:
+            whole = {
+                each.removeprefix(f"{table}."): other
                 for each, other in self._controls.items()
-                if each.startswith(FOOT)
+                if each.startswith(f"{table}.")
             }
-            names = FOOT.split(".")
-            value = None if foot["side"] == NO_FOOT else foot
+            tells = whole[WHOLE[table]]
+            names, value = table.split("."), None
+            if tells.value != tells.tags[0]:
+                value = {each: other.value for each, other in whole.items()}
         elif "pair" in control.tags and value is not None:
             value = [value, value]
         self.take(with_value(self.tables, names, value))
@@ -196,9 +201,10 @@ class WhatIf:
         self._still = True
         for path, control in self._controls.items():
             found = value_at(self.tables, path.split("."))
-            if found is None and (path == SIDE or not path.startswith(FOOT)):
+            table, _, name = path.rpartition(".")
+            if found is None and WHOLE.get(table, name) == name:
                 found = control.tags[0]
-            if found is not None:  # else a number of a foot that is not there
+            if found is not None:  # else a number of a table that is not there
                 control.value = found[0] if isinstance(found, list) else found
         self._lines.value = lines
         self._still = False

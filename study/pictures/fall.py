@@ -134,6 +134,7 @@ def fall_text(row: np.void, trajectory: Trajectory, terrain: Terrain) -> str:
     parts = [
         _way(seen),
         _bound(seen),
+        _pushed(seen),
         _last_foot(seen),
         *(_caught(seen, foot) for foot in seen.feet),
         *(_slip(seen, foot) for foot in seen.feet),
@@ -166,6 +167,16 @@ def _bound(seen: Seen) -> str:
     if abs(lean) / FALL_LEAN_RAD > FALL_HEIGHT_M / height_m:
         return f"the trunk leaned {leaned}"
     return f"the hip sank to {FALL_HEIGHT_M:g} m over the ground, the trunk {leaned}"
+
+
+def _pushed(seen: Seen) -> str:
+    """Which way the walker was pushed, how hard, and when that began."""
+    push_n = seen.walk.push_n[:, 0]
+    if not push_n.any():
+        return ""
+    most = push_n[np.abs(push_n).argmax()]
+    began = seen.before(seen.walk.time_s[np.flatnonzero(push_n)[0]])
+    return f"it was pushed {_towards(most)} by {abs(most):.0f} N, {began}"
 
 
 def _last_strike(seen: Seen) -> np.void | None:

@@ -20,6 +20,7 @@ from scipy.signal import lfilter
 
 from study.pictures import stick_figure as stick
 from study.pictures import style
+from taichi_nmm.body import HAT
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -118,9 +119,12 @@ HEIGHT_TRACKING_S = 0.5  # the camera follows the ground's rise as slowly as thi
 FORCE_M_PER_N = 0.6 / 785.0  # one body weight of 80 kg is 0.6 m long
 FORCE_WIDTH_M = 0.014
 JOINT_RADIUS_M = 0.007
+LEAST_PUSH_N = 1.0  # that is seen
+ARROWS = (style.MODEL, style.MODEL, style.BLACK)  # of forces: on both feet, a push
 PRESSURE_SHIFT_M = 0.05  # heel above ball by half of it: all the force is at the ball
 FORCE_SMOOTHING_S = 0.03  # impacts of a few milliseconds would only flicker
 KEY = "blue: force of the ground"
+PUSH_KEY = "black: a push"
 DEVICE_KEY = "green: torque of the exoskeleton, half a turn at 80 N m"
 SMALLEST_TEXT_PX = 9  # of a film a quarter of the full size
 
@@ -161,6 +165,7 @@ class Motion:
         activation: of the muscles, left leg first, 0 to 1, [f, 14].
         force_n: of the ground on the left foot, then the right, forward and up each,
             smoothed, [f, 4].
+        push_n: of a push on the trunk, forwards, [f].
         level_m: the ground's height that the camera follows, [f].
         device: an exoskeleton, with torques [f, 6]; None: there is none.
     """
@@ -169,6 +174,7 @@ class Motion:
     q: Array
     activation: Array
     force_n: Array
+    push_n: Array
     level_m: Array
     device: stick.Device | None = None
 
@@ -200,6 +206,7 @@ def motion_of(
         q=q,
         activation=stick.at_times(trajectory, trajectory.activation, times_s),
         force_n=stick.at_times(trajectory, smooth_force(trajectory), times_s),
+        push_n=stick.at_times(trajectory, trajectory.push_n, times_s)[:, 0],
         level_m=camera_level(terrain.height(q[:, 0]), rate_hz),
         device=stick.device_at(trajectory, times_s),
     )
@@ -226,9 +233,9 @@ class Scene:
         bottom_m = self._motion.level_m[number] - BELOW_GROUND_M
         canvas = Canvas(self._size_px, left_m, bottom_m, VIEW_WIDTH_M)
         self._walker.draw(canvas, number)
-        for foot, tip in self._arrows[number]:
+        for (foot, tip), colour in zip(self._arrows[number], ARROWS, strict=True):
             if np.hypot(*(tip - foot)) > FORCE_WIDTH_M:
-                canvas.bones([(foot, tip, FORCE_WIDTH_M)], style.MODEL)
+                canvas.bones([(foot, tip, FORCE_WIDTH_M)], colour)
         metres = self._draw_ground(canvas, left_m, bottom_m)
         canvas.finish()
         self._write(canvas, number, metres)
@@ -254,7 +261,8 @@ class Scene:
         wide, high = self._size_px
         left = 0.015 * wide
         self._write_title(canvas, left)
-        lines = [(f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (KEY, 15)]
+        key = f"{KEY}; {PUSH_KEY}" if self._motion.push_n.any() else KEY
+        lines = [(f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (key, 15)]
         if self._motion.device is not None:
             lines.append((DEVICE_KEY, 15))
         for line, (text, size) in enumerate(lines, start=1):
@@ -287,9 +295,10 @@ class Scene:
 
 
 def force_arrows(motion: Motion) -> Array:
-    """Forces of the ground as foot and tip, of the left foot and the right, [frames, 2, 2, 2].
+    """Forces as foot and tip: of the ground on the left foot and the right, a push; [f, 3, 2, 2].
 
-    They begin at the lower end of a tilted foot, at the middle of a flat one.
+    Those of the ground begin at the lower end of a tilted foot, at the middle of a flat
+    one. A push ends at the trunk's centre of mass; NaN where there is none.
     """
     arrows = []
     for side in (stick.LEFT, stick.RIGHT):
@@ -299,7 +308,11 @@ def force_arrows(motion: Motion) -> Array:
         foot = joints.heel + share * (joints.ball - joints.heel)
         push = FORCE_M_PER_N * stick.of_side(motion.force_n, side)
         arrows.append(np.stack([foot, foot + push], axis=1))
-    return np.stack(arrows, axis=1)
+    up = -stick.down(motion.q[:, stick.HAT_COLUMN])
+    mass = motion.q[:, :2] + HAT.com_m * up
+    there = np.where(np.abs(motion.push_n) < LEAST_PUSH_N, np.nan, motion.push_n)
+    behind = mass - FORCE_M_PER_N * np.stack([there, np.zeros_like(there)], axis=1)
+    return np.stack([*arrows, np.stack([behind, mass], axis=1)], axis=1)
 
 
 def camera_level(ground_m: Array, rate_hz: int) -> Array:

@@ -288,7 +288,13 @@ def write_c3d(path: Path, trajectory: Trajectory) -> None:
 FORMATS = (".csv", ".c3d", ".mot", ".sto")
 RECORD_RATE_HZ = 1000.0  # of walks that are kept: loads of every tick
 KEPT_RATE_HZ = 200.0
-MEANS = ("ground_force_n", "joint_torque_nm", "swing_torque_nm", "device_torque_nm")
+MEANS = (
+    "ground_force_n",
+    "joint_torque_nm",
+    "swing_torque_nm",
+    "device_torque_nm",
+    "push_n",
+)
 
 LINKS = [f"{link}_{side}" for side in SIDES for link in ("thigh", "shank", "foot")]
 OWN_COORDINATES = ["x_m", "z_m", "hat_rad", *(f"{link}_rad" for link in LINKS)]
@@ -314,6 +320,7 @@ CSV = (  # a field of the trajectory, how the names of its columns begin, and th
         "_swing_torque_nm",
     ),
     ("device_torque_nm", JOINTS, "_device_torque_nm"),
+    ("push_n", ["push_n"], ""),
     ("fibre_length_m", MUSCLES, "_fibre_m"),
     ("fibre_velocity_mps", MUSCLES, "_fibre_mps"),
     ("delayed", DELAYED, ""),

@@ -49,7 +49,7 @@ def before(
 ):
     """Senses, control where `commands` is 1, muscles: the joint torques of a physics step.
 
-    The generalised force of catches is left at `Work.momentum`.
+    The generalised force of catches and pushes is left at `Work.momentum`.
     """
     walker.locate(1, lanes, terrain, heights, state, work)
     for lane in range(lanes):
@@ -65,6 +65,7 @@ def before(
         for i in ti.static(range(COORDINATES)):
             work.momentum[i, lane] = 0.0
         dynamics.catch_feet(lane, tick, 1.0, const, work)
+        dynamics.push_trunk(lane, tick, 1.0, const, work)
 
 
 @ti.func
@@ -161,7 +162,7 @@ def drive(
             drives[p, Drive.metabolic_power, lane] = power_w
             drives[p, Drive.ground_hip, lane] = work.ground_hip[lane]
             for i in ti.static(range(COORDINATES)):
-                drives[p, Drive.catch + i, lane] = work.momentum[i, lane]
+                drives[p, Drive.push + i, lane] = work.momentum[i, lane]
 
 
 @ti.kernel

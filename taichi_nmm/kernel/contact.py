@@ -98,6 +98,7 @@ def spring_forces(lane, step_s, state: Rows, const: Rows, work: Rows):
     stiffness = const.contact_stiffness[lane]
     relaxation_speed_mps = const.relaxation_speed[lane]
     work.friction_damping[lane] = stiffness * (FRICTION_DAMPING_S + step_s)
+    work.grip[lane] = const.friction[lane]
     for c in ti.static(range(CONTACTS)):
         tangent_x = work.normal_z[c, lane]
         tangent_z = 0.0 - work.normal_x[c, lane]

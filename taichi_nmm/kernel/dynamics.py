@@ -174,6 +174,24 @@ def catch_feet(lane, tick, step_s, const: Rows, work: Rows):
 
 
 @ti.func
+def push_trunk(lane, tick, step_s, const: Rows, work: Rows):
+    """Add a push at the trunk's centre of mass to the momentum; other friction while feet slip.
+
+    Both last from their first tick to the one before their end.
+    """
+    now = ti.cast(tick, float)
+    pushed = (now >= const.push_begin[lane]) & (now < const.push_end[lane])
+    impulse = step_s * ti.select(pushed, const.push_n[lane], 0.0)
+    # A of the trunk over its mass: how far its centre of mass is along d.
+    lever = const.a_hat[lane] * GRAVITY_MPS2 / const.hat_weight[lane]
+    x, _ = slope_vector(lane, 0, work)
+    work.momentum[0, lane] += impulse
+    work.momentum[2, lane] += impulse * lever * x
+    slips = (now >= const.slip_begin[lane]) & (now < const.slip_end[lane])
+    work.grip[lane] = ti.select(slips, const.slip_friction[lane], work.grip[lane])
+
+
+@ti.func
 def solve(lane, step_s, const: Rows, work: Rows):
     """New velocities: (M + h sum J^T C J) v = momentum + h sum J^T f0, over the active contacts.
 
@@ -420,7 +438,7 @@ def revise_contacts(lane, const: Rows, work: Rows):
         stuck = on * (work.friction_0[c, lane] - work.friction_damping[lane] * u_t)
         pulls = normal < 0.0
         normal = larger(normal, 0.0)
-        cone = const.friction[lane] * normal
+        cone = work.grip[lane] * normal
         breaks = (slip == 0.0) & (pulls == False) & (larger(stuck, 0.0 - stuck) > cone)  # noqa: E712
         slip = ti.select(breaks, ti.select(stuck > 0.0, 1.0, 0.0 - 1.0), slip)
         moves = (slip != 0.0) & (normal != work.normal_force[c, lane])

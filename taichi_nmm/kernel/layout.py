@@ -144,6 +144,12 @@ Const = Layout(
     activation_blend=MUSCLE_COUNT,  # 1 - exp(-physics step / activation time)
     stretch=MUSCLE_COUNT,  # of the tendon over its reference, for an optimal length of the fibre
     tightness=MUSCLE_COUNT,  # the nominal slack length over the tendon's
+    push_begin=1,  # tick, of a push on the trunk
+    push_end=1,  # the first tick after it; 0: there is none
+    push_n=1,
+    slip_begin=1,  # likewise, of other friction
+    slip_end=1,
+    slip_friction=1,
     **dict.fromkeys((each.name for each in (*FIXED, *DEVICE)), 1),
     total_mass=1,  # kg
     a_hat=1,  # A of the HAT, kg m; negative, since its centre of mass lies above the hip
@@ -168,7 +174,7 @@ Const = Layout(
     leg_angle_blend=1,  # 1 - exp(-w_filter tick)
 )
 PER_WALKER = Const.strength  # rows of the gains; walkers may share all others
-LOW_LEVEL = Const.tightness + MUSCLE_COUNT  # the first row of the low-level gains
+LOW_LEVEL = Const.slip_friction + 1  # the first row of the low-level gains
 
 # Scratch of one step. First comes what several of its parts use. After it lies what one
 # part alone uses, in rows that the next part overwrites: the more rows, the longer a
@@ -235,6 +241,7 @@ _dynamics = Layout(
     normal_damping=CONTACTS,
     friction_0=CONTACTS,
     friction_damping=1,
+    grip=1,  # Coulomb's coefficient at this tick
     stop_on=STOPS,
     stop_torque_0=STOPS,
     stop_damping=STOPS,
@@ -273,7 +280,7 @@ Drive = Layout(
     joint_torque=3 * LEGS,
     metabolic_power=1,  # W
     ground_hip=1,
-    catch=COORDINATES,  # generalised force of catches, N and N m
+    push=COORDINATES,  # generalised force of catches and pushes, N and N m
 )
 Motion = Layout(
     q=COORDINATES,

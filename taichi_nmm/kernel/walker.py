@@ -60,6 +60,7 @@ def step(
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
     # True if any lane needs the phase: it changes nothing of the lanes that do not.
     catch = highest(const.catch_ns, lanes) > 0.0
+    happens = highest(const.push_end, lanes) + highest(const.slip_end, lanes) > 0.0
     own = highest(const.own_muscles, lanes) > 0.0
     for substep in range(substeps):
         locate(rough, lanes, terrain, heights, state, work)
@@ -87,6 +88,9 @@ def step(
         if catch:
             for lane in range(lanes):
                 dynamics.catch_feet(lane, tick, step_s, const, work)
+        if happens:
+            for lane in range(lanes):
+                dynamics.push_trunk(lane, tick, step_s, const, work)
         for _ in range(CONTACT_PASSES):
             for lane in range(lanes):
                 dynamics.solve(lane, step_s, const, work)

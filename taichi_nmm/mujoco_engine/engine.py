@@ -29,7 +29,7 @@ from taichi_nmm.packs import Packs
 from taichi_nmm.settings import Settings
 from taichi_nmm.terrain import GRID_X_M, Terrain
 from taichi_nmm.walkers import Batch, blends
-from taichi_nmm.world import NOT_OURS, OWN_CONTACT
+from taichi_nmm.world import NO_SLIP, NOT_OURS, OWN_CONTACT
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -89,7 +89,8 @@ class Herd:
 
     def __init__(self, batch: Batch, settings: Settings) -> None:
         everybody = np.arange(len(batch))
-        self._catch = bool(batch.worlds.catch_ns.any())
+        worlds = batch.worlds
+        self._pushed = bool(worlds.catch_ns.any() or worlds.push.any())
         self._planes = ContactPlanes(batch.terrains, batch.terrain_index)
         bodies = np.hstack(list(vars(batch.bodies).values())).tolist()
         each = zip(map(tuple, bodies), batch.worlds.friction.tolist(), strict=True)
@@ -111,15 +112,15 @@ class Herd:
         self._seat(self.numbers[still], models)
         self._simulations.state[:] = state
 
-    def step(self, torque: Array, catch: Array) -> Array:
+    def step(self, torque: Array, push: Array) -> Array:
         """MuJoCo's step of all with these joint torques: qpos, qvel and sensors, [n, 26].
 
-        `catch` is the generalised force of catches in our coordinates, [n, 9]. Where
-        MuJoCo cannot go on, the velocity is no number.
+        `push` is the generalised force of catches and pushes in our coordinates, [n, 9].
+        Where MuJoCo cannot go on, the velocity is no number.
         """
         self._torque[:] = torque
-        if self._catch:
-            self._applied[:] = catch @ OF_RELATIVE  # equal work
+        if self._pushed:
+            self._applied[:] = push @ OF_RELATIVE  # equal work
         position, quaternion = self._planes.under(self._qpos)
         self._plane_position[:] = position.reshape(self._plane_position.shape)
         self._plane_quaternion[:] = quaternion.reshape(self._plane_quaternion.shape)
@@ -173,6 +174,8 @@ def launcher(
         scale = getattr(batch.worlds, name)
         if np.any(scale != 1.0):
             raise InputError(f"worlds.{name}", float(scale[scale != 1.0][0]), NOT_OURS)
+    if batch.worlds.slip.any():
+        raise InputError("worlds.slip", "a slip", NO_SLIP)
     rows = packs.unfold(packs.rows).copy()
     rows[:, [State.q + 1, State.end_z]] += PENETRATION_M
     for leg in range(LEGS):
@@ -207,7 +210,7 @@ class _Engine:
                 for substep in range(substeps):
                     self._drive.launch(tick=tick, commands=int(substep == 0))
                     seen = self._herd.step(
-                        self._torques[self._seats], self._catches[self._seats]
+                        self._torques[self._seats], self._pushes[self._seats]
                     )
                     self._motions[self._seats] = motion_rows(seen)
                     self._follow.launch(tick=tick, ends=int(substep == substeps - 1))
@@ -250,7 +253,7 @@ class _Engine:
         )
         # [pack, lane, row] of the same memory
         self._torques = drives[:, : 3 * LEGS].transpose(0, 2, 1)
-        self._catches = drives[:, Drive.catch :].transpose(0, 2, 1)
+        self._pushes = drives[:, Drive.push :].transpose(0, 2, 1)
         self._motions = motions.transpose(0, 2, 1)
         self._seat(packs)
 

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from taichi_nmm import (
     Bodies,
     Prosthesis,
+    Push,
     Settings,
+    Slip,
     WorldRanges,
     Worlds,
     simulator,
@@ -78,6 +80,8 @@ def walking_batch(count):
         nerve_lag_s=(0.0, 0.01),
         sensing_noise=(0.0, 0.01),
         catch_ns=(0.0, 5.0),
+        push=Push(time_s=0.02, duration_s=0.1, force_n=200.0),
+        slip=Slip(time_s=0.03, duration_s=0.3, friction=0.05),
     )
     own = {name: tuple(rng.uniform(0.9, 1.1, 14)) for name in MUSCLE_LIMITS}
     amputees = replace(healthy, prosthesis=Prosthesis("right", 400.0, 1.0, 0.05), **own)

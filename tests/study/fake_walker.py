@@ -28,7 +28,7 @@ from taichi_nmm.terrain import Terrain
 TRIAL_S = float(os.environ.get("FAKE_TRIAL_S", "0"))
 SIGNAL = os.environ.get("FAKE_SIGNAL", "")
 WALKS_FROM = 0.7  # quality
-WIDTHS = (9, 9, 6, 14, 14, 4, 6, 4, 6, 14, 14, 22, 2, 3)  # of a trajectory's arrays
+WIDTHS = (9, 9, 6, 14, 14, 4, 6, 4, 6, 1, 14, 14, 22, 2, 3)  # of a trajectory's arrays
 # It cannot be drawn.
 EMPTY = Trajectory(0, np.empty(0), *(np.empty((0, width)) for width in WIDTHS))
 STORE_ROWS = 150

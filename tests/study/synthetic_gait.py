@@ -16,6 +16,7 @@ NOTHING = {
     "joint_torque_nm": 6,
     "swing_torque_nm": 4,
     "device_torque_nm": 6,
+    "push_n": 1,
     "fibre_velocity_mps": 14,
     "delayed": 22,
 }

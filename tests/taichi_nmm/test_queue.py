@@ -37,7 +37,9 @@ def same(one, other):
 def test_worlds_recordings_and_switches_are_those_of_packs(monkeypatch):
     short = np.ones((COUNT, 14))
     short[::3, 2] = 0.95
-    worlds = Worlds(**{**vars(Worlds.nominal(COUNT)), "optimal_length": short})
+    events = {"push": [[0.3, 0.1, 150.0]] * COUNT, "slip": [[0.5, 0.1, 0.1]] * COUNT}
+    nominal = vars(Worlds.nominal(COUNT)) | events
+    worlds = Worlds(**{**nominal, "optimal_length": short})
     words = {
         "duration_s": 0.7,
         "bodies": Bodies.disturbed(range(COUNT)),

@@ -9,6 +9,7 @@ import pytest
 from storage.inputs.config import Table
 from study.pictures.stick_figure import leg
 from taichi_nmm import PUBLISHED_GAINS, Settings, Worlds, simulate, terrain
+from taichi_nmm.conditions import read_conditions
 from taichi_nmm.kernel.muscle_table import (
     FMAX_N,
     MUSCLE_DATA,
@@ -154,6 +155,23 @@ def test_an_exoskeleton_helps_where_its_table_says():
     ranges = read_back(exoskeleton={"motion": "hip_flexion", "side": "right"})
     worn, none = [-1.0, 0.0, 0.0, 1e6], [0.0, 0.0, 0.0, 1e6]
     assert ranges.draw([3]).exoskeleton.tolist() == [[none, worn]]
+
+
+def test_a_push_and_a_slip_come_once_and_before_the_walk_ends():
+    push = {"time_s": 2.0, "duration_s": 0.1, "force_n": -150.0}
+    slip = {"time_s": 3, "duration_s": 0.2, "friction": 0}
+    worlds = read_back(push=push, slip=slip).draw([3, 4])
+    assert worlds.push.tolist() == [[2.0, 0.1, -150.0]] * 2
+    assert worlds.slip.tolist() == [[3.0, 0.2, 0.0]] * 2
+    worlds.require_begun(3.001)
+    with refused(r"^world\.slip\.time_s: 3.* allowed: below 3, when the walk ends"):
+        worlds.require_begun(3.0)
+    NOMINAL.draw([3]).require_begun(0.001)
+    with refused(r"^world\.slip: .*none with the engine mujoco"):
+        read_world(Table({"slip": slip}, "world"), "mujoco")
+    tables = {"world": {"push": push}, "simulation": {"duration_s": 2.0}}
+    with refused(r"^world\.push\.time_s: 2.* below 2,"):
+        read_conditions(Table(tables))
 
 
 def test_muscles_have_lengths_and_times_of_their_own():

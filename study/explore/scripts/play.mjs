@@ -193,7 +193,7 @@ function lines_of(looks, ghost) {
       lines.push([...path, belly + looks.rim, looks.ink, -1], [...path, belly, looks.levels[0], number])
     })
   }
-  if (!ghost) for (const at of [0, 2]) lines.push(["forces", at, 2, looks.force, looks.model, -1])
+  if (!ghost) looks.arrows.forEach((colour, i) => lines.push(["forces", 2 * i, 2, looks.force, colour, -1]))
   const [key, first, counts, metres, colour, muscle] = lines[0].map((_, i) => lines.map((line) => line[i]))
   const [xs, ys] = [0, 1].map(() => counts.map((count) => new Float32Array(count).fill(NaN)))
   const whole = {xs, ys, key, first, metres, width: metres.map(() => 1), colour, muscle}

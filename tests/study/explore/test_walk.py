@@ -110,7 +110,7 @@ def test_a_fall_has_frames_and_a_reason(fell):
     count = len(frames["time_s"])
     assert count == pytest.approx(walking.RATE_HZ * trajectory.time_s[-1], abs=1)
     assert frames["muscles"].shape[:2] == (count, 14)
-    assert frames["forces"].shape == (count, 2, 2, 2)
+    assert frames["forces"].shape == (count, 3, 2, 2)
     hip = np.interp(frames["time_s"], trajectory.time_s, trajectory.q[:, 0])
     for leg in ("near", "far"):
         np.testing.assert_allclose(frames[leg][:, 0, 0], hip, atol=1e-4)

@@ -100,6 +100,24 @@ def test_world_foot_and_device(page: Page) -> None:
     assert page.setting.world(0).prosthesis.max() == 0.0
 
 
+def test_a_push_and_a_slip_are_tables_once_they_are_something(page: Page) -> None:
+    page.control("world.push.time_s").value = 2.0
+    page.control("world.slip.friction").value = 0.2
+    assert page.what_if.tables == {}
+    page.control("world.push.force_n").value = -100.0
+    page.control("world.slip.duration_s").value = 0.5
+    world = page.setting.world(0)
+    assert world.push.tolist() == [[2.0, 0.1, -100.0]]
+    assert world.slip.tolist() == [[5.0, 0.5, 0.2]]
+    assert "[world.push]\n" in page.control("lines").value
+    page.control("world.push.time_s").value = 15.0  # the walk has 10 s
+    assert "world.push.time_s" in page.said() and "below 10" in page.said()
+    assert page.setting.world(0).push[0, 0] == 2.0
+    page.control("world.push.force_n").value = 0.0
+    page.control("world.slip.duration_s").value = 0.0
+    assert page.what_if.tables == {}
+
+
 def test_lines_move_the_controls_and_last(page: Page) -> None:
     tendon = "[world.muscles]\nslack_length = { SOL = 1.05 }\nSOL_left = 0.5"
     text = f"world.friction = [0.5, 0.6]\n{tendon}"

@@ -40,6 +40,16 @@ def pushed(way):
     return replace(walk, q=q)
 
 
+def test_a_fall_after_a_push_says_so():
+    walk = pushed(1.0)
+    push_n = np.zeros((len(walk.time_s), 1))
+    push_n[300:310] = -250.0
+    text = fall_text(row(), replace(walk, push_n=push_n), LEVEL)
+    before_s = walk.time_s[-1] - walk.time_s[300]
+    assert f"it was pushed backwards by 250 N, {before_s:.2f} s before" in text
+    assert "pushed" not in fall_text(row(), walk, LEVEL)
+
+
 def last_strike(walk):
     return walk.events[walk.events["kind"] == 0][-1]
 

@@ -11,7 +11,15 @@ import pytest
 from matplotlib.image import imread
 
 from study.pictures import find_ffmpeg, write_movie, write_movies
-from study.pictures.scene import LARGE, SMALL, Canvas, frames
+from study.pictures.scene import (
+    LARGE,
+    SMALL,
+    Canvas,
+    Scene,
+    force_arrows,
+    frames,
+    motion_of,
+)
 from taichi_nmm.terrain import flat, rough
 from tests.cases import refused
 from tests.study.synthetic_gait import GLIMPSE, WALK
@@ -89,6 +97,31 @@ def test_a_device_is_in_the_film_with_its_key():
     assert not (np.abs(picture(LARGE).astype(int) - green) < 8).all(axis=-1).any()
     key = np.s_[int(0.2 * height) : int(0.26 * height), : int(0.2 * width)]
     assert (worn[key] != picture(LARGE)[key]).any()
+
+
+def test_a_push_is_an_arrow_to_the_trunk_while_it_acts():
+    push_n = np.zeros((len(WALK.time_s), 1))
+    push_n[50:60] = -200.0
+    pushed = replace(WALK, push_n=push_n)
+    motion = motion_of(pushed, flat(), WALK.time_s[-1], 50)
+    behind, mass = force_arrows(motion)[:, 2].swapaxes(0, 1)
+    acts = np.flatnonzero(np.isfinite(behind[:, 0]))
+    np.testing.assert_allclose(motion.time_s[acts], [0.51, 0.53, 0.55, 0.57, 0.59])
+    back_m = 0.6 * 200.0 / 785.0  # a body weight of 80 kg is 0.6 m long
+    np.testing.assert_allclose((behind - mass)[acts], [[back_m, 0.0]] * 5, atol=1e-9)
+    np.testing.assert_allclose(np.hypot(*(mass - motion.q[:, :2]).T), 0.35)
+    shown = [
+        Scene(each, flat(), "", LARGE.size_px)
+        for each in (motion, motion_of(WALK, flat(), WALK.time_s[-1], 50))
+    ]
+    with_arrow, without = (
+        [np.frombuffer(scene.picture(n), np.uint8) for n in (acts[2], acts[2] + 9)]
+        for scene in shown
+    )
+    differ = [
+        (one != other).sum() for one, other in zip(with_arrow, without, strict=True)
+    ]
+    assert differ[0] > differ[1] + 500  # the key is in both, the arrow in the first
 
 
 def test_walks_are_filmed_above_each_other(tmp_path):

@@ -77,6 +77,7 @@ def test_csv_has_all_samples_by_names_with_units(tmp_path):
         "joint_torque_nm",
         "swing_torque_nm",
         "device_torque_nm",
+        "push_n",
         "fibre_length_m",
         "fibre_velocity_mps",
         "delayed",
