@@ -221,6 +221,7 @@ class Recorder:
             delayed=_delayed(walk.delay, ticks),
             stance=state.touching.reshape(LEGS, 2, -1).max(axis=1).T > 0.5,
             events=_events(walk.events),
+            prosthesis=prosthesis.any(axis=1),
         )
 
 

@@ -149,6 +149,7 @@ class Trajectory:
             `DELAYED`, [t, 22]; without the lag and the noise of a world.
         stance: foot on the ground, left and right, bool [t, 2].
         events: strikes and take-offs, `EVENT_DTYPE`, at the controller's tick.
+        prosthesis: whether the left leg, and the right, has one, bool [2].
     """
 
     walker: int
@@ -168,6 +169,7 @@ class Trajectory:
     delayed: NDArray[np.float64]
     stance: NDArray[np.bool_]
     events: NDArray[np.void]
+    prosthesis: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,6 +168,7 @@ class Motion:
         push_n: of a push on the trunk, forwards, [f].
         level_m: the ground's height that the camera follows, [f].
         device: an exoskeleton, with torques [f, 6]; None: there is none.
+        prosthesis: whether the left leg, and the right, has one.
     """
 
     time_s: Array
@@ -177,6 +178,7 @@ class Motion:
     push_n: Array
     level_m: Array
     device: stick.Device | None = None
+    prosthesis: Sequence[bool] = (False, False)
 
 
 def frames(
@@ -209,6 +211,7 @@ def motion_of(
         push_n=stick.at_times(trajectory, trajectory.push_n, times_s)[:, 0],
         level_m=camera_level(terrain.height(q[:, 0]), rate_hz),
         device=stick.device_at(trajectory, times_s),
+        prosthesis=trajectory.prosthesis.tolist(),
     )
 
 
@@ -224,7 +227,9 @@ class Scene:
         self._size_px = size_px
         self._unit_px = size_px[0] / FULL_WIDTH_PX
         self._arrows = force_arrows(motion)
-        self._walker = stick.Walker(motion.q, motion.activation, motion.device)
+        self._walker = stick.Walker(
+            motion.q, motion.activation, motion.device, motion.prosthesis
+        )
         self._bar = self._activation_bar()
 
     def picture(self, number: int) -> bytes:

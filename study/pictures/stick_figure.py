@@ -24,6 +24,7 @@ from storage.inputs.errors import InputError
 from study.pictures import style
 from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
 from taichi_nmm.result import MUSCLES, Trajectory
+from taichi_nmm.world import ACROSS_ANKLE
 
 Array = NDArray[np.float64]
 Bone = tuple[Array, Array, float]  # its ends, each [2], and its width in metres
@@ -54,7 +55,11 @@ class Walker:
     """A walker in n poses, with its muscles; the left leg is in front."""
 
     def __init__(
-        self, q: Array, activation: Array, device: "Device | None" = None
+        self,
+        q: Array,
+        activation: Array,
+        device: "Device | None" = None,
+        prosthesis: Sequence[bool] = (False, False),
     ) -> None:
         """Prepare what is drawn of all poses.
 
@@ -62,10 +67,12 @@ class Walker:
             q: generalised coordinates, [n, 9].
             activation: of the muscles, left leg first, 0 to 1, [n, 14].
             device: an exoskeleton in the same poses; None: it wears none.
+            prosthesis: whether the left leg, and the right, has one.
         """
         self._q = q
         self._activation = activation
         self._device = device
+        self._prosthesis = prosthesis
         self._outlines = [muscle_outlines(q, side) for side in (LEFT, RIGHT)]
 
     def draw(self, surface: Surface, number: int) -> None:
@@ -73,15 +80,26 @@ class Walker:
         q = self._q[number]
         near, far = leg(q, LEFT), leg(q, RIGHT)
         shoulder, head = trunk(q)
-        surface.bones(far.bones(), style.FAR_LIMB)
+        self._draw_bones(surface, far, RIGHT, style.FAR_LIMB)
         self._draw_muscles(surface, number, RIGHT, style.FAINT)
         self._draw_device(surface, number, RIGHT)
         surface.bones([(near.hip, shoulder, TRUNK_WIDTH_M)], style.NEAR_LIMB)
         surface.disc(head, HEAD_RADIUS_M, style.NEAR_LIMB)
-        surface.bones(near.bones(), style.NEAR_LIMB)
+        self._draw_bones(surface, near, LEFT, style.NEAR_LIMB)
         self._draw_muscles(surface, number, LEFT, style.INK)
         surface.joints(near.chain()[:3])
         self._draw_device(surface, number, LEFT)
+
+    def _draw_bones(
+        self, surface: Surface, joints: "Leg", side: int, colour: str
+    ) -> None:
+        bones = joints.bones()
+        if self._prosthesis[side]:
+            thigh, (knee, ankle, width_m), foot = bones
+            stump = 0.5 * (knee + ankle)
+            surface.bones([thigh, (knee, stump, width_m)], colour)
+            bones, colour = [(stump, ankle, PYLON_WIDTH_M), foot], style.DEVICE
+        surface.bones(bones, colour)
 
     def _draw_device(self, surface: Surface, number: int, side: int) -> None:
         if self._device is not None:
@@ -92,8 +110,11 @@ class Walker:
     def _draw_muscles(
         self, surface: Surface, number: int, side: int, edge: str
     ) -> None:
-        outlines = [outline[number] for outline in self._outlines[side]]
-        surface.muscles(outlines, of_side(self._activation[number], side), edge)
+        gone = ACROSS_ANKLE if self._prosthesis[side] else ()
+        there = [place for place, name in enumerate(MUSCLES) if name not in gone]
+        outlines = [self._outlines[side][place][number] for place in there]
+        activation = of_side(self._activation[number], side)[there]
+        surface.muscles(outlines, activation, edge)
 
 
 def activation_bar(axes: Axes) -> None:
@@ -105,6 +126,7 @@ def activation_bar(axes: Axes) -> None:
     bar.outline.set_visible(False)
 
 
+PYLON_WIDTH_M = 0.03  # of a prosthesis, below the middle of the shank
 STRUT_WIDTH_M = 0.016
 CUFF_M = 0.035  # half of its length, across the link
 ARC_RADIUS_M = 0.13
@@ -348,7 +370,7 @@ def _belly(path: Array, half_thickness: float) -> Array:
     return np.concatenate([there, back[..., ::-1, :]], axis=-2)
 
 
-NOT_SAMPLED = ("walker", "events")
+NOT_SAMPLED = ("walker", "events", "prosthesis")
 
 
 def samples(trajectory: Trajectory, chosen: slice | NDArray[np.bool_]) -> Trajectory:

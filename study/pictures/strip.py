@@ -33,6 +33,7 @@ GAP_IN = 0.15  # beside and below what is drawn
 COLOURS = (style.VERMILION, style.BLUE)  # of two walks
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
 DEVICE_KEY = " Green: an exoskeleton; arrows: its torque, half a turn at 80 N m."
+FOOT_KEY = " Dark green: a prosthesis."
 GROUND_LAYER = 100.0  # over the soles: half the drawn width of a foot is below them
 BEYOND_M = 1.0  # of ground, in the profile, ahead of where the walker came to
 LEVEL_M = 0.01  # ground that varies by less is level
@@ -153,6 +154,7 @@ class Stretch:
             stick.at_times(walk, walk.q, self.poses_s),
             stick.at_times(walk, walk.activation, self.poses_s),
             stick.device_at(walk, self.poses_s),
+            walk.prosthesis.tolist(),
         )
         for number in range(len(self.poses_s)):
             walker.draw(AxesSurface(axes, layer=3.0 + number), number)
@@ -238,6 +240,8 @@ def write_strip(
     """
     worn = np.nan_to_num(trajectory.device_torque_nm).any()
     title_of_key = KEY + DEVICE_KEY if worn else KEY
+    if trajectory.prosthesis.any():
+        title_of_key += FOOT_KEY
     shown = Shown(label="", title=title_of_key, trajectory=trajectory)
     figure = strips_figure([shown], terrain, title, dpi)
     return style.save_png(figure, path)

@@ -30,7 +30,12 @@ SIGNAL = os.environ.get("FAKE_SIGNAL", "")
 WALKS_FROM = 0.7  # quality
 WIDTHS = (9, 9, 6, 14, 14, 4, 6, 4, 6, 1, 14, 14, 22, 2, 3)  # of a trajectory's arrays
 # It cannot be drawn.
-EMPTY = Trajectory(0, np.empty(0), *(np.empty((0, width)) for width in WIDTHS))
+EMPTY = Trajectory(
+    0,
+    np.empty(0),
+    *(np.empty((0, width)) for width in WIDTHS),
+    prosthesis=np.zeros(2, bool),
+)
 STORE_ROWS = 150
 # Of families, each with one of longer walks.
 KINDS = ("rough", "blocks", "up", "down", "stairs")

@@ -46,6 +46,7 @@ def walk(duration_s=8.0, rate_hz=100.0):
         fibre_length_m=np.full((len(time_s), 14), 0.05),
         stance=stance,
         events=_events(duration_s),
+        prosthesis=np.zeros(2, dtype=bool),
         **{name: np.zeros((len(time_s), count)) for name, count in NOTHING.items()},
     )
 

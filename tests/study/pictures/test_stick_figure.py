@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from study.pictures import stick_figure, style
 from study.pictures.scene import motion_of
@@ -15,7 +16,8 @@ from study.pictures.stick_figure import (
     muscle_outlines,
     of_side,
 )
-from study.pictures.strip import SHOWN_M, Shown, last_stretch
+from study.pictures.strip import SHOWN_M, Shown, last_stretch, write_strip
+from taichi_nmm import PUBLISHED_GAINS, Prosthesis, WorldRanges, simulate
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.terrain import flat
 from tests.cases import refused
@@ -74,9 +76,20 @@ class Drawn:
 
     def __init__(self):
         self.kept: dict[str, list[stick_figure.Bone]] = {}
+        self.bellies: list[int] = []  # of each leg
 
     def bones(self, parts, colour):
         self.kept.setdefault(colour, []).extend(parts)
+
+    def muscles(self, outlines, activation, edge):
+        assert len(outlines) == len(activation)
+        self.bellies.append(len(outlines))
+
+    def disc(self, centre_m, radius_m, colour):
+        """Not kept."""
+
+    def joints(self, points_m):
+        """Not kept."""
 
 
 def arc_of(torque_nm):
@@ -118,3 +131,33 @@ def test_a_device_is_drawn_where_it_turns_a_joint():
         ends = np.array([end for *both, _ in bones for end in both])
         assert np.hypot(*(ends - ankle).T).max() < 0.35
     assert surface.kept.keys() == {style.DEVICE, style.TORQUE}
+
+
+def test_a_prosthesis_takes_the_place_of_shank_foot_and_their_muscles():
+    for prosthesis, bellies in (((False, False), [7, 7]), ((False, True), [4, 7])):
+        surface = Drawn()
+        poses = WALK.q[100:101], WALK.activation[100:101]
+        stick_figure.Walker(*poses, prosthesis=prosthesis).draw(surface, 0)
+        assert surface.bellies == bellies  # the far leg, which is the right one, first
+    joints = leg(WALK.q[100], RIGHT)
+    pylon, foot = surface.kept[style.DEVICE]
+    np.testing.assert_allclose(
+        pylon[:2], [0.5 * (joints.knee + joints.ankle), joints.ankle]
+    )
+    np.testing.assert_allclose(foot[:2], [joints.heel, joints.ball])
+    _, shank = surface.kept[style.FAR_LIMB]
+    np.testing.assert_allclose(shank[:2], [joints.knee, pylon[0]])
+
+
+def test_a_strip_of_a_walker_with_a_prosthesis_has_it_in_its_colour(tmp_path):
+    worlds = WorldRanges(prosthesis=Prosthesis("right", 350.0, 1.0)).draw([0])
+    words = {"duration_s": 1.0, "record": [0], "worlds": worlds}
+    trajectory = simulate(PUBLISHED_GAINS, **words).trajectories[0]
+    assert trajectory.prosthesis.tolist() == [False, True]
+    assert finite(trajectory).prosthesis.tolist() == [False, True]
+    green = np.array([0x26, 0x59, 0x4C])
+    found = []
+    for without in (trajectory, replace(trajectory, prosthesis=np.zeros(2, bool))):
+        picture = imread(write_strip(tmp_path / "strip.png", without, flat()))
+        found.append((np.abs(255 * picture[..., :3] - green) < 8).all(axis=-1).sum())
+    assert found[0] > 200 and found[1] == 0
