@@ -21,7 +21,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.inputs import typed
@@ -329,9 +328,16 @@ def _of_parquet(
     file: Path | pa.BufferReader, own: str, columns: Sequence[str] | None
 ) -> pa.Table:
     if columns is not None:
-        _require_columns(own, columns, pq.read_schema(file).names)
+        _require_columns(own, columns, _names(file))
         columns = list(dict.fromkeys(columns))
     return read_any(file, columns)
+
+
+def _names(file: Path | pa.BufferReader) -> list[str]:
+    """The columns of a Parquet file."""
+    from pyarrow import parquet  # slow to load, and a text does without
+
+    return list(parquet.read_schema(file).names)
 
 
 def _of_text(content: bytes, words: Collection[str]) -> pa.Table:
@@ -461,7 +467,7 @@ def _of_folder(
     for place, file in enumerate(files):
         wanted = None
         with reading(field, file, ALLOWED):
-            known = [*pq.read_schema(file).names, *of_keys]
+            known = [*_names(file), *of_keys]
             if columns is not None:
                 _require_columns(own, columns, known)
                 wanted = [name for name in columns if name not in of_keys]

@@ -11,11 +11,10 @@ import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from storage.commit import commit, commit_json
@@ -23,6 +22,9 @@ from storage.inputs.documents import difference as difference
 from storage.inputs.documents import differs as differs
 from storage.inputs.errors import InputError
 from storage.inputs.reading import json_document, parse_json, reading
+
+if TYPE_CHECKING:
+    from pyarrow import parquet as pq
 
 FORMAT = 1  # of specification.json, manifest.json and the footers
 FOOTER_KEY = b"taichi_nmm"
@@ -38,6 +40,8 @@ def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
         InputError: the folder cannot be written or the disk is full; nothing is left
             behind.
     """
+    from pyarrow import parquet as pq  # here and below: a text does without
+
     stamped = table.replace_schema_metadata({FOOTER_KEY: json.dumps(footer)})
     words = [field.name for field in table.schema if pa.types.is_string(field.type)]
 
@@ -58,7 +62,7 @@ def write_table(path: Path, table: pa.Table, footer: dict[str, Any]) -> None:
     commit(path, write, check)
 
 
-def footer_of(file: pq.ParquetFile) -> dict[str, Any] | None:
+def footer_of(file: "pq.ParquetFile") -> dict[str, Any] | None:
     """The footer; None in a Parquet file of somebody else."""
     try:
         return parse_json((file.schema_arrow.metadata or {})[FOOTER_KEY])
@@ -75,6 +79,8 @@ def read_any(
         ValueError: more than `MOST_ROWS`: a value repeated for ever takes a few bytes
             of a file.
     """
+    from pyarrow import parquet as pq
+
     with pq.ParquetFile(
         file, page_checksum_verification=True
     ) as whole:  # faster than `read_table`
@@ -109,6 +115,8 @@ def read_about(path: Path) -> tuple[dict[str, Any] | None, pa.Schema, int]:
     Raises:
         InputError: the file cannot be read, or is damaged.
     """
+    from pyarrow import parquet as pq
+
     allowed = "a Parquet file that is whole"
     with reading("store", path, allowed) as whole, pq.ParquetFile(whole) as file:
         file.schema_arrow.names  # noqa: B018  # refuses those that are no text

@@ -14,6 +14,7 @@ nothing is guarded.
 """
 
 import errno
+import gc
 import os
 import signal
 import sys
@@ -68,6 +69,11 @@ def main(words: Sequence[str] | None = None) -> None:
         name, *rest = words
         options = parser_of(name).parse_args(rest)
         command = import_module(f"study.commands.{name.replace('-', '_')}")
+    if (
+        not gc.isenabled()
+    ):  # by `taichi_nmm.__main__`: garbage is not among what was imported
+        gc.freeze()
+        gc.enable()
     run_command(lambda: command.main(options))
 
 

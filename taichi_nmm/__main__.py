@@ -3,6 +3,7 @@
 The only module of this package that imports `study`.
 """
 
+import gc
 import runpy
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ NEIGHBOURS = Path(__file__).resolve().parents[1] / "study" / "neighbours.py"
 
 def main() -> None:
     """Run the command that the process was called with, and leave with its exit code."""
+    gc.disable()  # until all is imported, which stays
     try:
         runpy.run_path(str(NEIGHBOURS))["require_neighbours"]("study", "storage")
     except ImportError as error:
