@@ -132,8 +132,8 @@ def _one_line() -> Iterator[None]:
         if missing is None:
             raise  # a mistake of ours
         _leave(f"error: {missing}", EXIT_BAD_INPUT)
-    except KeyboardInterrupt:
-        _leave(INTERRUPTED, EXIT_INTERRUPTED)
+    except KeyboardInterrupt as stop:
+        _leave(str(stop) or INTERRUPTED, EXIT_INTERRUPTED)
     except MemoryError:
         _leave_refused(os.strerror(errno.ENOMEM), MEMORY)
     except OSError as error:

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import isclose
 from typing import Any
 
 import numpy as np
@@ -243,7 +244,8 @@ class Advice:
             interval = "interval unknown"
             if np.isfinite([low, high]).all():
                 interval = f"{low:.4g} to {high:.4g} with 95 %"
-            parts.append(f"{value:.4g} ({interval})")
+            better = " or better" if self._is_best(value) else ""
+            parts.append(f"{value:.4g}{better} ({interval})")
             if self.simulated is not None:
                 least, most = self.simulated
                 if not least <= value <= most:
@@ -259,6 +261,14 @@ class Advice:
         sentence = f"{EXPECTED}{', '.join(parts)}." if parts else ""
         unknown = self._unknown_limits(self.told)
         return " ".join(filter(None, [sentence, unknown, found.unlike]))
+
+    def _is_best(self, value: float) -> bool:
+        """Whether it is the best that was simulated or read: there an expectation ends."""
+        if self.simulated is None:
+            return False
+        choose = max if self.plan.goal.maximise else min
+        read = [trial.result for trial in self.told]
+        return isclose(value, choose(*self.simulated, *read), rel_tol=1e-9)
 
     def _expected_limits(self, found: Prediction, place: int) -> str:
         """The chance that limits are kept, where anything tells of them; the unknown, by name."""

@@ -176,6 +176,10 @@ def of_file(
     patterns = table.texts("outcomes")
     better = better_of(table)
     declared = _declared(table, names)
+    if not features and not patterns:
+        table.done()  # a key may be misspelled
+        allowed = "what tells of candidates: these, or features, or both"
+        raise InputError("candidates.outcomes", "none", allowed)
     found = ForeignTable.read("candidates.file", path, of_columns="candidates")
     if begun is None:
         space = {
@@ -200,7 +204,7 @@ def of_file(
         is_empty = np.isnan(outcomes[pattern])
         if is_empty.any() and begun is None:
             row, column = np.argwhere(is_empty)[0].tolist()
-            allowed = "what the trial costs in this world; or no such row"
+            allowed = "what the trial costs in this world (inf: worse than all); or no such row"
             raise InputError(f"candidates.{named[column]}[{row}]", "nothing", allowed)
 
     def told(field: str, patterns: tuple[str, ...]) -> ByFamily:

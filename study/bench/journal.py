@@ -321,6 +321,8 @@ def read_state(entries: list[Entry]) -> State:
 def _change(trial: Trial, entry: Entry) -> None:
     """What an entry about one trial changes."""
     data = entry.data
+    if trial.value is None:
+        trial.note = ""  # of a breakdown
     if entry.kind == "abort":  # who breaks it off has it again
         trial.aborted += 1
         trial.operator = entry.operator

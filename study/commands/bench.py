@@ -227,7 +227,7 @@ def tell_forecast(bench: Bench, *, is_asked: bool) -> None:
     is_quick = forecasts.is_quick(bench.candidates.rows)
     if not (is_asked or is_quick or forecasts.known_forecast(bench)):
         line = [*PROGRAM, "forecast", "--bench", str(bench.plan.path)]
-        print(f"what to expect, in a quarter of a minute: {shlex.join(line)}")
+        print(f"what to expect before the first trial: {shlex.join(line)}")
         return
     with closing(ProgressBar()) as bar:
         print(forecasts.forecast_of(bench, partial(bar.move, "robot")))
@@ -268,8 +268,11 @@ def export(bench: Bench, args: Namespace) -> None:
     """Write the trials as CSV."""
     from study.bench.exchange import export_text
 
-    path = Path(needed(args.what, "what", "a file to write"))
-    commit_text(path, export_text(bench))
+    path = needed(args.what, "what", "a file to write, or -, standard output")
+    if path == "-":
+        print(export_text(bench), end="")
+        return
+    commit_text(Path(path), export_text(bench))
     print(f"{len(bench.state.trials)} trials: {path}")
 
 

@@ -35,6 +35,7 @@ MOST_ROBOTS = 32  # of more worlds some, every family alike
 MOST_WORLDS = 256  # that samplers know, likewise
 MOST_ROWS = 2000  # of more rows the best thousand, and a thousand of all other ranks
 SOON = 3  # trials: a family is hard if fewer than half of its robots succeed by then
+INTERRUPTED = "interrupted: a forecast begins anew"
 MIDDLE = (0.1, 0.5, 0.9)  # quantiles: the middle 80 %, and the median
 
 Report = Callable[[int, int], object]
@@ -301,6 +302,8 @@ class _Left:
                 told.append(self._tried(robot, unknown))
                 if report is not None:
                     report(len(told), len(alone) + len(strange))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(INTERRUPTED) from None
         finally:
             optuna.logging.set_verbosity(verbosity)
         return Forecast(TRIALS, tuple(told[: len(alone)]), tuple(told[len(alone) :]))

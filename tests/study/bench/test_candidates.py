@@ -217,6 +217,24 @@ def test_a_column_that_looks_like_a_pattern_is_itself(tmp_path):
     assert rows.worlds.costs.ravel().tolist() == [3.0, 6.0]
 
 
+def test_candidates_of_which_nothing_is_known_are_refused_by_keys_of_the_file(tmp_path):
+    path = plan(tmp_path, WHOLE).path
+    change(path, 'features = ["known"]', "")
+    with refused(r"^candidates.outcomes: 'none' .* or features"):
+        Bench.new(path)
+
+
+def test_an_infinite_cost_in_a_world_is_worse_than_all_others(tmp_path):
+    path = plan(tmp_path, WHOLE).path
+    change(path, 'features = ["known"]', 'outcomes = ["known", "other"]')
+    rows = "".join(f"{dose},{dose},{dose if dose > 30 else 'inf'}\n" for dose in WHOLE)
+    (tmp_path / "doses.csv").write_text(f"dose,known,other\n{rows}")
+    bench = Bench.new(path)
+    costs = bench.candidates.rows.worlds.costs
+    assert (costs[:21, 1] > costs[21:].max()).all()
+    assert bench.next()[0].params["dose"] in WHOLE
+
+
 def test_an_empty_cell_of_a_world_is_refused_by_its_row(tmp_path):
     """A row without its cost in each world would never be proposed, without a word."""
     path = plan(tmp_path, []).path

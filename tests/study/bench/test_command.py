@@ -11,7 +11,7 @@ import pytest
 
 from study.bench import forecasts
 from study.bench.bench import Bench
-from study.cli import main
+from study.cli import ProgressBar, main
 from study.commands.bench import ACTIONS
 from study.sampler import calibration
 from tests.cases import asset
@@ -186,6 +186,24 @@ def test_words_of_a_sheet(folder, bench):
     assert "Expected: 1 (interval unknown)" in bench("next")  # of one value
     bench("record 1 --value 2")
     assert " with 95 %)" in bench("next")
+
+
+def test_trials_are_exported_to_standard_output(folder, asked):
+    before = sorted(folder.iterdir())
+    said = asked("export -")
+    assert said.splitlines()[0].startswith("trial,context,value,failed,stiffness")
+    assert said.count("\n") == 2 and sorted(folder.iterdir()) == before
+
+
+def test_the_note_of_a_breakdown_is_not_that_of_the_trial_that_repeats_it(asked):
+    asked("abort 0 --note cable")
+    assert "cable" in asked("status").splitlines()[1]
+    asked("next")
+    asked("record 0 --value 0.9")
+    assert "cable" not in asked("status").splitlines()[1]
+    asked("correct 0 --note mat")
+    asked("correct 0 --value 0.8")
+    assert "mat" in asked("status").splitlines()[1]
 
 
 def test_who_has_no_entry_among_the_users_is_a_number(bench, monkeypatch):
@@ -378,8 +396,20 @@ def test_what_takes_long_is_asked_for(bench, monkeypatch):
     said = bench("new walk.toml")
     assert "taichi-nmm bench forecast --bench walk.toml" in said
     assert "robots like" not in said
+    assert "minute" not in said  # nobody has measured it
     assert "robots like your worlds" in bench("forecast")
     assert "robots like your worlds" in bench("new walk.toml")  # it is known by now
+
+
+def test_a_forecast_that_is_interrupted_says_that_it_begins_anew(bench, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(forecasts, "QUICK", 10)
+    bench("new walk.toml")
+    monkeypatch.setattr(ProgressBar, "move", stop)
+    said = bench("forecast", 130)
+    assert "begins anew" in said and "kept" not in said
 
 
 @pytest.mark.parametrize("known", ['outcomes = ["world0"]', robot.FEATURES])
