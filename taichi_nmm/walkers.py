@@ -307,6 +307,7 @@ def constant_rows(batch: Batch, settings: Settings) -> NDArray[np.float64]:
     const.push_begin[:], const.push_end[:] = push
     const.slip_begin[:], const.slip_end[:] = slip
     const.push_n[:], const.slip_friction[:] = worlds.push[:, 2], worlds.slip[:, 2]
+    const.disturbed[:] = (worlds.catch_ns > 0.0) | (push[1] > 0.0) | (slip[1] > 0.0)
     stiffness, damping, rest = worlds.prosthesis.T
     const.ankle_stiffness[:] = stiffness
     const.ankle_damping[:] = damping

@@ -45,6 +45,7 @@ class RepairView:
         self._page = page
         self._now: tuple[WalkerExperiment, str]
         self._runs: tuple[WalkerExperiment, str] | None = None
+        self._told_of: tuple[WalkerExperiment, str] | None = None
         self._best: int | None = None  # the trial that was shown
         self._refusal = Message("repair-message")
         self._told = Message("repair")
@@ -61,9 +62,13 @@ class RepairView:
     def take(self, setting: WalkerExperiment) -> None:
         """The body, ground and world that the page has now; a repair of others stops."""
         self._now = repair_of(setting, self._store)
-        if self._runs not in (None, self._now):
+        if self._told_of in (None, self._now):
+            return
+        self._told_of, stopped = None, ""
+        if self._runs is not None:
             self._end()
-            self._told.tell("stopped: the walker is another one; back there it goes on")
+            stopped = "stopped: the walker is another one; back there it goes on"
+        self._told.tell(stopped)
 
     def begin(self) -> None:
         """Repair the present walker, or go on."""
@@ -75,7 +80,8 @@ class RepairView:
         commit_json(self._noted, self._page())
         self._refusal.tell("")
         self._told.tell("the first trial begins ...")
-        self._runs, self._best = self._now, None
+        self._runs = self._told_of = self._now
+        self._best = None
         self._ask()
 
     def left(self) -> dict[str, Any] | None:

@@ -78,7 +78,7 @@ class WalkView:
             menders=menders,
             noted=noted,
             store=store,
-            show=self.show,
+            show=self._show_repaired,
             page=self._page,
         )
         self._choices = _choices(self._own)
@@ -155,8 +155,12 @@ class WalkView:
 
     def show(self, gains: NamedGains) -> None:
         """Let gains walk in the setting of the choices."""
-        self._hands.take(gains)
         self._start = None
+        self._show_repaired(gains)
+
+    def _show_repaired(self, gains: NamedGains) -> None:
+        """Let gains walk beside the start, which the repair is of."""
+        self._hands.take(gains)
         self._again()
 
     def _on_ground(self) -> None:

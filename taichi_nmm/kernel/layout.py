@@ -144,6 +144,7 @@ Const = Layout(
     activation_blend=MUSCLE_COUNT,  # 1 - exp(-physics step / activation time)
     stretch=MUSCLE_COUNT,  # of the tendon over its reference, for an optimal length of the fibre
     tightness=MUSCLE_COUNT,  # the nominal slack length over the tendon's
+    disturbed=1,  # 1 where there are catches, a push or a slip
     push_begin=1,  # tick, of a push on the trunk
     push_end=1,  # the first tick after it; 0: there is none
     push_n=1,

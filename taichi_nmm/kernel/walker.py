@@ -59,8 +59,7 @@ def step(
 ):
     """One control tick of 1 ms of all walkers in a pack: senses and control, then the physics."""
     # True if any lane needs the phase: it changes nothing of the lanes that do not.
-    catch = highest(const.catch_ns, lanes) > 0.0
-    happens = highest(const.push_end, lanes) + highest(const.slip_end, lanes) > 0.0
+    disturbed = highest(const.disturbed, lanes) > 0.0
     own = highest(const.own_muscles, lanes) > 0.0
     for substep in range(substeps):
         locate(rough, lanes, terrain, heights, state, work)
@@ -85,10 +84,9 @@ def step(
             contact.spring_forces(lane, step_s, state, const, work)
             joints.knee_and_ankle_stops(lane, step_s, work)
             dynamics.momentum_after_free_step(lane, step_s, 1.0, state, const, work)
-        if catch:
+        if disturbed:
             for lane in range(lanes):
                 dynamics.catch_feet(lane, tick, step_s, const, work)
-        if happens:
             for lane in range(lanes):
                 dynamics.push_trunk(lane, tick, step_s, const, work)
         for _ in range(CONTACT_PASSES):

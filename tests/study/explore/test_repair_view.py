@@ -2,17 +2,21 @@
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import optuna
 import pytest
+from bokeh.document import Document
 from optuna.trial import TrialState
 
 from storage.store import open_store
 from study.experiment.arms import find_arm
+from study.experiment.gains import NamedGains, gains_of_source
 from study.experiment.live_study import run_study
-from study.experiment.repair import repair_of
+from study.experiment.repair import Repair, repair_of
+from study.explore.repair_view import RepairView
 from study.explore.walk import chosen_setting
 from tests.browser import opened_page
 from tests.processes import ROOT
@@ -73,6 +77,13 @@ def test_a_repair_goes_on_where_the_server_was_killed(tmp_path: Path) -> None:
         with opened(page, store):
             click(page, "what if")
             done(page, LOOKED_AT)
+            click(page, "score")
+            score = "named('score')?.text"
+            page.wait_for_function(f"{score}?.includes('repair, trial')")
+            heads = page.evaluate(f"{score}.split('<tr>')[1]")
+            # The gait before the repair is the start.
+            assert heads.count("repair, trial") == 1 and "start" not in heads
+            click(page, "what if")
             assert (
                 page.evaluate("named('lines').value")
                 == "[world.muscles]\nSOL_left = 0.5"
@@ -93,6 +104,31 @@ def test_a_repair_goes_on_where_the_server_was_killed(tmp_path: Path) -> None:
     for found, expected in zip(trials, alone.trials, strict=True):
         assert found.params == expected.params
         assert found.values == expected.values
+
+
+def test_a_finished_repair_says_nothing_of_another_walker(tmp_path: Path) -> None:
+    fake_walker.write_store(tmp_path / "store")
+    shown: list[NamedGains] = []
+    with ThreadPoolExecutor(1) as menders:
+        view = RepairView(
+            document=Document(),
+            menders=menders,
+            noted=tmp_path / "left.json",
+            store=open_store(tmp_path / "store"),
+            show=shown.append,
+            page=dict,
+        )
+        told = view.layout.select_one({"name": "repair"})
+        weak = chosen_setting(**LEVEL, changes=WEAK)
+        view.take(weak)
+        view._runs = view._told_of = view._now
+        gains = gains_of_source("published")
+        view._tried(Repair(trials=30, best=3, gains=gains, words="walked"))
+        assert told.text == "30 of 30 trials; best: trial 3, walked"
+        view.take(weak)  # other gains of the same walker
+        assert told.text.startswith("30 of 30") and shown == [gains]
+        view.take(chosen_setting(**LEVEL))
+        assert told.text == ""
 
 
 def test_what_cannot_be_repaired_is_said(tmp_path: Path) -> None:
