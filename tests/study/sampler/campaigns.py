@@ -124,6 +124,29 @@ class Truth:
     slopes: np.ndarray
     levels: np.ndarray
 
+    @classmethod
+    def drawn(
+        cls, physics: Physics, rng: np.random.Generator, *, is_like: bool
+    ) -> "Truth":
+        """Another machine of a problem, whose limits break beyond 0."""
+        d = len(physics.weights)
+        numbers = physics.numbers(int(rng.integers(FAMILIES)), rng)
+        size = 0.0
+        if not is_like:
+            numbers[:d] += rng.choice([-1, 1], d) * rng.uniform(0.1, 0.35, d)
+            size = rng.choice([0.15, 0.3, 0.6])
+        return cls(
+            physics=physics,
+            numbers=numbers,
+            misfit=(
+                size * rng.normal(size=12) / np.sqrt(6.0),
+                rng.normal(size=(12, d)) * 3.0 / np.sqrt(d),
+                rng.uniform(0, 2 * np.pi, 12),
+            ),
+            slopes=rng.normal(size=(2, d)) / np.sqrt(d),
+            levels=np.zeros(2),
+        )
+
     def costs(self, u: np.ndarray) -> np.ndarray:
         amplitudes, directions, phases = self.misfit
         waves = np.cos(u @ directions.T + phases) @ amplitudes
@@ -147,22 +170,7 @@ def machine_of(kind: str, *, is_like: bool, seed: int) -> Machine:
         for family in range(FAMILIES)
     }
     known = np.mean([costs.mean(axis=1) for costs in families.values()], axis=0)
-    numbers = physics.numbers(int(rng.integers(FAMILIES)), rng)
-    size = 0.0
-    if not is_like:
-        numbers[:d] += rng.choice([-1, 1], d) * rng.uniform(0.1, 0.35, d)
-        size = rng.choice([0.15, 0.3, 0.6])
-    truth = Truth(
-        physics=physics,
-        numbers=numbers,
-        misfit=(
-            size * rng.normal(size=12) / np.sqrt(6.0),
-            rng.normal(size=(12, d)) * 3.0 / np.sqrt(d),
-            rng.uniform(0, 2 * np.pi, 12),
-        ),
-        slopes=rng.normal(size=(2, d)) / np.sqrt(d),
-        levels=np.zeros(2),
-    )
+    truth = Truth.drawn(physics, rng, is_like=is_like)
     truth = replace(truth, levels=np.quantile(truth.limits(u), 0.65, axis=0))
     names = [f"x{column}" for column in range(d)]
     space = {name: FloatDistribution(0.0, 1.0) for name in names}

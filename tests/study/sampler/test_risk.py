@@ -1,6 +1,7 @@
 """The chance to break a limit, and proposals that keep to a small one."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import optuna
@@ -14,7 +15,7 @@ from study.sampler.risk import Prior, RiskError, all_kept
 from study.sampler.worlds import limits_in_worlds
 from tests.study.conftest import refused
 from tests.study.sampler import risky
-from tests.study.sampler.campaigns import machine_of
+from tests.study.sampler.campaigns import FALL, machine_of
 from tests.study.sampler.studies import told
 
 LINE = np.linspace(0.0, 1.0, 41)
@@ -256,11 +257,34 @@ def test_limits_that_cannot_be_used(limits, said):
 # The harness.
 @pytest.mark.slow
 def test_the_harness_counts_falls():
-    lines = list(risky.table(4, 3, is_like=True))
+    robots = risky.made_up(4, 3, is_like=True)
+    lines = list(risky.table("like", robots))
     assert len(lines) == 4
-    assert "any risk" in lines[0] and " 5 % " in lines[1]
+    assert "like at any: " in lines[0] and " at 5 %: " in lines[1]
     shares = [float(line.split("fell")[1].split("%")[0]) for line in lines]
     assert shares[1] <= 7.0 and min(shares) >= 0.0
+
+
+def test_a_world_that_is_left_out_is_a_robot_that_nobody_knows():
+    rows = risky.knowing_falls(machine_of("worlds", is_like=True, seed=1)).rows
+    fall = replace(rows.limits["fall"], names=rows.worlds.names)  # as a store has them
+    rows = replace(rows, limits={"fall": fall})
+    robot = risky.left_out(rows, 5, None)
+    for known in (robot.table.rows.worlds, robot.table.rows.limits["fall"]):
+        assert known.names == rows.worlds.names[:5] + rows.worlds.names[6:]
+    params = dict(zip(rows.names, rows.parameters[7].tolist(), strict=True))
+    cost, fell = robot.tried(params)
+    assert cost == rows.worlds.costs[7, 5] and fell == (cost >= FALL)
+
+
+def test_an_oven_is_one_more_of_those_that_its_candidates_know():
+    (oven,) = risky.ovens(1, 3)
+    rows = oven.table.rows
+    gains = dict(zip(rows.names, np.median(rows.parameters, axis=0), strict=True))
+    cost, is_too_hot = oven.tried(gains)
+    assert rows.worlds.costs.min() < cost < rows.worlds.costs.max()
+    assert is_too_hot in (True, False)
+    assert 0.05 < rows.limits["fall"].costs.mean() < 0.95
 
 
 def tried(**limits):
