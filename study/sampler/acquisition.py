@@ -41,6 +41,12 @@ CACHED_CONSTANTS = 8
 # Trials, from which on smooth costs are in units of the trials. From 3 on, a robot like
 # the worlds lost what they tell of it; from 8 on none did, and others gained as much.
 FAMILIAR = 8
+# Of costs that are not smooth: so many successes, ...
+FEW_SUCCESSES = 4
+# ... and how far above the best one their median may lie, in standard deviations of the
+# table. It is 0.03 to 0.15 of walkers that cost nearly the same, where the table's unit
+# hides all differences, and 0.3 to 1.3 where it tells them apart.
+HIDDEN = 0.2
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
 REFITS = ((32, 1), (128, 4), (np.inf, 16))
@@ -70,6 +76,7 @@ class Model:
         elsewhere: e trials of other studies, whose limits alone count; None: none.
         limits_elsewhere: the constraints of these, [e, c]; None without them.
         refits: up to how many trials constants are learned anew after how many.
+        keeps_worlds: whether the process sees costs as the worlds do after any trials.
     """
 
     kernel: Kernel
@@ -84,6 +91,7 @@ class Model:
     elsewhere: Points | None = None
     limits_elsewhere: Floats | None = None
     refits: Sequence[tuple[float, int]] = REFITS
+    keeps_worlds: bool = False
     _in_sight: bool | None = field(default=None, init=False)  # a success; not yet asked
 
     @cached_property
@@ -122,7 +130,12 @@ class Model:
             cost = self.cost(some)
             return cost - self.expected(self.trials, cost)[some]
 
-        posterior = self._after(self.trials, y, standardised=self._in_costs is None)
+        posterior = self._after(
+            self.trials,
+            y,
+            standardised=self._in_costs is None,
+            likens=not self._is_familiar or self._is_smooth,
+        )
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
 
@@ -198,7 +211,9 @@ class Model:
         smooth costs a table knows the form, and `FAMILIAR` trials tell how far this
         robot's lie apart: then they count by `log_excess`, in their own standard
         deviations. That tells costs near the best apart, where a robot unlike all
-        worlds differs from them most.
+        worlds differs from them most. So do costs of others, once a few trials have
+        succeeded that look alike in the table's unit; the ranking goes on to count,
+        and which worlds the robot is like, which told who falls, no more.
         """
         return self._in_costs is not None
 
@@ -219,14 +234,37 @@ class Model:
 
     @cached_property
     def _is_familiar(self) -> bool:
-        """Whether the worlds' costs are smooth, and trials tell how far this robot's lie apart."""
+        """Whether trials tell better than the table how far this robot's costs lie apart."""
         found = self.ensemble
-        if not isinstance(found, Ensemble) or not found.in_costs:
+        if not isinstance(found, Ensemble) or not found.in_costs or self.keeps_worlds:
             return False
-        return len(self.costs) >= FAMILIAR and found.is_smooth
+        are_many, look_alike = len(self.costs) >= FAMILIAR, self._look_alike(found)
+        if not are_many and not look_alike:
+            return False  # to ask whether costs are smooth takes long
+        return are_many if self._is_smooth else look_alike
+
+    def _look_alike(self, worlds: Ensemble) -> bool:
+        """Whether trials have succeeded whose differences the table's unit hides."""
+        succeeded = self.feasible
+        if self.success is not None:
+            succeeded = succeeded & (self.costs <= self.success)
+        if succeeded.sum() < FEW_SUCCESSES:
+            return False
+        y = worlds.standard(self.costs[succeeded])
+        return bool(np.median(y) - y.min() < HIDDEN)
+
+    @property
+    def _is_smooth(self) -> bool:
+        """Whether the worlds' costs are a smooth function of the parameters."""
+        return isinstance(self.ensemble, Ensemble) and self.ensemble.is_smooth
 
     def _after(
-        self, points: Points, y: Callable[[slice], Floats], *, standardised: bool = True
+        self,
+        points: Points,
+        y: Callable[[slice], Floats],
+        *,
+        standardised: bool = True,
+        likens: bool = True,
     ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
         seen = self.visible(points)
@@ -236,7 +274,8 @@ class Model:
             columns,
             self.parameters,
             standardised=standardised,
-            is_smooth=self._is_familiar,
+            is_familiar=self._is_familiar,
+            likens=likens,
         )
         every = next(every for most, every in self.refits if len(x) <= most)
         first = len(x) - len(x) % every

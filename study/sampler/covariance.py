@@ -321,7 +321,8 @@ def new_covariance(
     parameters: int,
     *,
     standardised: bool = True,
-    is_smooth: bool = False,
+    is_familiar: bool = False,
+    likens: bool = True,
 ) -> Covariance:
     """The covariance of rows with these columns.
 
@@ -330,18 +331,22 @@ def new_covariance(
         columns: of the rows.
         parameters: d, their number; its prior length scales grow with it.
         standardised: see `Covariance`.
-        is_smooth: whether the worlds' costs are, so that no single trial can turn their
-            ranking round: it is then as free to fit the trials as that of one world.
+        is_familiar: whether trials tell how far costs lie apart, so that no single one
+            can turn the worlds' ranking round: it is then as free to fit the trials as
+            that of one world.
+        likens: whether the machine may be like some worlds and unlike others.
     """
     if kernel.related and not kernel.of_parameters:
         return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
     terms = []
     if kernel.related:
         ranking = max(1.0 / len(columns.worlds), LEAST_RANKING)
-        if is_smooth:
+        if is_familiar:
             ranking = 1.0
+        if likens:
+            terms.append(Term(columns.worlds, WORLD))
         slope = Constant(log(ranking), RANKING_SD, SLOPE_BOUNDS)
-        terms = [Term(columns.worlds, WORLD), Term(columns.mean, slope)]
+        terms.append(Term(columns.mean, slope))
         if not standardised:
             terms.append(Term(columns.one, SHIFT))
     own = columns.features
