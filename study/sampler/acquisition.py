@@ -76,7 +76,8 @@ class Model:
         elsewhere: e trials of other studies, whose limits alone count; None: none.
         limits_elsewhere: the constraints of these, [e, c]; None without them.
         refits: up to how many trials constants are learned anew after how many.
-        keeps_worlds: whether the process sees costs as the worlds do after any trials.
+        keeps_worlds: whether which worlds the robot is like counts however alike
+            successes look.
     """
 
     kernel: Kernel
@@ -236,7 +237,7 @@ class Model:
     def _is_familiar(self) -> bool:
         """Whether trials tell better than the table how far this robot's costs lie apart."""
         found = self.ensemble
-        if not isinstance(found, Ensemble) or not found.in_costs or self.keeps_worlds:
+        if not isinstance(found, Ensemble) or not found.in_costs:
             return False
         are_many, look_alike = len(self.costs) >= FAMILIAR, self._look_alike(found)
         if not are_many and not look_alike:
@@ -248,7 +249,8 @@ class Model:
         succeeded = self.feasible
         if self.success is not None:
             succeeded = succeeded & (self.costs <= self.success)
-        if succeeded.sum() < FEW_SUCCESSES:
+        # A goal that is drawn anew for each trial has no trials of its own.
+        if self.keeps_worlds or worlds.is_drawn or succeeded.sum() < FEW_SUCCESSES:
             return False
         y = worlds.standard(self.costs[succeeded])
         return bool(np.median(y) - y.min() < HIDDEN)
