@@ -74,28 +74,35 @@ def selected(
     return inside
 
 
-def numbers_of(store: Store, name: str) -> Floats:
-    """The numbers of a column, [n]; NaN: unknown.
+def numbers_of(store: Store, name: str, at_hand: pa.Table | None = None) -> Floats:
+    """The numbers of a column, [n]; NaN: unknown. Read are those that are not at hand.
 
     As of the walker a gait's that made no step; of another simulator where a run
     failed, or where a family did not run the row. Files have zeros there, which would
     be the best of all that is to be small.
     """
-    values = np.asarray(store.table([name])[name].to_numpy(), dtype=np.float64)
+
+    def read(wanted: str) -> NDArray[Any]:
+        table = at_hand
+        if table is None or wanted not in table.column_names:
+            table = store.table([wanted])
+        return np.asarray(table[wanted].to_numpy())
+
+    values = read(name).astype(np.float64)
     if store.simulator == WALKER:
         needed = NEEDED_BY.get(name)
         if needed is None or needed not in store.columns:
             return values
-        both = {name: values, needed: store.numpy([needed])[needed]}
+        both = {name: values, needed: read(needed)}
         return np.where(unknown(name, both), np.nan, values)
     own = [family for family in store.families if name.startswith(f"{family}_")]
     flags = [evaluated_name(family) for family in own]
     if name in (*flags, Store.ROW, SURVIVED, *store.parameter_names):
         return values
     if flags:
-        return np.where(store.numpy(flags)[flags[0]], values, np.nan)
+        return np.where(read(flags[0]), values, np.nan)
     if ENDED in store.columns:
-        return np.where(store.numpy([ENDED])[ENDED] == FAILED, np.nan, values)
+        return np.where(read(ENDED) == FAILED, np.nan, values)
     return values
 
 
@@ -270,12 +277,12 @@ MARKED = {  # by what numbers the rows
 }
 
 
-def marked(store: Store) -> NDArray[np.uint8]:
-    """Of each row whether it is marked, 1 or 0, [n]."""
+def marked(store: Store, at_hand: pa.Table) -> NDArray[np.uint8]:
+    """Of each row whether it is marked, 1 or 0, [n]; the column that tells is at hand."""
     mark = MARKED[store.ROW]
     if mark.column not in store.columns:
         return np.zeros(len(store), np.uint8)
-    words = store.table([mark.column])[mark.column].to_numpy()
+    words = at_hand[mark.column].to_numpy()
     return np.asarray(words != mark.usual, np.uint8)
 
 
@@ -286,7 +293,7 @@ def numeric_columns(store: Store) -> list[str]:
     return [field.name for field in schema if any(kind(field.type) for kind in drawn)]
 
 
-def first_columns(store: Store) -> list[str]:
+def first_columns(store: Store, known: list[str]) -> list[str]:
     """The first five columns of a page; the colour is the survival of the first family, if any.
 
     Of other simulators than the walker: the first numbers after the parameters. Of a
@@ -294,7 +301,6 @@ def first_columns(store: Store) -> list[str]:
     """
     end = "_survived_fraction_mean"
     survived = [name for name in store.columns if name.endswith(end)]
-    known = numeric_columns(store)
     # The second of a store before 0.4: as its words say.
     energy = ENERGY if ENERGY in known else OF_MUSCLES
     speed, score, survival, steps = FIRST
@@ -326,8 +332,14 @@ class StoreView:
     ) -> None:
         self._store = store
         self._pick = pick
+        known = numeric_columns(store)
+        first = first_columns(store, known)
+        # Read at once: to open the files takes longer than to read a column.
+        needed = (NEEDED_BY.get(name, name) for name in first)
+        wanted = {store.ROW, MARKED[store.ROW].column, *first, *needed}
+        self._at_hand: pa.Table = store.table(wanted & {*store.columns})
         self._rows: NDArray[np.int64] = self._read(store.ROW).astype(np.int64)
-        self._words = described(store, numeric_columns(store))
+        self._words = described(store, known)
         if isinstance(store, Trials):
             for name, words in store.goals.items():
                 self._words[name] = self._words[name]._replace(words=words)
@@ -336,14 +348,12 @@ class StoreView:
             models.Select(
                 title=role, value=name, options=options, name=f"column-{slot}"
             )
-            for slot, (role, name) in enumerate(
-                zip(ROLES, first_columns(store), strict=True)
-            )
+            for slot, (role, name) in enumerate(zip(ROLES, first, strict=True))
         ]
         self._hidden: Ranges = {}  # of columns that are not shown
         rows = {
             "row": self._rows,
-            "marked": marked(store),
+            "marked": marked(store, self._at_hand),
             "kept": np.ones(len(store), np.uint8),
         }
         self._source = models.ColumnDataSource(rows, name="rows")
@@ -453,7 +463,7 @@ class StoreView:
         self._refusal.safely(self._check)()
 
     def _read(self, name: str) -> Floats:
-        return numbers_of(self._store, name)
+        return numbers_of(self._store, name, self._at_hand)
 
     def _load(self, slot: int) -> None:
         """Put a column into a slot; the script finds its bounds."""

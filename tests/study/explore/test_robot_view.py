@@ -10,7 +10,7 @@ from optuna.distributions import IntDistribution
 from storage import Store, make_store
 from storage.inputs.errors import InputError
 from study.explore.page import BASE, numbers_text, page_of, worlds_of
-from study.explore.store_view import first_columns, numbers_of
+from study.explore.store_view import first_columns, numbers_of, numeric_columns
 from tests.browser import opened_page
 from tests.storage import plants, rail, robot
 from tests.study.explore.serving import change, explorer
@@ -41,7 +41,7 @@ def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
         "gale 0": numbers(drawn, 0),
         "gale 1": numbers(drawn, 1),
     }
-    columns = first_columns(cart)
+    columns = first_columns(cart, numeric_columns(cart))
     assert len(set(columns)) == 5 and columns[2] == "gale_survived_fraction_mean"
     text = numbers_text(cart, 3)
     assert f"<td>thrust_n</td><td>{cart.points()[3, 0]:.4g}</td>" in text

@@ -17,7 +17,7 @@ from study.experiment.gains import gains_at
 from study.experiment.live_study import run_study
 from study.experiment.walker import read_experiment
 from study.explore.page import page_of
-from study.explore.store_view import first_columns
+from study.explore.store_view import first_columns, numeric_columns
 from study.explore.trials import Trials, open_rows
 from study.explore.walk import OWN, chosen_setting, walk
 from study.options import config_path
@@ -53,7 +53,13 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
         assert rows.simulator == f"study {name}"
         named = ("trial", "state", "value", "value_1", "value_", "leg_kind", "score")
         assert rows.columns == named and rows.parameter_names == named[4:6]
-        assert first_columns(rows) == ["value", "value_1", "trial", "score", "value_"]
+        assert first_columns(rows, numeric_columns(rows)) == [
+            "value",
+            "value_1",
+            "trial",
+            "score",
+            "value_",
+        ]
         assert rows.front == [2]  # of the most and the least
         table = rows.table()
         assert table["state"].to_pylist() == ["complete"] * 3 + ["fail"]
