@@ -8,7 +8,14 @@ import numpy as np
 import scipy
 
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.covariance import Covariance, Kernel, new_covariance
+from study.sampler.covariance import (
+    DOUBTED,
+    WORLD,
+    Constant,
+    Covariance,
+    Kernel,
+    new_covariance,
+)
 from study.sampler.gp import Posterior, condition, learn
 from study.sampler.similarity import Relation
 from study.sampler.transforms import (
@@ -76,8 +83,6 @@ class Model:
         elsewhere: e trials of other studies, whose limits alone count; None: none.
         limits_elsewhere: the constraints of these, [e, c]; None without them.
         refits: up to how many trials constants are learned anew after how many.
-        keeps_worlds: whether which worlds the robot is like counts however alike
-            successes look.
     """
 
     kernel: Kernel
@@ -92,7 +97,6 @@ class Model:
     elsewhere: Points | None = None
     limits_elsewhere: Floats | None = None
     refits: Sequence[tuple[float, int]] = REFITS
-    keeps_worlds: bool = False
     _in_sight: bool | None = field(default=None, init=False)  # a success; not yet asked
 
     @cached_property
@@ -135,7 +139,7 @@ class Model:
             self.trials,
             y,
             standardised=self._in_costs is None,
-            likens=not self._is_familiar or self._is_smooth,
+            likeness=WORLD if self._is_smooth or not self._is_familiar else DOUBTED,
         )
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
@@ -213,8 +217,8 @@ class Model:
         robot's lie apart: then they count by `log_excess`, in their own standard
         deviations. That tells costs near the best apart, where a robot unlike all
         worlds differs from them most. So do costs of others, once a few trials have
-        succeeded that look alike in the table's unit; the ranking goes on to count,
-        and which worlds the robot is like, which told who falls, no more.
+        succeeded that look alike in the table's unit. Which worlds the robot is like,
+        which told who falls, then counts as far as it tells these apart.
         """
         return self._in_costs is not None
 
@@ -250,7 +254,7 @@ class Model:
         if self.success is not None:
             succeeded = succeeded & (self.costs <= self.success)
         # A goal that is drawn anew for each trial has no trials of its own.
-        if self.keeps_worlds or worlds.is_drawn or succeeded.sum() < FEW_SUCCESSES:
+        if worlds.is_drawn or succeeded.sum() < FEW_SUCCESSES:
             return False
         y = worlds.standard(self.costs[succeeded])
         return bool(np.median(y) - y.min() < HIDDEN)
@@ -266,7 +270,7 @@ class Model:
         y: Callable[[slice], Floats],
         *,
         standardised: bool = True,
-        likens: bool = True,
+        likeness: Constant = WORLD,
     ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
         seen = self.visible(points)
@@ -277,7 +281,7 @@ class Model:
             self.parameters,
             standardised=standardised,
             is_familiar=self._is_familiar,
-            likens=likens,
+            likeness=likeness,
         )
         every = next(every for most, every in self.refits if len(x) <= most)
         first = len(x) - len(x) % every

@@ -152,6 +152,9 @@ ROUGH_NOISE = Constant(-7.0, 2.0, ROUGH_NOISE_BOUNDS)
 # Of costs in units of a table, of whose costs in all worlds the standard deviation is
 # one.
 WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)  # a^2
+# The same where costs are in units of the trials: on some grounds worlds tell walks
+# apart, on others they tell who falls alone, and only trials know which.
+DOUBTED = Constant(log(0.02), 2.0, (1e-5, 1e2))
 SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)  # c^2
 BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2
 # L_j, in ranges of the parameters: what is a parameter's own, and what all share.
@@ -322,7 +325,7 @@ def new_covariance(
     *,
     standardised: bool = True,
     is_familiar: bool = False,
-    likens: bool = True,
+    likeness: Constant = WORLD,
 ) -> Covariance:
     """The covariance of rows with these columns.
 
@@ -334,7 +337,7 @@ def new_covariance(
         is_familiar: whether trials tell how far costs lie apart, so that no single one
             can turn the worlds' ranking round: it is then as free to fit the trials as
             that of one world.
-        likens: whether the machine may be like some worlds and unlike others.
+        likeness: a^2, how much the machine may be like some worlds and unlike others.
     """
     if kernel.related and not kernel.of_parameters:
         return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
@@ -343,10 +346,8 @@ def new_covariance(
         ranking = max(1.0 / len(columns.worlds), LEAST_RANKING)
         if is_familiar:
             ranking = 1.0
-        if likens:
-            terms.append(Term(columns.worlds, WORLD))
         slope = Constant(log(ranking), RANKING_SD, SLOPE_BOUNDS)
-        terms.append(Term(columns.mean, slope))
+        terms = [Term(columns.worlds, likeness), Term(columns.mean, slope)]
         if not standardised:
             terms.append(Term(columns.one, SHIFT))
     own = columns.features

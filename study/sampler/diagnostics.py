@@ -340,7 +340,7 @@ def likeness_of(model: Model, names: tuple[str, ...]) -> Likeness:
     """
     if not len(model.costs):
         return Likeness(0, names, (0.0,) * len(names))
-    posterior = replace(model, keeps_worlds=True).posterior
+    posterior = model.posterior
     # The worlds' term comes first.
     term, variance, _ = next(posterior.covariance.valued(posterior.theta))
     noisy = posterior.gram() + (posterior.noise + JITTER) * np.eye(len(posterior.y))

@@ -17,7 +17,7 @@ from scipy.stats import multivariate_normal, norm
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import table_policy
 from study.sampler.acquisition import FAMILIAR, FEW_SUCCESSES
-from study.sampler.covariance import WITH_WORLDS
+from study.sampler.covariance import DOUBTED, WITH_WORLDS, WORLD
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
 from tests.study.conftest import refused
@@ -211,7 +211,7 @@ def test_smooth_costs_are_soon_in_units_of_the_trials_others_in_those_of_the_tab
 def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their_own(
     value, is_hidden
 ):
-    """The ranking then fits them as freely as they ask, and no world counts by itself."""
+    """The ranking then fits them as freely as they ask, and worlds count if these ask for it."""
     study, best = study_of(table(FALLS), success=1.0), COSTS.min()
     values = [40.0, best, *np.linspace(best, best + value, FEW_SUCCESSES)[1:]]
     for count, cost in enumerate(values):
@@ -220,12 +220,10 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
         told(study, SPACE, {"x": ROWS[count, 0], "y": 100.0 ** ROWS[count, 1]}, cost)
     model = study.sampler._policy.present(study).model
     assert model.in_table_units is not is_hidden
-    terms = model.posterior.covariance.terms
-    assert any(term.columns == model.columns.worlds for term in terms) is not is_hidden
-    ranking = next(term for term in terms if term.columns == model.columns.mean)
+    likeness, ranking, *_ = model.posterior.covariance.terms
+    assert likeness.variance == (DOUBTED if is_hidden else WORLD)
     assert ranking.variance.mode == pytest.approx(0.0 if is_hidden else -np.log(4.0))
     assert_allclose(model.in_units(model.cost()), values)
-    assert len(study.sampler.worth(study).values) == 4  # is asked of the worlds still
 
 
 def test_no_cost_is_expected_below_nothing_where_those_of_worlds_are_positive():
