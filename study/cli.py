@@ -69,9 +69,8 @@ def main(words: Sequence[str] | None = None) -> None:
         name, *rest = words
         options = parser_of(name).parse_args(rest)
         command = import_module(f"study.commands.{name.replace('-', '_')}")
-    if (
-        not gc.isenabled()
-    ):  # by `taichi_nmm.__main__`: garbage is not among what was imported
+    # `taichi_nmm.__main__` looks for no garbage while it imports: nothing of it is.
+    if not gc.isenabled():
         gc.freeze()
         gc.enable()
     run_command(lambda: command.main(options))

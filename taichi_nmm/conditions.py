@@ -7,7 +7,7 @@ from storage.inputs.config import Table
 from taichi_nmm.body import Build, read_body
 from taichi_nmm.settings import ENGINES, OWN_ENGINE, MujocoSettings, Settings
 from taichi_nmm.terrain import Ground, read_ground
-from taichi_nmm.world import NOMINAL, WorldRanges, read_world
+from taichi_nmm.world import NOMINAL, WorldRanges, read_world, require_begun
 
 SHORTEST_TRIAL_S = 0.1
 LONGEST_TRIAL_S = 1000.0
@@ -61,7 +61,7 @@ def read_conditions(table: Table, arch: str | None = None) -> Conditions:
     settings = read_settings(simulation, arch)
     simulation.done()
     world_ranges = read_world(table.table("world"), settings.engine)
-    world_ranges.draw([0]).require_begun(duration_s)
+    require_begun(world_ranges.draw([0]), duration_s)
     return Conditions(
         duration_s=duration_s,
         settings=settings,

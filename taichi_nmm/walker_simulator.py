@@ -51,6 +51,7 @@ from taichi_nmm.world import (
     WorldRanges,
     Worlds,
     read_world,
+    require_begun,
 )
 
 # By the purpose of a world's seed: the purposes of the streams that draw its body, its
@@ -253,7 +254,7 @@ class Walker:
         report: Callable[[float], None],
     ) -> tuple[NDArray[np.void], dict[str, Any]]:
         """Walk all points in all worlds as one batch, [n, w]."""
-        worlds.surroundings.require_begun(horizon_s)
+        require_begun(worlds.surroundings, horizon_s)
         count = len(worlds.terrains)
         world = np.tile(np.arange(count), len(points))
         gains, low_level = split_points(

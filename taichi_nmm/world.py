@@ -264,18 +264,19 @@ class Worlds(Collection):
         one = replace(NOMINAL.draw([0]), noise_seed=np.zeros(1))
         return one.take(np.zeros(count, dtype=np.intp))
 
-    def require_begun(self, duration_s: float) -> None:
-        """Refuse a push or a slip that begins once a walk of this length has ended.
 
-        Raises:
-            InputError: there is one.
-        """
-        for event in EVENT_LIMITS:
-            begins_s, lasts_s, _ = getattr(self, event).T
-            late = begins_s[(lasts_s > 0.0) & (begins_s >= duration_s)]
-            if late.size:
-                allowed = f"below {duration_s:g}, when the walk ends"
-                raise InputError(f"world.{event}.time_s", float(late[0]), allowed)
+def require_begun(worlds: Worlds, duration_s: float) -> None:
+    """Refuse a push or a slip that begins once a walk of this length has ended.
+
+    Raises:
+        InputError: there is one.
+    """
+    for event in EVENT_LIMITS:
+        begins_s, lasts_s, _ = getattr(worlds, event).T
+        late = begins_s[(lasts_s > 0.0) & (begins_s >= duration_s)]
+        if late.size:
+            allowed = f"below {duration_s:g}, when the walk ends"
+            raise InputError(f"world.{event}.time_s", float(late[0]), allowed)
 
 
 @dataclass(frozen=True)

@@ -139,10 +139,13 @@ def made(tmp_path_factory):
             (folder / name).write_text(text)
         out = folder / "out"
         fake_walker.write_store(out / "store")
-        for kind in ("worlds", "worlds-large", "stairs", "speed", "prosthesis"):
+        for kind in ("worlds", "worlds-large", "stairs", "prosthesis"):
             (out / f"store-{kind}").symlink_to(out / "store")
         fake_walker.write_store(
             out / "store-worlds-steps", kept=["step_length_sd_m", "step_duration_sd_s"]
+        )
+        fake_walker.write_store(
+            out / "store-speed", kept=["human_deviation", "step_duration_mean_s"]
         )
         device = [each.name for each in DEVICE]
         fake_walker.write_store(

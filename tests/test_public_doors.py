@@ -185,6 +185,8 @@ def walker_doors():
             damping_nmsprad=1.0,
         ),
         door(taichi_nmm.Exoskeleton),
+        door(taichi_nmm.Push, time_s=1.0, duration_s=0.1, force_n=100.0),
+        door(taichi_nmm.Slip, time_s=1.0, duration_s=0.1, friction=0.1),
         door(taichi_nmm.Result(rows).__getitem__, name="duration_s"),
         door(taichi_nmm.Observation, step, **observation),
         door(sensed.checked, count=1),

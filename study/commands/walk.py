@@ -65,6 +65,7 @@ from taichi_nmm.result import (
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import Terrain
 from taichi_nmm.walker_simulator import require_engine
+from taichi_nmm.world import require_begun
 
 # Pictures by their names, in their folder.
 FILES = {
@@ -166,7 +167,7 @@ def read(args: Namespace) -> WalkerExperiment:
     experiment = read_experiment(args.config, args.arch, args.seed)
     experiment.require_run(args.run)
     if args.duration is not None:
-        experiment.world(args.run).require_begun(args.duration)
+        require_begun(experiment.world(args.run), args.duration)
         conditions = replace(experiment.conditions, duration_s=args.duration)
         experiment = replace(experiment, conditions=conditions)
     if args.engine is None:

@@ -17,7 +17,7 @@ from taichi_nmm.kernel.muscle_table import (
     unit_lengths,
 )
 from taichi_nmm.result import DELAYED
-from taichi_nmm.world import NOMINAL, WorldRanges, read_world
+from taichi_nmm.world import NOMINAL, WorldRanges, read_world, require_begun
 from tests.cases import cases, refused
 
 ALL = WorldRanges(
@@ -163,10 +163,10 @@ def test_a_push_and_a_slip_come_once_and_before_the_walk_ends():
     worlds = read_back(push=push, slip=slip).draw([3, 4])
     assert worlds.push.tolist() == [[2.0, 0.1, -150.0]] * 2
     assert worlds.slip.tolist() == [[3.0, 0.2, 0.0]] * 2
-    worlds.require_begun(3.001)
+    require_begun(worlds, 3.001)
     with refused(r"^world\.slip\.time_s: 3.* allowed: below 3, when the walk ends"):
-        worlds.require_begun(3.0)
-    NOMINAL.draw([3]).require_begun(0.001)
+        require_begun(worlds, 3.0)
+    require_begun(NOMINAL.draw([3]), 0.001)
     with refused(r"^world\.slip: .*none with the engine mujoco"):
         read_world(Table({"slip": slip}, "world"), "mujoco")
     tables = {"world": {"push": push}, "simulation": {"duration_s": 2.0}}
