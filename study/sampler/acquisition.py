@@ -139,7 +139,7 @@ class Model:
             self.trials,
             y,
             standardised=self._in_costs is None,
-            likeness=WORLD if self._is_smooth or not self._is_familiar else DOUBTED,
+            likeness=DOUBTED if self._is_familiar and not self._is_smooth else WORLD,
         )
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
@@ -243,7 +243,8 @@ class Model:
         found = self.ensemble
         if not isinstance(found, Ensemble) or not found.in_costs:
             return False
-        are_many, look_alike = len(self.costs) >= FAMILIAR, self._look_alike(found)
+        are_many = len(self.costs) >= FAMILIAR
+        look_alike = self._look_alike(found)
         if not are_many and not look_alike:
             return False  # to ask whether costs are smooth takes long
         return are_many if self._is_smooth else look_alike
