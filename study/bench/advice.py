@@ -44,7 +44,7 @@ SHOWN_NUMBERS = 6  # of trials, in a sentence
 
 @dataclass(frozen=True)
 class Recommended(Best):
-    """The trial that is best by the model, of those that neither failed nor broke a limit.
+    """The trial of the best reading, of those that neither failed nor broke a limit.
 
     Attributes:
         remark: what is not known of it, or speaks against it; "": nothing.
@@ -133,7 +133,7 @@ class Advice:
         return [self._expected(found, place) for place in range(len(params))]
 
     def best(self) -> Recommended:
-        """The best trial by the model that neither failed nor broke a limit.
+        """The trial of the best reading that neither failed nor broke a limit.
 
         Those come first of which no other trial with the same parameters did so either,
         and of which all limits were entered.

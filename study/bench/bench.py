@@ -407,7 +407,7 @@ class Bench:
         return chosen
 
     def best(self) -> Recommended:
-        """The trial of the present context that is best by the model, with its interval.
+        """The trial of the best reading in the present context, with its interval.
 
         Raises:
             InputError: no trial is finished that neither failed nor broke a limit.

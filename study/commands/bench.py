@@ -188,7 +188,7 @@ def status(bench: Bench, args: Namespace) -> None:
 
 
 def recommend(bench: Bench, args: Namespace) -> None:
-    """Print the best gains by the model, and what to repeat; or that nothing is known yet."""
+    """Print the gains of the best reading, and what to repeat; or that nothing is known yet."""
     state = bench.state
     where = f" in {state.context}" if state.context else ""
     finished = [trial for trial in state.finished if trial.context == state.context]

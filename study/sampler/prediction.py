@@ -29,13 +29,12 @@ SHOWN_CANDIDATES = 10
 # How far an interval reaches beyond all that was simulated or read, in standard deviations
 # of the table: costs have a logarithm, and few trials an interval to 1e9.
 REACH = 1.5
-SURE = 2.0  # standard deviations by which the model contradicts the best reading
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 
 
 @dataclass(frozen=True)
 class Best:
-    """The trial that is best by the model, and not by luck: what all trials tell of it.
+    """The trial of the best reading, repeats as their mean, and what all trials tell of it.
 
     Attributes:
         number: of the trial, the first of these parameters.
@@ -77,9 +76,10 @@ class Best:
 def best_of(present: Present, *, maximised: bool) -> Best:
     """The trial of the best reading, of those that kept their limits if any did.
 
-    The readings of the same parameters count as their mean. Another trial takes its
-    place where the model is sure that it is better: in made-up campaigns the model's
-    mean alone chose worse trials than the readings.
+    The readings of the same parameters count as their mean. No trial takes its place by
+    the model's mean: by that alone as many were worse as better, and where the model was
+    sure of another one by two standard deviations, more were worse: a valley narrower
+    than the model knows looks like luck. Repeats tell these apart.
 
     Where the model has no parameters, noise is what parameters do, and is part of the
     interval.
@@ -87,7 +87,7 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     model, trials = present.model, present.trials
     mean, variance = _over_noise(model)
     mean += model.expected(model.trials, model.cost())
-    best = _chosen(present, mean, variance, maximised=maximised)
+    best = _chosen(present, maximised=maximised)
     rows = np.array([OFF_TABLE if row is None else row for row in present.rows])
     strange = unlike(model, rows, -1.0 if maximised else 1.0)
     trial = trials[best]
@@ -115,10 +115,8 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     )
 
 
-def _chosen(
-    present: Present, mean: Floats, variance: Floats, *, maximised: bool
-) -> int:
-    """The place of the best trial, by the model's mean and variance of each, [n]."""
+def _chosen(present: Present, *, maximised: bool) -> int:
+    """The place of the best trial."""
     trials, cost = present.trials, present.model.cost()
     kept = np.asarray(~(read_limits(trials) > 0).any(axis=1))
     told = np.array([trial.values[0] for trial in trials])
@@ -137,10 +135,7 @@ def _chosen(
         )
         for trial in trials
     ]
-    read = int(may_be[np.argmin(np.array(reading)[may_be])])
-    other = int(may_be[np.argmin(mean[may_be])])
-    sure = SURE * sqrt(float(variance[read] + variance[other]))
-    return other if mean[read] - mean[other] > sure else read
+    return int(may_be[np.argmin(np.array(reading)[may_be])])
 
 
 @dataclass(frozen=True, eq=False)

@@ -267,7 +267,7 @@ class FeatureKernelSampler(BaseSampler):
 
     @checks.checked(study=checks.instance(optuna.Study))
     def best(self, study: optuna.Study) -> Best:
-        """The trial that is best by the model: one lucky measurement does not make it.
+        """The trial of the best reading, repeats as their mean, and what the model makes of it.
 
         Args:
             study: of these parameters, with a finished trial; it is not changed.

@@ -144,6 +144,14 @@ def test_the_best_reading_is_recommended_and_repeats_count_as_their_mean():
     assert study.sampler.best(study).number == 4
 
 
+def test_a_valley_that_no_other_trial_confirms_is_recommended():
+    """By two standard deviations of the model trial 5 was better."""
+    values = 0.31 + 0.5 * (LINE[::4] - 0.45) ** 2
+    values[7] = 0.3
+    study = study_on(values=values.tolist())
+    assert study.sampler.best(study).number == 7
+
+
 # The harness.
 @pytest.mark.slow
 def test_the_harness_counts_what_was_said_and_what_happened():
