@@ -70,7 +70,8 @@ COST = Expected(bias=0.3, bias_trials=16.0, scale=1.3, scale_trials=3.0, freedom
 # Of a machine that its first trials have shown to be like no world.
 COST_UNLIKE = replace(COST, scale=1.8)
 # Limits are smoother than costs, and proposals are not chosen by how far below they are.
-LIMIT = Expected(bias=0.0, bias_trials=16.0, scale=1.0, scale_trials=4.0, freedom=30.0)
+# What the first trials show of the scale is of a model that had hardly learned.
+LIMIT = Expected(bias=0.0, bias_trials=16.0, scale=1.0, scale_trials=12.0, freedom=30.0)
 LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
 
 

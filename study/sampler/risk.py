@@ -32,7 +32,13 @@ from storage.inputs.errors import InputError
 from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.between import Between
-from study.sampler.calibration import LEAST_TOLD, LIMIT, Calibration, noise_of
+from study.sampler.calibration import (
+    LARGEST_ERROR,
+    LEAST_TOLD,
+    LIMIT,
+    Calibration,
+    noise_of,
+)
 from study.sampler.history import OFF_TABLE, History, limit_names, placed, read_limits
 from study.sampler.rows import Rows, once
 from study.sampler.transforms import Points
@@ -46,6 +52,9 @@ LAPLACE = 2.0  # worlds that a prior is worth at most
 # The share of the rule of succession in what n trials tell of a limit is RULE / n^2: of
 # the first ones the model was far too sure.
 RULE = 4.0
+# How far limits are kept together, 0: independently, 1: one of them tells of all; and of
+# how many trials that is worth.
+TOGETHER, TOGETHER_TRIALS = 0.5, 4.0
 
 AllowedRisk = float | Mapping[str, float]
 """Chances above 0 and below 1: of each limit by its name, or of any limit one."""
@@ -377,17 +386,20 @@ def all_kept(
     risks: Mapping[str, Floats],
     by_worlds: Collection[str],
     trials: Sequence[FrozenTrial],
+    errors: Floats,
 ) -> Floats:
     """The chance of k candidates to keep all limits, [k]; NaN where a risk is.
 
     To keep all is one event: where the rule of succession counts, of trials that tell of
     several limits, it is of the trials that kept them all. The product of two rules made
-    11 % of what came in 60 % of the trials.
+    11 % of what came in 60 % of the trials. By the model it lies between the product of
+    the chances and the least of them, as far as the limits' errors go together.
 
     Args:
         risks: to break each limit, by its name, one at least, [k].
         by_worlds: names of the limits of which worlds tell.
         trials: of the study.
+        errors: of past trials, each predicted before it was made, [t, 1 + c].
     """
     chances = {name: 1.0 - risk for name, risk in risks.items()}
     product = np.prod([*chances.values()], axis=0)
@@ -403,7 +415,22 @@ def all_kept(
         return np.asarray(product)
     kept = sum(max(limits) <= 0.0 for limits in told)
     others = [chances[name] for name in chances if name in by_worlds]
-    by_rule = (kept + 1.0) / (len(told) + 2.0) * np.prod(others, axis=0)
+    own = np.array([chances[name] for name in names])
+    columns = [limit_names(trials).index(name) for name in names]
+    together, apart = _together(errors[:, 1:][:, columns]), own.prod(axis=0)
+    by_model = together * own.min(axis=0) + (1.0 - together) * apart
+    by_rule = (kept + 1.0) / (len(told) + 2.0)
     trusted = _trusted(len(told))
-    known = trusted * product + (1.0 - trusted) * by_rule
-    return np.where(np.isnan(product), np.nan, known)
+    known = trusted * by_model + (1.0 - trusted) * by_rule
+    return np.where(np.isnan(product), np.nan, known * np.prod(others, axis=0))
+
+
+def _together(errors: Floats) -> float:
+    """How far limits go together, 0 to 1: the mean correlation of their errors [t, c]."""
+    z = np.clip(errors[~np.isnan(errors).any(axis=1)], -LARGEST_ERROR, LARGEST_ERROR)
+    sizes = np.sqrt((z**2).sum(axis=0))
+    alike = (z.T @ z) / np.maximum(np.outer(sizes, sizes), 1e-12)
+    pairs = alike[np.triu_indices(len(alike), 1)]
+    n = len(z)
+    known = TOGETHER * TOGETHER_TRIALS + n * float(pairs.mean())
+    return max(known / (TOGETHER_TRIALS + n), 0.0)

@@ -549,8 +549,9 @@ class TablePolicy(Policy):
             points = self._seen(asked, model.ensemble)
         risks = self._risks(history, model, places, points)
         trials = [*self.options.limits_of, *history.done.trials]
-        kept = all_kept(risks, self.rows.limits, trials)
-        told = history, self.errors(model), risks, kept
+        errors = self.errors(model)
+        kept = all_kept(risks, self.rows.limits, trials, errors)
+        told = history, errors, risks, kept
         return prediction_of(model, points, places.rows, *told)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:

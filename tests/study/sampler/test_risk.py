@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import optuna
@@ -11,7 +12,8 @@ from optuna.distributions import FloatDistribution
 from optuna.trial import create_trial
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.risk import Prior, RiskError, all_kept
+from study.sampler import risk
+from study.sampler.risk import Prior, RiskError
 from study.sampler.worlds import limits_in_worlds
 from tests.study.conftest import refused
 from tests.study.sampler import risky
@@ -294,6 +296,7 @@ def tried(**limits):
 def test_to_keep_all_limits_is_one_event():
     """After a trial that broke two limits the chance was said to be 1 in 9."""
     risks = {"a": np.array([2 / 3]), "b": np.array([2 / 3])}
+    all_kept = partial(risk.all_kept, errors=np.full((1, 4), np.nan))
     broke, kept = tried(a=1.0, b=1.0), tried(a=-1.0, b=-1.0)
     assert_allclose(all_kept(risks, (), [broke]), 1 / 3)
     assert_allclose(all_kept(risks, (), [broke, kept]), 1 / 2)
@@ -305,7 +308,10 @@ def test_to_keep_all_limits_is_one_event():
     assert_allclose(all_kept(three, ("c",), [broke]), 0.3)
     # Trials that tell of one limit alone are not of all, and many leave it to the model.
     assert_allclose(all_kept(risks, (), [tried(a=1.0)]), 1 / 9)
-    many = all_kept(risks, (), 200 * [broke])
-    assert_allclose(many, 1 / 9, rtol=0.01)
+    many = partial(risk.all_kept, risks, (), 200 * [broke])
+    apart, same = np.ones((40, 3)), np.ones((40, 3))
+    apart[::2, 2] = -1.0
+    for errors, chance in ((same[:0], 2 / 9), (apart, 0.12), (same, 0.323)):
+        assert_allclose(many(errors), chance, rtol=0.02)
     unknown = risks | {"a": np.array([np.nan])}
     assert np.isnan(all_kept(unknown, (), [broke])).all()
