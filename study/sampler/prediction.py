@@ -125,17 +125,11 @@ def _chosen(present: Present, *, maximised: bool) -> int:
     told = np.where(np.isfinite(told), 0.0, -told if maximised else told)
     first = np.lexsort((told, ~kept))[0]
     may_be = np.flatnonzero((kept == kept[first]) & (told == told[first]))
-    reading = [
-        np.mean(
-            [
-                c
-                for c, other in zip(cost, trials, strict=True)
-                if other.params == trial.params
-            ]
-        )
-        for trial in trials
-    ]
-    return int(may_be[np.argmin(np.array(reading)[may_be])])
+    alike = np.array(
+        [[own.params == other.params for other in trials] for own in trials]
+    )
+    reading = alike @ cost / alike.sum(axis=1)
+    return int(may_be[np.argmin(reading[may_be])])
 
 
 @dataclass(frozen=True, eq=False)

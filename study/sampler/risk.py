@@ -49,6 +49,9 @@ NEAR = (
     0.1  # of a trial, in the unit cube: a Gaussian's width, times the square root of d
 )
 LAPLACE = 2.0  # worlds that a prior is worth at most
+# Broken limits that are as many as was said, by which unexpected ones are judged: with
+# one of them a single fall took all candidates from robots that are allowed 5 %.
+EXPECTED = 3.0
 # The share of the rule of succession in what n trials tell of a limit is RULE / n^2: of
 # the first ones the model was far too sure.
 RULE = 4.0
@@ -231,7 +234,8 @@ class WorldLimit:
             broke @ near,
             near.sum(axis=0),
         )
-        return max((1.0 + float(broke.sum())) / (1.0 + float(np.nansum(said))), 1.0)
+        more = (EXPECTED + float(broke.sum())) / (EXPECTED + float(np.nansum(said)))
+        return max(more, 1.0)
 
 
 def _nearness(trials: Floats, places: Floats) -> Floats:
@@ -402,35 +406,32 @@ def all_kept(
         errors: of past trials, each predicted before it was made, [t, 1 + c].
     """
     chances = {name: 1.0 - risk for name, risk in risks.items()}
-    product = np.prod([*chances.values()], axis=0)
     names = [name for name in chances if name not in by_worlds]
-    if len(names) < 2:
-        return np.asarray(product)
-    told = [
-        [trial.constraints[name] for name in names]
-        for trial in trials
-        if trial.constraints.keys() >= set(names)
-    ]
-    if not told:
-        return np.asarray(product)
-    kept = sum(max(limits) <= 0.0 for limits in told)
     others = [chances[name] for name in chances if name in by_worlds]
-    own = np.array([chances[name] for name in names])
-    columns = [limit_names(trials).index(name) for name in names]
-    together, apart = _together(errors[:, 1:][:, columns]), own.prod(axis=0)
+    own, by_others = (
+        np.array([chances[name] for name in names]),
+        np.prod(others, axis=0),
+    )
+    apart, every = np.prod(own, axis=0), limit_names(trials)
+    columns = [every.index(name) for name in names]
+    told = read_limits(trials)[:, columns]
+    told = told[~np.isnan(told).any(axis=1)]
+    if len(names) < 2 or not len(told):
+        return np.asarray(apart * by_others)
+    together = _together(errors[:, 1:][:, columns])
     by_model = together * own.min(axis=0) + (1.0 - together) * apart
-    by_rule = (kept + 1.0) / (len(told) + 2.0)
+    by_rule = ((told <= 0.0).all(axis=1).sum() + 1.0) / (len(told) + 2.0)
     trusted = _trusted(len(told))
-    known = trusted * by_model + (1.0 - trusted) * by_rule
-    return np.where(np.isnan(product), np.nan, known * np.prod(others, axis=0))
+    return np.asarray((trusted * by_model + (1.0 - trusted) * by_rule) * by_others)
 
 
 def _together(errors: Floats) -> float:
     """How far limits go together, 0 to 1: the mean correlation of their errors [t, c]."""
-    z = np.clip(errors[~np.isnan(errors).any(axis=1)], -LARGEST_ERROR, LARGEST_ERROR)
-    sizes = np.sqrt((z**2).sum(axis=0))
-    alike = (z.T @ z) / np.maximum(np.outer(sizes, sizes), 1e-12)
-    pairs = alike[np.triu_indices(len(alike), 1)]
-    n = len(z)
-    known = TOGETHER * TOGETHER_TRIALS + n * float(pairs.mean())
-    return max(known / (TOGETHER_TRIALS + n), 0.0)
+    known = errors[~np.isnan(errors).any(axis=1)]
+    z: Floats = np.clip(known, -LARGEST_ERROR, LARGEST_ERROR)
+    z /= np.sqrt((z**2).sum(axis=0)) + 1e-12
+    n, c = z.shape
+    # The square of a sum of c vectors of length 1 has c of itself, and 2 of each pair.
+    pairs = ((z.sum(axis=1) ** 2).sum() - c) / (c * (c - 1.0))
+    together = TOGETHER * TOGETHER_TRIALS + n * pairs
+    return max(float(together / (TOGETHER_TRIALS + n)), 0.0)

@@ -549,10 +549,9 @@ class TablePolicy(Policy):
             points = self._seen(asked, model.ensemble)
         risks = self._risks(history, model, places, points)
         trials = [*self.options.limits_of, *history.done.trials]
-        errors = self.errors(model)
-        kept = all_kept(risks, self.rows.limits, trials, errors)
-        told = history, errors, risks, kept
-        return prediction_of(model, points, places.rows, *told)
+        told = self.errors(model), risks
+        kept = all_kept(risks, self.rows.limits, trials, told[0])
+        return prediction_of(model, points, places.rows, history, *told, kept)
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.

@@ -6,8 +6,9 @@
 Kinds of robots: machines drawn as their worlds are (`like`) and others (`unlike`), of
 `campaigns`; ovens, whose costs are smooth and whose fall is to overheat; and the worlds
 of the store of a configuration of `compare`, each of which is a robot that the sampler
-is not told of, and tells what any row would do. Each robot has 30 trials for each
-allowed risk of a fall, and 30 of the sampler that is told of no risk.
+is not told of: the store's simulator runs each trial in it, on the table or off it.
+Each robot has 30 trials for each allowed risk of a fall, and 30 of the sampler that is
+told of no risk.
 
 Prints how many trials fell, how many robots were refused a trial (they end there), and
 how many their first one; and what the best trial after 30 truly costs, as a share of the
@@ -26,11 +27,15 @@ import optuna
 from optuna.distributions import BaseDistribution, FloatDistribution
 from optuna.exceptions import ExperimentalWarning
 
+from storage.inputs.config import read_toml, read_whole
+from storage.points import FAMILY_WORLD, seed_sequence
 from storage.simulator import SURVIVED
+from storage.specification import Specification, read_specification
 from storage.store import open_store
 from study import FeatureKernelSampler, FeatureTable
 from study.experiment.experiment import candidates, store_path
 from study.experiment.features import told_of
+from study.experiment.objective import Objective
 from study.experiment.robots import read_any
 from study.options import config_path
 from study.sampler.forecast import family_of, some_worlds
@@ -49,6 +54,10 @@ OVENS, OVEN_ROWS, OVEN_S = 12, 1000, 400
 HOTTEST = 1.02  # that an oven may become on its way from 0 to 1
 
 
+Tried = Callable[[Mapping[str, Any]], tuple[float, bool]]
+"""What parameters truly cost, and whether the robot falls."""
+
+
 @dataclass(frozen=True)
 class Robot:
     """A robot, its candidates, and what is known of it before.
@@ -58,16 +67,14 @@ class Robot:
         space: of the parameters.
         success: the cost from which on a trial has succeeded.
         noise: standard deviation of a reading.
-        tried: what parameters truly cost, and whether the robot falls.
-        off_grid: as of a sampler.
+        tried: what it does.
     """
 
     table: FeatureTable
     space: Mapping[str, BaseDistribution]
     success: float | None
     noise: float
-    tried: Callable[[Mapping[str, Any]], tuple[float, bool]]
-    off_grid: int | None = None
+    tried: Tried
 
 
 @dataclass(frozen=True)
@@ -174,8 +181,12 @@ def of_store(robots: int, kind: str) -> Iterator[Robot]:
     """Worlds of the store of a configuration, each left out; at most so many."""
     name, _, families = kind.partition(":")
     experiment = read_any(config_path(name), None, None)
-    rows = candidates(experiment, "worlds", "worlds").rows
-    lasted = told_of(open_store(store_path(experiment, "worlds")), SURVIVED, "falls")
+    rows, path = (
+        candidates(experiment, "worlds", "worlds").rows,
+        store_path(experiment, "worlds"),
+    )
+    made = read_whole(read_toml(config_path(path.name)), read_specification)
+    lasted = told_of(open_store(path), SURVIVED, "falls")
     # What a family did not run has the mean of another one's worlds, and is no trial.
     fell = {"fall": {family: 1.0 - each for family, each in lasted.items()}}
     rows = replace(rows, limits=limits_in_worlds(fell, len(rows)))
@@ -186,7 +197,8 @@ def of_store(robots: int, kind: str) -> Iterator[Robot]:
     rows = without(rows, [name for name in names if family_of(name) not in known])
     assert rows.worlds is not None
     for world in some_worlds(rows.worlds.names, robots):
-        yield left_out(rows, world, success)
+        tried = partial(ran, made, rows.worlds.names[world], experiment.objective)
+        yield left_out(rows, world, success, tried)
 
 
 def without(rows: Rows, names: Collection[str]) -> Rows:
@@ -197,22 +209,29 @@ def without(rows: Rows, names: Collection[str]) -> Rows:
     return replace(rows, worlds=worlds.without(names), limits=known)
 
 
-def left_out(rows: Rows, world: int, success: float | None) -> Robot:
+def ran(
+    made: Specification, name: str, objective: Objective, params: Mapping[str, Any]
+) -> tuple[float, bool]:
+    """What parameters cost in a world of the store that was made so, and whether they fall."""
+    family, _, number = name.rpartition(" ")
+    (own,) = [each for each in made.families if each.name == family]
+    world = own.rule.draw([seed_sequence(own.seed, FAMILY_WORLD, int(number))])
+    point = [params[each.name] for each in made.simulator.parameters]
+    rows, _ = made.simulator.run(np.array([point]), world, own.horizon_s, float)
+    given = {column: rows[column] for column in rows.dtype.names}
+    cost = objective.in_worlds(given, own.horizon_s)
+    return float(cost[0, 0]), bool(rows[SURVIVED][0, 0] < 1.0)
+
+
+def left_out(rows: Rows, world: int, success: float | None, tried: Tried) -> Robot:
     """A world that the sampler is not told of."""
-    worlds, fall = rows.worlds, rows.limits["fall"]
-    assert worlds is not None
-
-    def tried(params: Mapping[str, Any]) -> tuple[float, bool]:
-        row = rows.find(params)
-        return float(worlds.costs[row, world]), bool(fall.costs[row, world])
-
+    assert rows.worlds is not None
     return Robot(
-        table=FeatureTable(without(rows, [worlds.names[world]])),
+        table=FeatureTable(without(rows, [rows.worlds.names[world]])),
         space=rows.space.as_dict(),
         success=success,
         noise=0.0,
         tried=tried,
-        off_grid=0,
     )
 
 
@@ -223,7 +242,6 @@ def campaign(robot: Robot, seed: int, allowed: float | None) -> Campaign:
         robot.table,
         seed=seed,
         success=robot.success,
-        off_grid=robot.off_grid,
         allowed_risk=None if allowed is None else {"fall": allowed},
     )
     study, fell, costs = optuna.create_study(sampler=sampler), list[bool](), [np.nan]

@@ -3,6 +3,7 @@
 import pickle
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import optuna
@@ -11,13 +12,16 @@ from numpy.testing import assert_allclose
 from optuna.distributions import FloatDistribution
 from optuna.trial import create_trial
 
+from storage.inputs.config import Table
+from storage.specification import read_specification
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import risk
 from study.sampler.risk import Prior, RiskError
 from study.sampler.worlds import limits_in_worlds
+from tests.storage import plants
 from tests.study.conftest import refused
 from tests.study.sampler import risky
-from tests.study.sampler.campaigns import FALL, machine_of
+from tests.study.sampler.campaigns import machine_of
 from tests.study.sampler.studies import told
 
 LINE = np.linspace(0.0, 1.0, 41)
@@ -271,12 +275,26 @@ def test_a_world_that_is_left_out_is_a_robot_that_nobody_knows():
     rows = risky.knowing_falls(machine_of("worlds", is_like=True, seed=1)).rows
     fall = replace(rows.limits["fall"], names=rows.worlds.names)  # as a store has them
     rows = replace(rows, limits={"fall": fall})
-    robot = risky.left_out(rows, 5, None)
+    robot = risky.left_out(rows, 5, None, lambda params: (1.0, False))
     for known in (robot.table.rows.worlds, robot.table.rows.limits["fall"]):
         assert known.names == rows.worlds.names[:5] + rows.worlds.names[6:]
-    params = dict(zip(rows.names, rows.parameters[7].tolist(), strict=True))
-    cost, fell = robot.tried(params)
-    assert cost == rows.worlds.costs[7, 5] and fell == (cost >= FALL)
+
+
+def test_a_world_of_a_store_runs_any_point_as_it_has_run_the_rows():
+    hot = {"settings": 3, "world": {"heat_k": [300.0, 320.0]}}
+    table = {
+        "samples": 8,
+        "simulation": {"duration_s": 5400.0},
+        "families": {"hot": hot},
+    }
+    made = read_specification(Table(table), simulator=plants.Battery)
+    (family,), params = made.families, {"pulses": 3, "current_a": 3.0}
+    point = np.array([[3.0, 3.0]])
+    rows, _ = made.simulator.run(point, family.worlds, family.horizon_s, float)
+    goal = SimpleNamespace(in_worlds=lambda given, _: given["loss_j"])
+    found = [risky.ran(made, f"hot {world}", goal, params) for world in range(3)]
+    assert len(set(found)) == 3 and [c for c, _ in found] == rows["loss_j"][0].tolist()
+    assert [fell for _, fell in found] == (rows["survived_fraction"][0] < 1.0).tolist()
 
 
 def test_an_oven_is_one_more_of_those_that_its_candidates_know():
@@ -307,7 +325,7 @@ def test_to_keep_all_limits_is_one_event():
     three = risks | {"c": np.array([0.1])}
     assert_allclose(all_kept(three, ("c",), [broke]), 0.3)
     # Trials that tell of one limit alone are not of all, and many leave it to the model.
-    assert_allclose(all_kept(risks, (), [tried(a=1.0)]), 1 / 9)
+    assert_allclose(all_kept(risks, (), [tried(a=1.0), tried(b=1.0)]), 1 / 9)
     many = partial(risk.all_kept, risks, (), 200 * [broke])
     apart, same = np.ones((40, 3)), np.ones((40, 3))
     apart[::2, 2] = -1.0
