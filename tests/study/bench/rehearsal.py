@@ -1,12 +1,11 @@
 """The bench with a simulated robot for a machine, whose ground changes after some trials.
 
     python -m tests.study.bench.rehearsal --robots 20 --seed 3301 --after risers
-    python -m tests.study.bench.rehearsal --before walker2d-robots --after walker2d-robots-uphill
 
 On each robot the bench goes on in a new context; beside it one that is begun anew, and
 one that carries on as if nothing had changed. Prints the median of the least cost after
 1, 3 and 10 trials on the new ground, and on how many robots the context is ahead of the
-others. Needs the store of the configuration, out/store-worlds or out/walker2d
+others. Needs the store of the configuration, out/store-worlds
 (`taichi-nmm precompute --config store-worlds`).
 
 The bench with contexts is entered from three computers in turn, each of which opens it
@@ -29,7 +28,6 @@ import optuna
 from study.bench.bench import Bench
 from study.bench.journal import Trial
 from study.experiment.experiment import store_path
-from study.experiment.robots import is_of_robots, read_robots
 from study.experiment.walker import read_experiment
 from study.options import config_path
 from study.report.numbers import wilcoxon
@@ -44,7 +42,6 @@ store = "{store}"
 cost = "{cost}"
 [goal]
 success = {success}
-{failed}
 """
 
 
@@ -57,34 +54,19 @@ class Machine:
 
     @classmethod
     def of(cls, config, seed):
-        """The robots of a configuration of `compare`."""
-        path = config_path(config)
-        if is_of_robots(path):
-            robots = read_robots(path, None, seed)
-            fell, most_s = robots.objective.fell_cost, robots.duration_s
-            ends = f"failed_at_once = {2 * fell}\nfailed_at_end = {fell}\nduration_s = {most_s}"
-            toml = TOML.format(
-                store=store_path(robots, "worlds").absolute(),
-                cost=robots.objective.cost,
-                success=fell,
-                failed=ends,
-            )
-            return cls(toml, partial(cost_of, robots))
-        walkers = read_experiment(path, None, seed).on_one_thread()
-        known = {
-            "cost": walkers.objective.cost,
-            "success": walkers.objective.success(walkers.trial_s),
-            "failed": "",
-        }
-        toml = TOML.format(store=store_path(walkers, "worlds").absolute(), **known)
+        """The walkers of a configuration of `compare`."""
+        walkers = read_experiment(config_path(config), None, seed).on_one_thread()
+        toml = TOML.format(
+            store=store_path(walkers, "worlds").absolute(),
+            cost=walkers.objective.cost,
+            success=walkers.objective.success(walkers.trial_s),
+        )
         return cls(toml, partial(cost_of, walkers))
 
 
 def cost_of(experiment, robot, trial):
     """What a trial on a robot costs, without noise."""
-    point = [
-        of.to_internal_repr(trial.params[name]) for name, of in experiment.space.items()
-    ]
+    point = [trial.params[name] for name in experiment.space]
     rows = experiment.simulate([robot], np.array([point]))
     return float(experiment.objective.costs(rows)[0])
 
