@@ -222,6 +222,8 @@ class Recorder:
             stance=state.touching.reshape(LEGS, 2, -1).max(axis=1).T > 0.5,
             events=_events(walk.events),
             prosthesis=prosthesis.any(axis=1),
+            push=self._worlds.push[world],
+            slip=self._worlds.slip[world],
         )
 
 

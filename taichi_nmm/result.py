@@ -150,6 +150,9 @@ class Trajectory:
         stance: foot on the ground, left and right, bool [t, 2].
         events: strikes and take-offs, `EVENT_DTYPE`, at the controller's tick.
         prosthesis: whether the left leg, and the right, has one, bool [2].
+        push: when the world's begins, how long it lasts, and its force, [3]; 0 where
+            there is none.
+        slip: the same, with the friction meanwhile.
     """
 
     walker: int
@@ -170,6 +173,8 @@ class Trajectory:
     stance: NDArray[np.bool_]
     events: NDArray[np.void]
     prosthesis: NDArray[np.bool_]
+    push: NDArray[np.float64]
+    slip: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,13 @@ from study.explore.walk import COLOURS, Walk
 from study.pictures import stick_figure as stick
 from study.pictures import style
 from study.pictures.gait_cycle import PEOPLE
-from study.pictures.scene import ARROWS, BELOW_GROUND_M, FORCE_WIDTH_M, VIEW_WIDTH_M
+from study.pictures.scene import (
+    ARROWS,
+    BELOW_GROUND_M,
+    DEVICE_KEY,
+    FORCE_WIDTH_M,
+    VIEW_WIDTH_M,
+)
 from taichi_nmm.result import FELL, MUSCLES
 
 ASPECT = 1.45  # of a stage, width over height
@@ -42,9 +48,15 @@ MUSCLE_LOOKS = [
 LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
     "bones": list(stick.WIDTHS_M),
     "trunk": stick.TRUNK_WIDTH_M,
+    "pylon": stick.PYLON_WIDTH_M,
+    "strut": stick.STRUT_WIDTH_M,
+    "arc": stick.ARC_WIDTH_M,
+    "device": style.DEVICE,
+    "torque": style.TORQUE,
     "rim": RIM_M,
     "muscles": MUSCLE_LOOKS,
     "points": stick.PATH_POINTS,
+    "turn": stick.ARC_POINTS + 3,  # points of an arrow round a joint
     "force": FORCE_WIDTH_M,
     "ghost": GHOST,
     "arrows": list(ARROWS),
@@ -99,7 +111,8 @@ class Stage:
             return
         x, y = walk.frames["ground"].T
         self._ground.data = {"x": x, "y": y}
-        self.say(walk.gains.name, walk.ended)
+        key = f" ({DEVICE_KEY})" if "arrows" in walk.frames else ""
+        self.say(walk.gains.name, f"{walk.ended}{key}")
         # Each as the one entry of a column, as Bokeh sends arrays of any shape.
         frames = walk.frames | {"fell": np.array([walk.row["end_reason"] == FELL])}
         self.frames.data = {name: [values] for name, values in frames.items()}

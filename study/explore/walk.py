@@ -28,7 +28,15 @@ from study.pictures.fall import fall_text
 from study.pictures.gait_cycle import STRIKE, event_times
 from study.pictures.movie import encoded
 from study.pictures.scene import LARGE, force_arrows, frames, motion_of
-from study.pictures.stick_figure import LEFT, RIGHT, finite, leg, muscle_paths, trunk
+from study.pictures.stick_figure import (
+    LEFT,
+    RIGHT,
+    finite,
+    gone_muscles,
+    leg,
+    muscle_paths,
+    trunk,
+)
 from study.pictures.trajectory_files import (
     FORMATS,
     RECORD_RATE_HZ,
@@ -123,7 +131,8 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
     motion = motion_of(shown, terrain, float(shown.time_s[-1]), RATE_HZ)
     q = motion.q
     shoulder, head = trunk(q)
-    paths = [*muscle_paths(q, LEFT), *muscle_paths(q, RIGHT)]
+    paths = np.stack([*muscle_paths(q, LEFT), *muscle_paths(q, RIGHT)], axis=1)
+    paths[:, gone_muscles(motion.prosthesis)] = np.nan
     x = np.arange(q[:, 0].min() - BEFORE_M, q[:, 0].max() + BEYOND_M, GRID_SPACING_M)
     drawn = {
         "time_s": motion.time_s,
@@ -137,11 +146,14 @@ def frames_of(trajectory: Trajectory, terrain: Terrain) -> Frames:
         "trunk": np.stack([q[:, :2], shoulder], axis=1),  # hip and shoulder, [f, 2, 2]
         "head": head[:, None],
         # Their lines, left leg, then right, [f, 14, p, 2]:
-        "muscles": np.stack(paths, axis=1),
+        "muscles": paths,
         # Foot and tip: left, right, a push, [f, 3, 2, 2].
         "forces": force_arrows(motion),
         "ground": np.stack([x, terrain.height(x)], axis=1),  # [k, 2]
         "strikes_s": event_times(trajectory, LEFT, STRIKE),
+        "prosthesis": motion.prosthesis,  # of the left leg, and of the right, [2]
+        "slip": trajectory.slip,  # as there, [3]
+        **(vars(motion.device) if motion.device else {}),
     }
     activation = np.clip(255.0 * motion.activation, 0, 255).astype(np.uint8)
     sent = {

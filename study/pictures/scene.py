@@ -20,7 +20,6 @@ from scipy.signal import lfilter
 
 from study.pictures import stick_figure as stick
 from study.pictures import style
-from taichi_nmm.body import HAT
 from taichi_nmm.result import Trajectory
 from taichi_nmm.terrain import Terrain
 
@@ -116,15 +115,14 @@ VIEW_WIDTH_M = 4.7  # room for a title above the head
 BELOW_GROUND_M = 0.30
 AHEAD = 0.45  # where the walker is in the picture, from the left
 HEIGHT_TRACKING_S = 0.5  # the camera follows the ground's rise as slowly as this
-FORCE_M_PER_N = 0.6 / 785.0  # one body weight of 80 kg is 0.6 m long
 FORCE_WIDTH_M = 0.014
 JOINT_RADIUS_M = 0.007
-LEAST_PUSH_N = 1.0  # that is seen
 ARROWS = (style.MODEL, style.MODEL, style.BLACK)  # of forces: on both feet, a push
 PRESSURE_SHIFT_M = 0.05  # heel above ball by half of it: all the force is at the ball
 FORCE_SMOOTHING_S = 0.03  # impacts of a few milliseconds would only flicker
 KEY = "blue: force of the ground"
-PUSH_KEY = "black: a push"
+PUSH_KEY = "; black: a push"
+SLIP_KEY = "; orange ground: slippery"
 DEVICE_KEY = "green: torque of the exoskeleton, half a turn at 80 N m"
 SMALLEST_TEXT_PX = 9  # of a film a quarter of the full size
 
@@ -167,7 +165,8 @@ class Motion:
             smoothed, [f, 4].
         push_n: of a push on the trunk, forwards, [f].
         level_m: the ground's height that the camera follows, [f].
-        device: an exoskeleton, with torques [f, 6]; None: there is none.
+        sliding: whether a slip goes on, bool [f].
+        device: an exoskeleton; None: there is none.
         prosthesis: whether the left leg, and the right, has one.
     """
 
@@ -177,6 +176,7 @@ class Motion:
     force_n: Array
     push_n: Array
     level_m: Array
+    sliding: NDArray[np.bool_]
     device: stick.Device | None = None
     prosthesis: Sequence[bool] = (False, False)
 
@@ -203,6 +203,7 @@ def motion_of(
     start_s = max(trajectory.time_s[0], end_s - seconds)
     times_s = np.arange(start_s, end_s + 1e-9, 1.0 / rate_hz)
     q = stick.at_times(trajectory, trajectory.q, times_s)
+    slips_s, lasts_s, _ = trajectory.slip
     return Motion(
         time_s=times_s,
         q=q,
@@ -210,6 +211,7 @@ def motion_of(
         force_n=stick.at_times(trajectory, smooth_force(trajectory), times_s),
         push_n=stick.at_times(trajectory, trajectory.push_n, times_s)[:, 0],
         level_m=camera_level(terrain.height(q[:, 0]), rate_hz),
+        sliding=(times_s >= slips_s) & (times_s < slips_s + lasts_s),
         device=stick.device_at(trajectory, times_s),
         prosthesis=trajectory.prosthesis.tolist(),
     )
@@ -241,19 +243,22 @@ class Scene:
         for (foot, tip), colour in zip(self._arrows[number], ARROWS, strict=True):
             if np.hypot(*(tip - foot)) > FORCE_WIDTH_M:
                 canvas.bones([(foot, tip, FORCE_WIDTH_M)], colour)
-        metres = self._draw_ground(canvas, left_m, bottom_m)
+        ink = style.VERMILION if self._motion.sliding[number] else style.INK
+        metres = self._draw_ground(canvas, left_m, bottom_m, ink)
         canvas.finish()
         self._write(canvas, number, metres)
         canvas.picture.paste(self._bar, (round(0.9 * self._size_px[0]), 0), self._bar)
         return canvas.picture.tobytes()
 
-    def _draw_ground(self, canvas: Canvas, left_m: float, bottom_m: float) -> list[int]:
+    def _draw_ground(
+        self, canvas: Canvas, left_m: float, bottom_m: float, ink: str
+    ) -> list[int]:
         """The ground with a mark at every metre; returns the metres that are in the picture."""
         x = np.linspace(left_m, left_m + VIEW_WIDTH_M, self._size_px[0] // 2)
         profile = np.stack([x, self._terrain.height(x)], axis=1)
         corners = np.array([[x[-1], bottom_m], [x[0], bottom_m]])
         canvas.polygon(np.concatenate([profile, corners]), style.GROUND)
-        canvas.line(profile, style.INK, 1.4 * self._unit_px)
+        canvas.line(profile, ink, 1.4 * self._unit_px)
         metres = list(range(int(np.ceil(left_m)), int(x[-1]) + 1))
         for metre in metres:
             top = float(self._terrain.height(metre))
@@ -266,7 +271,8 @@ class Scene:
         wide, high = self._size_px
         left = 0.015 * wide
         self._write_title(canvas, left)
-        key = f"{KEY}; {PUSH_KEY}" if self._motion.push_n.any() else KEY
+        key = KEY + PUSH_KEY * bool(self._motion.push_n.any())
+        key += SLIP_KEY * bool(self._motion.sliding.any())
         lines = [(f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (key, 15)]
         if self._motion.device is not None:
             lines.append((DEVICE_KEY, 15))
@@ -311,13 +317,10 @@ def force_arrows(motion: Motion) -> Array:
         tilt_m = joints.heel[:, 1:] - joints.ball[:, 1:]
         share = np.clip(0.5 + tilt_m / PRESSURE_SHIFT_M, 0.0, 1.0)
         foot = joints.heel + share * (joints.ball - joints.heel)
-        push = FORCE_M_PER_N * stick.of_side(motion.force_n, side)
+        push = stick.FORCE_M_PER_N * stick.of_side(motion.force_n, side)
         arrows.append(np.stack([foot, foot + push], axis=1))
-    up = -stick.down(motion.q[:, stick.HAT_COLUMN])
-    mass = motion.q[:, :2] + HAT.com_m * up
-    there = np.where(np.abs(motion.push_n) < LEAST_PUSH_N, np.nan, motion.push_n)
-    behind = mass - FORCE_M_PER_N * np.stack([there, np.zeros_like(there)], axis=1)
-    return np.stack([*arrows, np.stack([behind, mass], axis=1)], axis=1)
+    arrows.append(stick.push_arrows(motion.q, motion.push_n))
+    return np.stack(arrows, axis=1)
 
 
 def camera_level(ground_m: Array, rate_hz: int) -> Array:

@@ -22,7 +22,13 @@ from numpy.typing import NDArray
 
 from storage.inputs.errors import InputError
 from study.pictures import style
-from taichi_nmm.body import BALL_OFFSET_M, HEEL_OFFSET_M, SHANK_LENGTH_M, THIGH_LENGTH_M
+from taichi_nmm.body import (
+    BALL_OFFSET_M,
+    HAT,
+    HEEL_OFFSET_M,
+    SHANK_LENGTH_M,
+    THIGH_LENGTH_M,
+)
 from taichi_nmm.result import MUSCLES, Trajectory
 from taichi_nmm.world import ACROSS_ANKLE
 
@@ -73,6 +79,7 @@ class Walker:
         self._activation = activation
         self._device = device
         self._prosthesis = prosthesis
+        self._gone = gone_muscles(prosthesis)
         self._outlines = [muscle_outlines(q, side) for side in (LEFT, RIGHT)]
 
     def draw(self, surface: Surface, number: int) -> None:
@@ -102,19 +109,35 @@ class Walker:
         surface.bones(bones, colour)
 
     def _draw_device(self, surface: Surface, number: int, side: int) -> None:
-        if self._device is not None:
-            torque_nm = of_side(self._device.torque_nm[number], side)
-            worn = of_side(self._device.worn, side)
-            draw_device(surface, self._q[number], side, torque_nm, worn)
+        if self._device is None:
+            return
+        for lines, width_m, colour in (
+            (self._device.struts, STRUT_WIDTH_M, style.DEVICE),
+            (self._device.arrows, ARC_WIDTH_M, style.TORQUE),
+        ):
+            own = np.split(lines[number], 2)[side]
+            bones = [
+                (start, end, width_m)
+                for line in own[np.isfinite(own).all(axis=(1, 2))]
+                for start, end in pairwise(line)
+            ]
+            if bones:
+                surface.bones(bones, colour)
 
     def _draw_muscles(
         self, surface: Surface, number: int, side: int, edge: str
     ) -> None:
-        gone = ACROSS_ANKLE if self._prosthesis[side] else ()
-        there = [place for place, name in enumerate(MUSCLES) if name not in gone]
+        (there,) = np.nonzero(~of_side(self._gone, side))
         outlines = [self._outlines[side][place][number] for place in there]
         activation = of_side(self._activation[number], side)[there]
         surface.muscles(outlines, activation, edge)
+
+
+def gone_muscles(prosthesis: Sequence[bool]) -> NDArray[np.bool_]:
+    """Which muscles legs with a prosthesis lack, left leg first, bool [14]."""
+    return np.array(
+        [one and name in ACROSS_ANKLE for one in prosthesis for name in MUSCLES]
+    )
 
 
 def activation_bar(axes: Axes) -> None:
@@ -136,99 +159,95 @@ LEAST_ARC_RAD = 0.1
 ARC_POINTS = 12
 TIP_M = 0.06  # of the arrow at the end of an arc
 TIP_RAD = 0.5  # between its sides and the arc
-STRUTS_M = (
-    (0.30, 0.28),
-    (0.28, 0.25),
-    (0.28, 0.13),
-)  # up and down, of hip, knee, ankle
+# Of hip, knee and ankle, along the link above and along that below.
+STRUTS_M = ((0.30, 0.28, 0.28), (0.28, 0.25, 0.13))
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """An exoskeleton in n poses.
+    """An exoskeleton in n poses, as lines; NaN where nothing is drawn.
 
     Attributes:
-        torque_nm: in the order and signs of `Trajectory.joint_rad`, [n, 6].
-        worn: the joints that it turns at any time of the walk, bool [6].
+        struts: from a joint along a link, and a cuff across it: two of each joint, in
+            the order of `Trajectory.joint_rad`, [n, 12, 4, 2].
+        arrows: round these joints, [n, 6, `ARC_POINTS` + 3, 2].
     """
 
-    torque_nm: Array
-    worn: NDArray[np.bool_]
+    struts: Array
+    arrows: Array
 
 
 def device_at(trajectory: Trajectory, times_s: Array) -> Device | None:
     """The exoskeleton of a walk at some times; None where it never turns a joint."""
     torque_nm = np.nan_to_num(trajectory.device_torque_nm)
-    worn = np.asarray((torque_nm != 0.0).any(axis=0))
+    worn = (torque_nm != 0.0).any(axis=0)
     if not worn.any():
         return None
-    return Device(at_times(trajectory, torque_nm, times_s), worn)
-
-
-def draw_device(
-    surface: Surface,
-    q: Array,
-    side: int,
-    torque_nm: Array,
-    worn: NDArray[np.bool_],
-) -> None:
-    """Struts and cuffs about the joints of a leg, and an arrow round each that is turned.
-
-    Args:
-        surface: to draw on.
-        q: coordinates of the pose, [9].
-        side: of the leg.
-        torque_nm: on hip, knee and ankle, in the signs of the joints, [3].
-        worn: whether there is a device, [3].
-    """
-    thigh, shank, foot = leg_angles(q, side)
-    joints = leg(q, side)
-    places = (  # of each joint, and where the links above and below lead from it
-        (joints.hip, -down(q[HAT_COLUMN]), down(thigh)),
-        (joints.knee, -down(thigh), down(shank)),
-        (joints.ankle, -down(shank), forward(foot)),
+    q = at_times(trajectory, trajectory.q, times_s)
+    places, above, below = [], [], []
+    for side in (LEFT, RIGHT):
+        thigh, shank, foot = leg_angles(q, side)
+        hip, knee, ankle, *_ = leg(q, side)
+        places += [hip, knee, ankle]
+        above += [-down(q[:, HAT_COLUMN]), -down(thigh), -down(shank)]
+        below += [down(thigh), down(shank), forward(foot)]
+    centre, *links = (np.stack(each, axis=1) for each in (places, above, below))
+    struts = []
+    for along, reach_m in zip(links, STRUTS_M, strict=True):
+        end = centre + np.tile(reach_m, 2)[:, None] * along
+        across = CUFF_M * _turned(along, 0.5 * np.pi)
+        struts.append(np.stack([centre, end, end - across, end + across], axis=2))
+    drawn = np.where(worn[:, None, None, None], np.stack(struts, axis=2), np.nan)
+    turning_nm = at_times(trajectory, torque_nm, times_s)
+    return Device(
+        struts=drawn.reshape(len(q), -1, *drawn.shape[-2:]),
+        arrows=torque_arrows(centre, links[0] - links[1], turning_nm),
     )
-    for number in np.flatnonzero(worn):
-        centre, *links = places[number]
-        parts: list[Bone] = []
-        for along, reach_m in zip(links, STRUTS_M[number], strict=True):
-            end = centre + reach_m * along
-            across = CUFF_M * _turned(along, 0.5 * np.pi)
-            parts += [(centre, end, STRUT_WIDTH_M)]
-            parts += [(end - across, end + across, STRUT_WIDTH_M)]
-        surface.bones(parts, style.DEVICE)
-        above, below = links
-        arc = torque_arc(centre, above - below, float(torque_nm[number]))
-        if arc:
-            surface.bones(arc, style.TORQUE)
 
 
-def torque_arc(centre: Array, middle: Array, torque_nm: float) -> list[Bone]:
-    """An arrow round a joint, as long as the torque is large; empty for almost none.
+def torque_arrows(centre: Array, middle: Array, torque_nm: Array) -> Array:
+    """Arrows round joints, as long as the torques are large; NaN for almost none.
+
+    A line has the points of an arc, then of the tip: [..., `ARC_POINTS` + 3, 2].
 
     Args:
-        centre: of the joint, [2].
-        middle: direction from there to the arrow's middle, of any length but 0, [2].
-        torque_nm: clockwise, as all joints' positive torques turn the link below.
+        centre: of each joint, [..., 2].
+        middle: direction from there to the arrow's middle, of any length but 0, likewise.
+        torque_nm: clockwise, as all joints' positive torques turn the link below, [...].
     """
-    angle = torque_nm * ARC_RAD_PNM
-    if abs(angle) < LEAST_ARC_RAD:
-        return []
-    reach = ARC_RADIUS_M / np.linalg.norm(middle) * middle
-    turns = np.linspace(-0.5 * angle, 0.5 * angle, ARC_POINTS)
-    points = [centre + _turned(reach, float(turn)) for turn in turns]
-    back = points[-2] - points[-1]
-    back *= TIP_M / np.linalg.norm(back)
-    tips = [points[-1] + _turned(back, way) for way in (-TIP_RAD, TIP_RAD)]
-    ends = [*pairwise(points), *((points[-1], tip) for tip in tips)]
-    return [(start, end, ARC_WIDTH_M) for start, end in ends]
+    angle = torque_nm[..., None] * ARC_RAD_PNM
+    reach = ARC_RADIUS_M / np.linalg.norm(middle, axis=-1, keepdims=True) * middle
+    turns = angle * np.linspace(-0.5, 0.5, ARC_POINTS)
+    arc = centre[..., None, :] + _turned(reach[..., None, :], turns)
+    end = arc[..., -1:, :]
+    back = arc[..., -2:-1, :] - end
+    # Of no torque, of which nothing is drawn, all points are one.
+    back *= TIP_M / np.maximum(np.linalg.norm(back, axis=-1, keepdims=True), 1e-9)
+    sides = [end + _turned(back, way) for way in (-TIP_RAD, TIP_RAD)]
+    line = np.concatenate([arc, sides[0], end, sides[1]], axis=-2)
+    return np.where(np.abs(angle[..., None]) < LEAST_ARC_RAD, np.nan, line)
 
 
-def _turned(vector: Array, angle: float) -> Array:
-    """A vector [2], turned clockwise."""
-    x, z = vector
+def _turned(vector: Array, angle: Array | float) -> Array:
+    """Vectors [..., 2], turned clockwise by angles [...]."""
+    x, z = np.moveaxis(vector, -1, 0)
     cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([x * cosine + z * sine, z * cosine - x * sine])
+    return np.stack([x * cosine + z * sine, z * cosine - x * sine], axis=-1)
+
+
+FORCE_M_PER_N = 0.6 / 785.0  # one body weight of 80 kg is 0.6 m long
+LEAST_PUSH_N = 1.0  # that is seen
+
+
+def push_arrows(q: Array, push_n: Array) -> Array:
+    """Of pushes forwards [n] in poses [n, 9] tail and tip, [n, 2, 2]; NaN where there is none.
+
+    The tip is the trunk's centre of mass.
+    """
+    mass = q[:, :2] - HAT.com_m * down(q[:, HAT_COLUMN])
+    there = np.where(np.abs(push_n) < LEAST_PUSH_N, np.nan, push_n)
+    behind = mass - FORCE_M_PER_N * np.stack([there, np.zeros_like(there)], axis=1)
+    return np.stack([behind, mass], axis=1)
 
 
 SHOULDER_M = 0.50  # above the hip, along the trunk
@@ -370,7 +389,7 @@ def _belly(path: Array, half_thickness: float) -> Array:
     return np.concatenate([there, back[..., ::-1, :]], axis=-2)
 
 
-NOT_SAMPLED = ("walker", "events", "prosthesis")
+NOT_SAMPLED = ("walker", "events", "prosthesis", "push", "slip")
 
 
 def samples(trajectory: Trajectory, chosen: slice | NDArray[np.bool_]) -> Trajectory:

@@ -34,6 +34,11 @@ COLOURS = (style.VERMILION, style.BLUE)  # of two walks
 KEY = f"Left leg in front. Thin: left leg every {1e3 * GHOST_INTERVAL_S:.0f} ms. Blue: hip."
 DEVICE_KEY = " Green: an exoskeleton; arrows: its torque, half a turn at 80 N m."
 FOOT_KEY = " Dark green: a prosthesis."
+# What comes once: its words, its colour, and the edge beside which these stand.
+EVENTS = {
+    "push": ("push of {:g} N {}", style.BLACK, "top"),
+    "slip": ("slip, friction {:g}", style.VERMILION, "bottom"),
+}
 GROUND_LAYER = 100.0  # over the soles: half the drawn width of a foot is below them
 BEYOND_M = 1.0  # of ground, in the profile, ahead of where the walker came to
 LEVEL_M = 0.01  # ground that varies by less is level
@@ -112,6 +117,45 @@ class Frame(NamedTuple):
     top: float
 
 
+class Event(NamedTuple):
+    """A push or a slip in a walk.
+
+    Attributes:
+        time_s: when it began.
+        end_s: when it ended, with the walk at the latest.
+        push_n: forwards; 0 of a slip.
+        words: what came, and when.
+        colour: of its marks.
+        edge: of the picture, beside which its words stand.
+    """
+
+    time_s: float
+    end_s: float
+    push_n: float
+    words: str
+    colour: str
+    edge: str
+
+
+def events_of(walk: Trajectory) -> list[Event]:
+    """What began before the walk ended."""
+    found = []
+    for name, (words, colour, edge) in EVENTS.items():
+        time_s, lasts_s, size = getattr(walk, name).tolist()
+        if lasts_s > 0.0 and time_s < walk.time_s[-1]:
+            way = "forwards" if size > 0.0 else "backwards"
+            event = Event(
+                time_s=time_s,
+                end_s=min(time_s + lasts_s, walk.time_s[-1]),
+                push_n=size if name == "push" else 0.0,
+                words=f"{words.format(abs(size), way)}, {time_s:.2f} s",
+                colour=colour,
+                edge=edge,
+            )
+            found.append(event)
+    return found
+
+
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """The last metres of a walk, as they are drawn.
@@ -169,10 +213,45 @@ class Stretch:
             axes.plot(*near.hip.T, color=self.colour, linewidth=0.8, zorder=1.6)
         x = np.linspace(left, right, 2000)
         _draw_ground(axes, x, self.terrain.height(x), bottom)
-        title = axes.set_title(self.shown.title, loc="left", **style.TEXT)
+        words = [self.shown.title]
+        for event in events_of(walk):
+            if event.time_s < self.poses_s[0]:
+                words.append(f"Before: {event.words}.")
+            else:
+                self._draw_event(axes, event)
+        title = axes.set_title(" ".join(words), loc="left", **style.TEXT)
         style.fit(title, axes.get_window_extent().width / axes.figure.dpi)
         axes.set_xlabel("distance (m)", **style.TEXT)
         axes.set_ylabel("height (m)", **style.TEXT)
+
+    def _draw_event(self, axes: Axes, event: Event) -> None:
+        """Where it began and how far it lasted; of a push, an arrow to where it hit."""
+        walk, colour = self.trajectory, event.colour
+        q = stick.at_times(walk, walk.q, np.linspace(event.time_s, event.end_s, 50))
+        x, layer = q[:, 0], GROUND_LAYER + 1.0
+        ground = self.terrain.height(x)
+        axes.plot(x, ground, color=colour, linewidth=3.0, zorder=layer)
+        axes.axvline(x[0], color=colour, linewidth=0.8, linestyle=":", zorder=2.0)
+        axes.text(
+            x[0],
+            float(event.edge == "top"),
+            f" {event.words} ",
+            transform=axes.get_xaxis_transform(),
+            ha="left" if 2.0 * x[0] < self.frame.left + self.frame.right else "right",
+            va=event.edge,
+            fontsize=style.SMALL_PT,
+            color=colour,
+            zorder=layer,
+        )
+        ((tail, tip),) = stick.push_arrows(q[:1], np.array([event.push_n]))
+        if event.push_n:
+            look = {
+                "arrowstyle": "-|>",
+                "color": colour,
+                "linewidth": 2.0,
+                "shrinkB": 0,
+            }
+            axes.annotate("", tip, tail, arrowprops=look, zorder=layer)
 
 
 def last_stretch(
@@ -196,6 +275,10 @@ def last_stretch(
     first = max(np.flatnonzero(way > shown_m), default=0)
     count = max(round(way[first] / POSE_SPACING_M), 1) + 1
     poses_s = np.linspace(trajectory.time_s[first], trajectory.time_s[-1], count)
+    for event in events_of(trajectory):  # the pose that is nearest shows its instant
+        nearest = np.abs(poses_s - event.time_s).argmin()
+        if 0 < nearest < count - 1:
+            poses_s[nearest] = event.time_s
     x, z, *_ = stick.at_times(trajectory, trajectory.q, poses_s).T
     width = width_m or max(np.ptp(x) + 2.0 * MARGIN_M, NARROWEST_M)
     left = 0.5 * (x.min() + x.max() - width)

@@ -39,6 +39,14 @@ window.bones_of = (leg) => {
     return [...named("stage-frames").data[leg][0].slice(end - 10, end)]
 }
 
+// Lines of these colours that the explorer's stage shows: the frames that they are of, and x and z of each point, metres.
+window.drawn_in = (colours) => {
+    const {xs, ys, key, colour} = named("stage").renderers.at(-1).data_source.data
+    const points = key.map((_, i) => [...xs[i]].flatMap((x, at) => [x, ys[i][at]]))
+    return key.map((name, i) => [name, points[i]])
+        .filter(([, line], i) => colours.includes(colour[i]) && line.every(isFinite))
+}
+
 // Show a moment of a walk that is stopped: a frame that was under way may set another first.
 window.stopped_at = (moment_s) => {
     if (window.walk_player.time === moment_s) return true

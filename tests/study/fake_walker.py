@@ -35,6 +35,8 @@ EMPTY = Trajectory(
     np.empty(0),
     *(np.empty((0, width)) for width in WIDTHS),
     prosthesis=np.zeros(2, bool),
+    push=np.zeros(3),
+    slip=np.zeros(3),
 )
 STORE_ROWS = 150
 # Of families, each with one of longer walks.

@@ -47,6 +47,8 @@ def walk(duration_s=8.0, rate_hz=100.0):
         stance=stance,
         events=_events(duration_s),
         prosthesis=np.zeros(2, dtype=bool),
+        push=np.zeros(3),
+        slip=np.zeros(3),
         **{name: np.zeros((len(time_s), count)) for name, count in NOTHING.items()},
     )
 

@@ -8,6 +8,7 @@ const AHEAD = 0.45 // where the walker is in the picture, from the left
 const CURVES = /^(cycle-|signals-)/ // begins the names of figures over time or the stride
 const OVER_TIME = "over time" // tags a figure
 const BONES = [0, 1, 3] // at which points of a leg's chain thigh, shank and foot begin
+const [SHANK, FOOT, PYLON] = [1, 2, 3] // of the bones, and what a prosthesis has below the middle of the shank
 const NEAR_M = 0.05 // of a muscle, from the pointer
 const TOUCHED = "(hover: none)" // a finger leaves at once what it has tapped
 const OWN_KEYS = /^(INPUT|SELECT|TEXTAREA|BUTTON|SUMMARY)$/ // to which the space bar means something
@@ -151,7 +152,7 @@ function draw(args, {frames, lines, head, trail, figure}) {
   const all = frames.data
   const n = frame(all)
   const px = scale(args, {figure})
-  pose(lines, head, all, n, px, [0, 0], args.looks.levels)
+  pose(lines, head, all, n, px, [0, 0], args.looks)
   const hips = all.trunk[0]
   trail.data.x = Float32Array.from({length: n + 1}, (_, at) => hips[4 * at])
   trail.data.y = Float32Array.from({length: n + 1}, (_, at) => hips[4 * at + 1])
@@ -161,9 +162,11 @@ function draw(args, {frames, lines, head, trail, figure}) {
   figure.x_range.setv({start: x - AHEAD * width, end: x + (1 - AHEAD) * width}, HERE)
   figure.y_range.setv({start: z - args.below_m, end: z - args.below_m + height}, HERE)
   const last = n === all.time_s[0].length - 1 ? "   end" : ""
+  const [slips, lasts] = all.slip[0]
+  const slides = all.time_s[0][n] >= slips && all.time_s[0][n] < slips + lasts ? "   slippery" : ""
   const [right, up] = figure.tags
   const muscle = muscle_at(args.looks, lines.data, all, n, figure.x_range.start + right, figure.y_range.start + up)
-  figure.title.setv({text: `${all.time_s[0][n].toFixed(2)} s   ${x.toFixed(2)} m${last}${muscle}`}, HERE)
+  figure.title.setv({text: `${all.time_s[0][n].toFixed(2)} s   ${x.toFixed(2)} m${slides}${last}${muscle}`}, HERE)
 }
 
 // In words, the muscle under the pointer and its activation.
@@ -180,40 +183,52 @@ function muscle_at({muscles}, {xs, ys, muscle}, {activation: [levels]}, n, x, z)
 }
 
 // The lines of a walker, from the back to the front: the name of their frames, their first point
-// there, their width in metres, and the number of their muscle, -1 of a bone. A ghost has one colour
-// and no forces.
+// there, their width in metres, the number of their muscle, -1 of others, and the leg and the bone
+// that a prosthesis changes. A ghost has one colour and no forces.
 function lines_of(looks, ghost) {
   const lines = []
   for (const [side, key] of [[1, "far"], [0, "near"]]) {
     if (side === 0) lines.push(["trunk", 0, 2, looks.trunk, looks.near, -1])
-    looks.bones.forEach((width, i) => lines.push([key, BONES[i], 2, width, looks[key], -1]))
+    looks.bones.forEach((width, i) => lines.push([key, BONES[i], 2, width, looks[key], -1, side, i]))
+    lines.push([key, BONES[SHANK], 2, looks.pylon, looks.device, -1, side, PYLON])
     looks.muscles.forEach(([, belly], i) => {
       const number = looks.muscles.length * side + i
       const path = ["muscles", number * looks.points, looks.points]
       lines.push([...path, belly + looks.rim, looks.ink, -1], [...path, belly, looks.levels[0], number])
     })
+    for (let i = 6 * side; i < 6 * side + 6; i++) lines.push(["struts", 4 * i, 4, looks.strut, looks.device, -1])
+    for (let i = 3 * side; i < 3 * side + 3; i++) lines.push(["arrows", looks.turn * i, looks.turn, looks.arc, looks.torque, -1])
   }
   if (!ghost) looks.arrows.forEach((colour, i) => lines.push(["forces", 2 * i, 2, looks.force, colour, -1]))
-  const [key, first, counts, metres, colour, muscle] = lines[0].map((_, i) => lines.map((line) => line[i]))
+  const [key, first, counts, metres, colour, muscle, leg, bone] = [...Array(8)].map((_, i) => lines.map((line) => line[i] ?? -1))
   const [xs, ys] = [0, 1].map(() => counts.map((count) => new Float32Array(count).fill(NaN)))
-  const whole = {xs, ys, key, first, metres, width: metres.map(() => 1), colour, muscle}
+  const whole = {xs, ys, key, first, metres, width: metres.map(() => 1), colour, muscle, leg, bone}
   return ghost ? {...whole, colour: colour.fill(looks.ghost), muscle: muscle.fill(-1)} : whole
 }
 
 // Lines are given by the name of their frames and their first point there.
-function pose(lines, head, all, n, px, shift, levels) {
-  const {xs, ys, key, first, metres, width, colour, muscle} = lines.data
+function pose(lines, head, all, n, px, shift, looks) {
+  const {xs, ys, key, first, metres, width, colour, muscle, leg, bone} = lines.data
   const frames = all.time_s[0].length
   const muscles = all.activation[0].length / frames
   key.forEach((name, i) => {
-    const points = all[name][0]
+    const points = all[name]?.[0] ?? [] // without a device there are no lines of it
     put(xs[i], ys[i], points, n * (points.length / frames) + 2 * first[i], shift)
     width[i] = Math.max(1, metres[i] * px)
-    if (muscle[i] >= 0) colour[i] = levels[all.activation[0][n * muscles + muscle[i]]]
+    if (looks && muscle[i] >= 0) colour[i] = looks.levels[all.activation[0][n * muscles + muscle[i]]]
+    const passive = all.prosthesis[0][leg[i]]
+    if (looks && bone[i] === FOOT) colour[i] = passive ? looks.device : looks[name]
+    if (bone[i] === SHANK && passive) halve(xs[i], ys[i], 1)
+    if (bone[i] === PYLON) halve(xs[i], ys[i], 0, passive ? 0.5 : NaN)
   })
   put(head.data.x, head.data.y, all.head[0], 2 * n, shift)
   lines.change.emit()
   head.change.emit()
+}
+
+// Puts an end of a line into its middle; or takes the line away.
+function halve(x, y, end, share = 0.5) {
+  for (const at of [x, y]) at[end] = share * (at[0] + at[1])
 }
 
 function put(x, y, points, first, [right, up]) {

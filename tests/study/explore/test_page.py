@@ -19,9 +19,10 @@ from study.experiment.gains import gains_of_source
 from study.explore.signals import FIRST
 from study.explore.store_view import read_selection
 from study.explore.walk import RATE_HZ, Walk, chosen_setting, recorded, walk
-from study.pictures import stick_figure
+from study.pictures import stick_figure, style
 from study.pictures.trajectory_files import own_columns
 from taichi_nmm.result import MUSCLES
+from taichi_nmm.world import ACROSS_ANKLE
 from tests.browser import PATIENCE_MS, opened_page
 from tests.cases import ASSETS, asset, cases
 from tests.storage.fake import content
@@ -445,6 +446,33 @@ def test_what_if_a_muscle_is_weak(page: Any, store: Path) -> None:
     walks(page, page.get_by_text("none of this").click)
     walks(page, lambda: change(page, "ground", "value", "flat"))
     change(page, "duration", "value", "10 s")
+
+
+def test_a_prosthesis_and_a_device_are_on_the_stage(page: Any, store: Path) -> None:
+    """Pylon and foot on the left in place of half the shank; struts about the right ankle."""
+    worn = """[world]
+        prosthesis = { side = "left", stiffness_nmprad = 350.0, damping_nmsprad = 1.0 }
+        exoskeleton = { motion = "plantarflexion", side = "right" }"""
+    walks(page, lambda: change(page, "lines", "value", worn))
+    look_at(page, "gains", "number-exo_torque")
+    walks(page, lambda: change(page, "number-exo_torque", "value", 40.0))
+    change(page, "play", "active", False)
+    page.wait_for_function("stopped_at", arg=0.5)
+    drawn = page.evaluate("drawn_in", [style.DEVICE, style.TORQUE])
+    assert [key for key, _ in drawn if key != "arrows"] == ["struts"] * 2 + ["near"] * 2
+    *_, foot, pylon = (line for key, line in drawn if key != "arrows")
+    _, knee, ankle, heel, ball = np.reshape(page.evaluate("bones_of", "near"), (5, 2))
+    assert pylon == pytest.approx([*(0.5 * (knee + ankle)), *ankle], abs=1e-4)
+    assert foot == pytest.approx([*heel, *ball], abs=1e-4)
+    frames = "named('stage-frames').data"
+    shown = page.evaluate(f"{frames}.muscles[0].slice(0, 14 * 30).map(isFinite)")
+    muscles = np.reshape([*shown.values()], (14, 30)).all(axis=1).tolist()
+    assert muscles == [muscle not in ACROSS_ANKLE for muscle in MUSCLES] + [True] * 7
+    assert page.evaluate(f"{frames}.arrows[0].some(isFinite)")
+    look_at(page, "what if", "lines")
+    walks(page, page.get_by_text("none of this").click)
+    assert page.evaluate("drawn_in", [style.DEVICE, style.TORQUE]) == []
+    change(page, "play", "active", True)
 
 
 def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:

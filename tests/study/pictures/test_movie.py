@@ -124,6 +124,19 @@ def test_a_push_is_an_arrow_to_the_trunk_while_it_acts():
     assert differ[0] > differ[1] + 500  # the key is in both, the arrow in the first
 
 
+def test_the_ground_is_orange_while_it_slips():
+    slips = replace(WALK, slip=np.array([7.9, 0.05, 0.1]))
+    both = (frames(walk, flat(), 0.1, "", SMALL) for walk in (slips, WALK))
+    redder = []
+    for pair in zip(*both, strict=True):
+        red, as_usual = (
+            np.frombuffer(frame, np.uint8).reshape(320, 640, 3)[160:, :, 0]
+            for frame in pair
+        )
+        redder.append(bool((red > as_usual).any(axis=0).mean() > 0.9))
+    assert redder == [True, False, False]  # at 7.9, 7.95 and 8 s
+
+
 def test_walks_are_filmed_above_each_other(tmp_path):
     """Of the shorter one the last picture stays."""
     file, frame = tmp_path / "both.mp4", tmp_path / "frame.png"

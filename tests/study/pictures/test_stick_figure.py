@@ -14,7 +14,6 @@ from study.pictures.stick_figure import (
     finite,
     leg,
     muscle_outlines,
-    of_side,
 )
 from study.pictures.strip import SHOWN_M, Shown, last_stretch, write_strip
 from taichi_nmm import PUBLISHED_GAINS, Prosthesis, WorldRanges, simulate
@@ -92,16 +91,13 @@ class Drawn:
         """Not kept."""
 
 
-def arc_of(torque_nm):
-    """The points of an arrow round the origin, whose middle is above; without its tip."""
-    bones = stick_figure.torque_arc(np.zeros(2), np.array([0.0, 2.0]), torque_nm)
-    return [start for start, _, _ in bones[:-2]] + [bones[-3][1]] if bones else []
-
-
 def test_an_arrow_turns_clockwise_and_is_as_long_as_its_torque():
-    assert arc_of(0.0) == arc_of(1.0) == []
-    for torque_nm in (20.0, 40.0, 80.0, -40.0):
-        points = np.array(arc_of(torque_nm))
+    torques_nm = np.array([0.0, 1.0, 20.0, 40.0, 80.0, -40.0])
+    middle = np.tile([0.0, 2.0], (6, 1))
+    arrows = stick_figure.torque_arrows(np.zeros((6, 2)), middle, torques_nm)
+    assert np.isnan(arrows[:2]).all()
+    for torque_nm, line in zip(torques_nm[2:], arrows[2:], strict=True):
+        points = line[: stick_figure.ARC_POINTS]  # without its tip
         angles = np.unwrap(np.arctan2(points[:, 0], points[:, 1]))  # clockwise from up
         assert np.ptp(angles) == pytest.approx(3.0 * abs(torque_nm) / 80.0)
         assert np.sign(angles[-1] - angles[0]) == np.sign(torque_nm)
@@ -115,22 +111,20 @@ def test_a_device_is_drawn_where_it_turns_a_joint():
     torque_nm = np.zeros((len(WALK.time_s), 6))
     torque_nm[100, 2] = 40.0  # the left ankle, at one moment
     device = stick_figure.device_at(replace(WALK, device_torque_nm=torque_nm), times_s)
-    assert device.worn.tolist() == [False, False, True, False, False, False]
-    assert device.torque_nm[:, 2].tolist() == [40.0, 0.0, 0.0]
+    struts, arrows = (
+        np.isfinite(lines).all(axis=(2, 3)) for lines in vars(device).values()
+    )
+    assert struts.tolist() == 3 * [[False] * 4 + [True] * 2 + [False] * 6]
+    assert np.argwhere(arrows).tolist() == [[0, 2]]
     surface = Drawn()
-    for side in (LEFT, RIGHT):
-        stick_figure.draw_device(
-            surface,
-            WALK.q[100],
-            side,
-            of_side(device.torque_nm[0], side),
-            of_side(device.worn, side),
-        )
+    poses = WALK.q[100:101], WALK.activation[100:101]
+    stick_figure.Walker(*poses, device).draw(surface, 0)
     ankle = leg(WALK.q[100], LEFT).ankle
     for bones in (surface.kept[style.DEVICE], surface.kept[style.TORQUE]):
         ends = np.array([end for *both, _ in bones for end in both])
         assert np.hypot(*(ends - ankle).T).max() < 0.35
-    assert surface.kept.keys() == {style.DEVICE, style.TORQUE}
+    limbs = {style.NEAR_LIMB, style.FAR_LIMB}
+    assert surface.kept.keys() - limbs == {style.DEVICE, style.TORQUE}
 
 
 def test_a_prosthesis_takes_the_place_of_shank_foot_and_their_muscles():

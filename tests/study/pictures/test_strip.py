@@ -1,11 +1,16 @@
 """A strip, as a file."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.text import Annotation
 
 from study.pictures import write_gait_cycle, write_strip
-from study.pictures.strip import Shown, gallery_figure, strips_figure
-from study.pictures.style import PNG_DPI, TEXT_PT, save_png
+from study.pictures.stick_figure import push_arrows
+from study.pictures.strip import Shown, gallery_figure, last_stretch, strips_figure
+from study.pictures.style import PNG_DPI, TEXT_PT, new_figure, save_png
 from taichi_nmm.terrain import flat, ramp, rough
 from tests.cases import refused
 from tests.study.synthetic_gait import BODY_WEIGHT_N, GLIMPSE, WALK, walk
@@ -35,6 +40,29 @@ def test_uneven_ground_has_a_profile_below_and_pictures_are_the_same_twice(tmp_p
     assert height(rough(1, flat_start_m=0.0)) > height(flat()) + inch
     first = write_strip(tmp_path / "1.png", WALK, flat()).read_bytes()
     assert first == write_strip(tmp_path / "2.png", WALK, flat()).read_bytes()
+
+
+def test_a_push_and_a_slip_are_drawn_where_and_when_they_come():
+    """An arrow to the trunk of the pose of that instant; what came before is told above."""
+    once = {"push": np.array([4.4, 0.1, -300.0]), "slip": np.array([6.0, 0.5, 0.1])}
+    stretch = last_stretch(Shown("", "a walk", replace(WALK, **once)), flat(), "black")
+    assert {4.4, 6.0} < {*stretch.poses_s}
+    axes = new_figure(10.0, 4.0).add_axes((0.0, 0.0, 1.0, 1.0))
+    stretch.draw(axes)
+    words = {text.get_text().strip(): text for text in axes.texts}
+    assert words.keys() >= {
+        "push of 300 N backwards, 4.40 s",
+        "slip, friction 0.1, 6.00 s",
+    }
+    pushed = WALK.q[WALK.time_s == 4.4]
+    expected = push_arrows(pushed, np.array([-300.0]))[0]
+    (arrow,) = [text for text in axes.texts if isinstance(text, Annotation)]
+    np.testing.assert_allclose([arrow.get_position(), arrow.xy], expected)
+    assert axes.get_title(loc="left") == "a walk"
+    early = replace(WALK, push=np.array([1.0, 0.1, 50.0]), slip=np.array([9.0, 1, 0.1]))
+    last_stretch(Shown("", "a walk", early), flat(), "black").draw(axes)
+    told = "a walk Before: push of 50 N forwards, 1.00 s."
+    assert axes.get_title(loc="left") == told  # and the walk had ended before the slip
 
 
 @pytest.mark.parametrize(
