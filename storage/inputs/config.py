@@ -1,5 +1,6 @@
 """Configurations: TOML read strictly, so that no misspelt key is ever ignored."""
 
+import json
 import math
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -215,6 +216,19 @@ def read_toml(path: str | Path, over: Mapping[str, Any] | None = None) -> Table:
         if isinstance(data.get("name"), str):
             data["name"] += f"-{name}"
     return Table(laid_over(data, dict(over or {})), folder=file.parent)
+
+
+def to_toml(tables: dict[str, Any], name: str = "") -> str:
+    """Plain values as TOML, in which they look as in JSON; tables come last."""
+    lines, inner = [], []
+    for key, value in tables.items():
+        if isinstance(value, dict):
+            inner.append(to_toml(value, f"{name}.{key}".lstrip(".")))
+        else:
+            lines.append(f"{key} = {json.dumps(value)}\n")
+    if name and lines:
+        lines.insert(0, f"[{name}]\n")
+    return "\n".join(filter(None, ["".join(lines), *inner]))
 
 
 def laid_over(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -14,21 +14,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from bokeh.document import Document
-from bokeh.layouts import column
-from bokeh.models import Button, Div, Select
-from bokeh.themes import Theme
+from bokeh.models import Column, Div, Select
 
 from storage.simulator import WALKER
 from storage.specification import require_parameters
 from storage.store import Store
 from storage.tables import document_hash
 from study.experiment.repair import DIGITS
-from study.explore.server import NIGHT, Latest, Message, Saver, flow
+from study.explore.server import THEME, Latest, Message, Saver, flow
 from study.explore.store_view import StoreView, file_of_selection, numbers_of
 from study.explore.trials import Trials, open_rows
 from study.explore.walk_view import WalkView
+from study.explore.words import Tables
 from study.pictures.movie import filmable, filmed
 
 Page = Callable[[Executor, Executor, Executor, Document], None]
@@ -37,14 +35,6 @@ Page = Callable[[Executor, Executor, Executor, Document], None]
 BASE = "base setting"
 TEMPLATE = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
 VIDEO_CSS = "video { width: 100% }"
-# Of a figure Bokeh does not clear the outermost pixels: it paints half a pixel further.
-# What an earlier size left there is hidden.
-EDGE_CSS = ":host { clip-path: inset(1px 1px 0 2px) }"
-# Of those without a sheet of their own.
-SHEETS = {"Widget": NIGHT, "Plot": EDGE_CSS}
-THEME = Theme(
-    json={"attrs": {name: {"stylesheets": [css]} for name, css in SHEETS.items()}}
-)
 
 
 class RobotView:
@@ -71,28 +61,21 @@ class RobotView:
         self._films = Latest(document, makers, self._filmed, message.failed)
         saver = Saver(document, makers, message)
         self.save = saver.save
-        self._numbers = Div(text="click a point", name="numbers", disable_math=True)
-        self._video = Div(
-            text="",
-            name="film",
-            stylesheets=[VIDEO_CSS],
-            sizing_mode="stretch_width",
-            disable_math=True,
-            tags=[saver.source],
-        )
+        self._numbers = Div(text="click a point", name="numbers")
+        self._video = Div(name="film", stylesheets=[VIDEO_CSS], tags=[saver.source])
         self._world = Select(title="world", options=[BASE], value=BASE, name="world")
         self._duration = Select(
             title="at most", options=["5 s", "10 s", "20 s"], value="5 s"
         )
-        film = Button(label="film", name="film-it", disabled=simulator is None)
-        film.on_click(message.safely(self._film))
+        film = message.button(
+            "film", self._film, name="film-it", disabled=simulator is None
+        )
         words = "" if simulator else "films: explore --simulator my_robot.py:robot"
         no_films = Div(text=words, name="no-films")
-        panel = column(
+        panel = Column(
             flow(self._world, self._duration, film, no_films),
             self._video,
             self._numbers,
-            sizing_mode="stretch_width",
             name="The chosen row",
         )
         self.panels = [panel]
@@ -132,9 +115,8 @@ class RobotView:
 
 def worlds_of(store: Store) -> dict[str, dict[str, float]]:
     """The numbers of the worlds in which a store's rows ran, by name."""
-    found: dict[str, dict[str, float]] = {BASE: {}}
-    base = store.specification.get("drawn", {})
-    found[BASE] = {name: float(each[0]) for name, each in base.items()}
+    drawn = store.specification.get("drawn", {})
+    found = {BASE: {name: float(each[0]) for name, each in drawn.items()}}
     for family in store.families:
         drawn = store.settings_of(family).get("drawn", {})
         for number in range(len(drawn.get("seed", ()))):
@@ -145,20 +127,19 @@ def worlds_of(store: Store) -> dict[str, dict[str, float]]:
 
 def numbers_text(store: Store, place: int) -> str:
     """A row's numbers as a table in HTML: parameters, and columns of the base setting and means."""
-    table = store.table().slice(place, 1)
-    shown = []
-    for field in table.schema:
-        if pa.types.is_fixed_size_list(field.type):
+    (row,) = store.table().slice(place, 1).to_pylist()
+    lines = []
+    for name, value in row.items():
+        if isinstance(value, list):  # of each world
             continue
-        if pa.types.is_floating(field.type):
-            number = numbers_of(store, field.name)[place]
-            text = "-" if np.isnan(number) else f"{number:.4g}"
-        else:
-            value = table[field.name][0].as_py()
-            text = "-" if value is None else html.escape(str(value))
-        name = html.escape(field.name)
-        shown.append(f"<tr><td>{name}</td><td>{text}</td></tr>")
-    rows = "".join(shown)
+        if isinstance(value, float):
+            number = numbers_of(store, name)[place]
+            value = None if np.isnan(number) else f"{number:.4g}"
+        text = "-" if value is None else str(value)
+        lines.append(
+            f"<tr><td>{html.escape(name)}</td><td>{html.escape(text)}</td></tr>"
+        )
+    rows = "".join(lines)
     return f"<div style='columns: 240px; font-size: 11px'><table>{rows}</table></div>"
 
 
@@ -190,25 +171,17 @@ def page_of(
         document.theme = THEME
         try:
             store = open_rows(path, study)
-            view: WalkView | RobotView
-            if store.simulator == WALKER:
-                view = WalkView(
-                    document=document,
-                    walkers=walkers,
-                    makers=makers,
-                    message=message,
-                    store=store,
-                    repairs=(menders, noted),
-                )
-            else:
-                view = RobotView(
-                    document=document,
-                    makers=makers,
-                    message=message,
-                    store=store,
-                    simulator=simulator,
-                    robot=robot,
-                )
+            shared: Tables = {
+                "document": document,
+                "makers": makers,
+                "message": message,
+                "store": store,
+            }
+            view = (
+                WalkView(**shared, walkers=walkers, repairs=(menders, noted))
+                if store.simulator == WALKER
+                else RobotView(**shared, simulator=simulator, robot=robot)
+            )
             points = StoreView(
                 store,
                 message,
@@ -236,8 +209,7 @@ def page_of(
 
 def title_of(store: Store, path: Path) -> str:
     """Of a tab: where the rows are, how many, and of what."""
-    count = len(store)
-    rows = store.ROW if count == 1 else f"{store.ROW}s"
+    rows = store.ROW if len(store) == 1 else f"{store.ROW}s"
+    title = f"{path}: {len(store):,} {rows}"
     of = store.path.name if isinstance(store, Trials) else store.simulator
-    title = f"{path}: {count:,} {rows}"
     return title if of == WALKER else f"{title} of {of}"

@@ -7,11 +7,9 @@ down, so that the next one goes on with it, also after the server was killed.
 from collections.abc import Callable
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any
 
-from bokeh import models
 from bokeh.document import Document
-from bokeh.layouts import column
+from bokeh.models import Column
 
 from storage.commit import commit_json, writable
 from storage.inputs.reading import json_document
@@ -20,6 +18,9 @@ from study.experiment.gains import NamedGains
 from study.experiment.repair import TRIALS, Repair, repair_of, repaired
 from study.experiment.walker import WalkerExperiment
 from study.explore.server import Latest, Message, flow
+from study.explore.words import Tables
+
+STOPPED = "stopped: the walker is another one; back there it goes on"
 
 
 class RepairView:
@@ -37,42 +38,38 @@ class RepairView:
         noted: Path,
         store: Store,
         show: Callable[[NamedGains], None],
-        page: Callable[[], dict[str, Any]],
+        page: Callable[[], Tables],
     ) -> None:
         self._store = store
         self._noted = noted
         self._show = show
         self._page = page
         self._now: tuple[WalkerExperiment, str]
-        self._runs: tuple[WalkerExperiment, str] | None = None
         self._told_of: tuple[WalkerExperiment, str] | None = None
+        self._runs = False
         self._best: int | None = None  # the trial that was shown
         self._refusal = Message("repair-message")
         self._told = Message("repair")
         self._told.layout.styles = {}
         self._trials = Latest(document, menders, self._tried, self._failed)
-        button = models.Button(label=f"repair it: {TRIALS} trials", name="repair-it")
-        button.on_click(self._refusal.safely(self.begin))
-        self.layout: models.Column = column(
-            flow(button, self._told.layout),
-            self._refusal.layout,
-            sizing_mode="stretch_width",
+        button = self._refusal.button(
+            f"repair it: {TRIALS} trials", self.begin, name="repair-it"
         )
+        self.layout = Column(flow(button, self._told.layout), self._refusal.layout)
 
     def take(self, setting: WalkerExperiment) -> None:
         """The body, ground and world that the page has now; a repair of others stops."""
         self._now = repair_of(setting, self._store)
         if self._told_of in (None, self._now):
             return
-        self._told_of, stopped = None, ""
-        if self._runs is not None:
+        self._told_of = None
+        self._told.tell(STOPPED if self._runs else "")
+        if self._runs:
             self._end()
-            stopped = "stopped: the walker is another one; back there it goes on"
-        self._told.tell(stopped)
 
     def begin(self) -> None:
         """Repair the present walker, or go on."""
-        if self._runs is not None:
+        if self._runs:
             self._refusal.tell(f"this repair runs: {self._told.layout.text}")
             return
         with writable(self._noted):
@@ -80,11 +77,10 @@ class RepairView:
         commit_json(self._noted, self._page())
         self._refusal.tell("")
         self._told.tell("the first trial begins ...")
-        self._runs = self._told_of = self._now
-        self._best = None
+        self._told_of, self._runs, self._best = self._now, True, None
         self._ask()
 
-    def left(self) -> dict[str, Any] | None:
+    def left(self) -> Tables | None:
         """What an earlier tab was repairing; None: nothing. It is asked for once."""
         if not self._noted.is_file():
             return None
@@ -97,10 +93,10 @@ class RepairView:
         self._trials.ask(repaired, *self._now, self._noted.parent)
 
     def _tried(self, found: Repair) -> None:
-        if self._runs is None:  # it was stopped meanwhile
+        if not self._runs:  # it was stopped meanwhile
             return
-        best = f"best: trial {found.best}, {found.words}"
         self._refusal.tell("")
+        best = f"best: trial {found.best}, {found.words}"
         self._told.tell(f"{found.trials} of {TRIALS} trials; {best}")
         if found.best != self._best:
             self._best = found.best
@@ -116,5 +112,5 @@ class RepairView:
         self._refusal.failed(error)
 
     def _end(self) -> None:
-        self._runs = None
+        self._runs = False
         self._noted.unlink(missing_ok=True)

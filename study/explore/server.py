@@ -11,7 +11,6 @@ import socket
 import sys
 import time
 import traceback
-import zlib
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from contextlib import suppress
@@ -21,9 +20,10 @@ from typing import Any
 
 import numpy as np
 from bokeh.document import Document
-from bokeh.models import ColumnDataSource, CustomJS, Div, Row
+from bokeh.models import Button, ColumnDataSource, CustomJS, Div, Row
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
+from bokeh.themes import Theme
 from bokeh.util.token import get_session_id, get_token_payload
 from tornado.httpserver import HTTPServer
 from tornado.httputil import HTTPHeaders, HTTPServerRequest, ResponseStartLine
@@ -34,32 +34,16 @@ from storage.inputs.errors import InputError
 from study.cli import what_is_missing
 from study.loopback import HOST, LOOPBACK
 
-PAGE = r"/(?:favicon\.ico|static/.*)?"  # not /metadata, nor /autoload.js, which any site may embed
-SOCKET = "/ws"
-# Errors of base64, JSON and zlib on words that are no token.
-NO_TOKEN = (
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    zlib.error,
-    RecursionError,
-)
+OPENS, PAGE = "/", "/page"
+# Not /page/metadata, nor /page/autoload.js, which any site may embed.
+SERVED = rf"(?:{PAGE}|/favicon\.ico|/static/.*)"
 
 
 # A sign at once: the page itself takes seconds, in which a browser would show nothing.
 OPENING = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>opening</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <style>:root { color-scheme: light dark; font: 14px/1.4 system-ui, sans-serif }</style>
-<p role="status">The page opens ...</p><script>location.replace("/?opened")</script>"""
-
-
-class IsFirst(Matcher):  # type: ignore[misc]  # Tornado may lack types
-    """Whether a browser asks for the page, and not yet by the address that the sign has."""
-
-    def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
-        """An empty dict where it does."""
-        return {} if (request.method, request.uri) == ("GET", "/") else None
+<p role="status">The page opens ...</p><script>location.replace("/page")</script>"""
 
 
 def show_opening(request: HTTPServerRequest) -> None:
@@ -80,14 +64,18 @@ class TokenMatches(Matcher):  # type: ignore[misc]  # Tornado may lack types
     def match(self, request: HTTPServerRequest) -> dict[str, Any] | None:
         """An empty dict where the token can be read and has not expired."""
         words = request.headers.get("Sec-WebSocket-Protocol", "").split(",")
-        if len(words) != 2 or request.path != SOCKET or words[0].strip() != "bokeh":
+        if (
+            len(words) != 2
+            or request.path != f"{PAGE}/ws"
+            or words[0].strip() != "bokeh"
+        ):
             return None
         token = words[1].strip()
         try:
             get_session_id(token)
             expiry_s = get_token_payload(token)["session_expiry"]
             return {} if time.time() < expiry_s else None
-        except NO_TOKEN:
+        except Exception:  # of base64, JSON or zlib: the words are no token
             return None
 
 
@@ -96,10 +84,10 @@ def serve(page: Callable[[Document], None], taken: socket.socket) -> tuple[IOLoo
     taken.setblocking(False)
     port = taken.getsockname()[1]
     origins = [f"{name}:{port}" for name in (HOST, "localhost")]
-    application = BokehTornado(page, extra_websocket_origins=origins)
+    application = BokehTornado({PAGE: page}, extra_websocket_origins=origins)
     asked = [
-        Rule(IsFirst(), show_opening),
-        Rule(PathMatches(PAGE), application),
+        Rule(PathMatches(OPENS), show_opening),
+        Rule(PathMatches(SERVED), application),
         Rule(TokenMatches(), application),
     ]
     http = HTTPServer(RuleRouter([Rule(HostMatches(LOOPBACK), RuleRouter(asked))]))
@@ -141,9 +129,7 @@ class Latest:
     def _start(self) -> None:
         if self._waits is None or self._closed:
             return
-        submit = self._waits
-        self._waits = None
-        self._busy = True
+        submit, self._waits, self._busy = self._waits, None, True
         submit().add_done_callback(self._hand_over)
 
     def _hand_over(self, future: Future[Any]) -> None:
@@ -167,6 +153,7 @@ class Latest:
         self._waits = None
 
 
+Call = Callable[[], None]
 SCRIPTS = Path(__file__).parent / "scripts"
 WARNING = "#B3261E"
 # Widgets are drawn for a light page: at night they are inverted, and their hues turned
@@ -181,28 +168,37 @@ NIGHT = """select.bk-input { font-size: 12px; padding-left: 8px }
 WRAPS = (
     ".bk-slider-title { white-space: normal } .bk-btn-group { flex-wrap: wrap }" + NIGHT
 )
+# Of a figure Bokeh does not clear the outermost pixels: it paints half a pixel further.
+# What an earlier size left there is hidden.
+EDGE = ":host { clip-path: inset(1px 1px 0 2px) }"
+WIDE = {"sizing_mode": "stretch_width"}  # as its place
+LOOKS = {
+    **dict.fromkeys(
+        ("Column", "Row", "DataTable", "GridPlot", "MultiChoice", "TextAreaInput"), WIDE
+    ),
+    "Widget": {"stylesheets": [NIGHT]},
+    "RadioButtonGroup": {"stylesheets": [WRAPS]},
+    "Slider": WIDE | {"stylesheets": [WRAPS]},
+    # Right of the axes there is room for half of the last number.
+    "Plot": WIDE | {"stylesheets": [EDGE], "min_border_right": 12},
+    "Div": WIDE | {"disable_math": True},
+}
+THEME = Theme(json={"attrs": LOOKS})
 OURS = "this did not work; the error is printed where the command was started"
 
 
 def flow(*children: Any, least_px: int = 120) -> Row:
     """Models beside one another, as wide as fits; those without `least_px` go to the next line."""
     for child in children:
-        child.update(sizing_mode="stretch_width", styles={"flex": f"1 1 {least_px}px"})
-    return Row(*children, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"})
+        child.update(**WIDE, styles={"flex": f"1 1 {least_px}px"})
+    return Row(*children, styles={"flex-wrap": "wrap"})
 
 
 class Message:
     """One line of the page: refusals of the calls that its models make."""
 
     def __init__(self, name: str) -> None:
-        self.layout = Div(
-            text="",
-            name=name,
-            styles={"color": WARNING},
-            margin=(0, 5),
-            disable_math=True,
-            sizing_mode="stretch_width",
-        )
+        self.layout = Div(name=name, styles={"color": WARNING}, margin=(0, 5))
 
     def tell(self, text: str) -> None:
         """Show this in place of the text before."""
@@ -210,18 +206,14 @@ class Message:
 
     def failed(self, error: BaseException) -> None:
         """Show an error of a call: the line of bad input, or that the mistake is ours."""
-        if isinstance(error, InputError):
-            self.tell(str(error))
-        elif (
-            isinstance(error, ImportError)
-            and (missing := what_is_missing(error)) is not None
-        ):
-            self.tell(missing)
-        else:
+        told = str(error) if isinstance(error, InputError) else None
+        if isinstance(error, ImportError):
+            told = what_is_missing(error)
+        if told is None:
             traceback.print_exception(error, file=sys.stderr)
-            self.tell(OURS)
+        self.tell(told or OURS)
 
-    def safely(self, call: Callable[[], None]) -> Callable[[], None]:
+    def safely(self, call: Call) -> Call:
         """The same call, whose errors are shown."""
 
         def answer() -> None:
@@ -232,7 +224,13 @@ class Message:
 
         return answer
 
-    def watch(self, model: Any, attribute: str, call: Callable[[], None]) -> None:
+    def button(self, label: str, call: Call, **words: Any) -> Button:
+        """A button that calls; `words` are Bokeh's."""
+        button = Button(label=label, **words)
+        button.on_click(self.safely(call))
+        return button
+
+    def watch(self, model: Any, attribute: str, call: Call) -> None:
         """Call when an attribute of a model has changed."""
         answer = self.safely(call)
         model.on_change(attribute, lambda attr, old, new: answer())

@@ -8,14 +8,27 @@ import html
 from typing import Any
 
 import numpy as np
-from bokeh import models
 from bokeh.document import Document
 from bokeh.events import DocumentReady
-from bokeh.layouts import column
+from bokeh.models import (
+    Button,
+    ColorBar,
+    Column,
+    ColumnDataSource,
+    CustomJS,
+    Div,
+    FixedTicker,
+    LinearColorMapper,
+    Select,
+    Slider,
+    Span,
+    Toggle,
+)
 from bokeh.plotting import figure
 
 from study.explore.server import SCRIPTS, flow
 from study.explore.walk import COLOURS, Walk
+from study.explore.words import Tables
 from study.pictures import stick_figure as stick
 from study.pictures import style
 from study.pictures.gait_cycle import PEOPLE
@@ -34,7 +47,6 @@ GHOST_ALPHA = 0.35
 STAGE_PX = 280  # the least width of a stage: two are beside each other at 1280
 TIMELINE_PX = 110  # its height
 SPEEDS = ("0.1x", "0.25x", "0.5x", "1x", "2x", "5x")
-GAITS = (style.MODEL, style.BLACK)  # of the gait and of the one beside it
 OVER_TIME = "over time"  # tags figures on which a tap moves the clock
 LEGEND = "muscle activation, 0 to 1; left leg in front"  # of the bar
 RIM_M = 0.008  # of a muscle, both sides together
@@ -45,7 +57,7 @@ MUSCLE_LOOKS = [
     for name in MUSCLES
 ]
 
-LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
+LOOKS: Tables = {  # of which the script makes the lines of a walker
     "bones": list(stick.WIDTHS_M),
     "trunk": stick.TRUNK_WIDTH_M,
     "pylon": stick.PYLON_WIDTH_M,
@@ -67,37 +79,15 @@ LOOKS: dict[str, Any] = {  # of which the script makes the lines of a walker
 }
 
 
-def points(count: int) -> models.ColumnDataSource:
-    """Points that the script moves."""
-    return models.ColumnDataSource(
-        {axis: np.full(count, np.nan, "f4") for axis in "xy"}
-    )
-
-
-def lines() -> models.ColumnDataSource:
-    """Lines that the script makes and moves."""
-    return models.ColumnDataSource(
-        {name: [] for name in ("xs", "ys", "width", "colour")}
-    )
-
-
 class Stage:
     """One walker: muscles coloured by activation, forces of the ground, the trail of the hip."""
 
     def __init__(self, name: str) -> None:
-        self.frames = models.ColumnDataSource({}, name=f"{name}-frames")
-        self.words = models.Div(text="", disable_math=True, sizing_mode="stretch_width")
-        self._ground = points(2)
-        self.parts: dict[str, Any] = {
-            "frames": self.frames,
-            "trail": points(2),
-            "lines": lines(),
-            "head": points(1),
-            "ghost_lines": lines(),
-            "ghost_head": points(1),
-        }
-        self.parts["figure"] = self.figure = self._drawn(name)
-        self.parts["layout"] = self.layout = column(self.figure, self.words)
+        self.frames = ColumnDataSource({}, name=f"{name}-frames")
+        self.words = Div()
+        self._ground = ColumnDataSource({"x": [], "y": []})
+        self.figure = self._drawn(name)
+        self.layout = Column(self.figure, self.words)
 
     def say(self, name: str, words: str) -> None:
         """Tell what a gait of this name does."""
@@ -118,6 +108,7 @@ class Stage:
         self.frames.data = {name: [values] for name, values in frames.items()}
 
     def _drawn(self, name: str) -> Any:
+        """The script moves all of its renderers but the ground, which are the first two."""
         plot = figure(
             name=name,
             sizing_mode="scale_width",
@@ -126,12 +117,10 @@ class Stage:
             toolbar_location=None,
             title=" ",
             x_axis_label="distance (m)",
-            x_range=models.Range1d(0.0, VIEW_WIDTH_M),
-            y_range=models.Range1d(
-                -BELOW_GROUND_M, VIEW_WIDTH_M / ASPECT - BELOW_GROUND_M
-            ),
+            x_range=(0.0, VIEW_WIDTH_M),
+            y_range=(-BELOW_GROUND_M, VIEW_WIDTH_M / ASPECT - BELOW_GROUND_M),
         )
-        plot.grid.visible = False
+        plot.grid.visible = plot.yaxis.visible = False
         plot.varea(
             "x",
             -1e4,
@@ -142,46 +131,24 @@ class Stage:
             hatch_alpha=0.15,
         )
         plot.line("x", "y", source=self._ground, line_color=style.INK, line_width=1.5)
-        plot.line(
-            "x",
-            "y",
-            source=self.parts["trail"],
-            line_color=style.MODEL,
-            line_dash="dotted",
-        )
-        plot.yaxis.visible = False
-        mapper = models.LinearColorMapper(palette=COLOURS, low=0.0, high=1.0)
-        bar = models.ColorBar(
+        nowhere = np.full((2, 1), np.nan, "f4")
+        plot.line(*nowhere, line_color=style.MODEL, line_dash="dotted")
+        mapper = LinearColorMapper(palette=COLOURS, low=0.0, high=1.0)
+        bar = ColorBar(
             color_mapper=mapper,
             title=LEGEND,
             height=8,
             padding=0,
-            ticker=models.FixedTicker(ticks=[]),
+            ticker=FixedTicker(ticks=[]),
         )
         plot.add_layout(bar, "below")
-        self._draw_lines(plot, "ghost_", GHOST, GHOST_ALPHA)
-        self._draw_lines(plot, "", style.NEAR_LIMB, 1.0)
+        # Head, then bones and muscles, of a ghost and of the walker.
+        for colour, alpha in ((GHOST, GHOST_ALPHA), (style.NEAR_LIMB, 1.0)):
+            plot.circle(*nowhere, radius=stick.HEAD_RADIUS_M, color=colour, alpha=alpha)
+            plot.multi_line(
+                [], [], line_color=[], line_width=[], alpha=alpha, line_cap="round"
+            )
         return plot
-
-    def _draw_lines(self, plot: Any, kind: str, colour: str, alpha: float) -> None:
-        """Head, bones and muscles of the walker, or of its ghost."""
-        plot.circle(
-            "x",
-            "y",
-            source=self.parts[f"{kind}head"],
-            radius=stick.HEAD_RADIUS_M,
-            color=colour,
-            alpha=alpha,
-        )
-        plot.multi_line(
-            "xs",
-            "ys",
-            source=self.parts[f"{kind}lines"],
-            line_color="colour",
-            line_width="width",
-            line_alpha=alpha,
-            line_cap="round",
-        )
 
 
 class Player:
@@ -193,40 +160,26 @@ class Player:
 
     def __init__(self, document: Document) -> None:
         self.stages = (Stage("stage"), Stage("beside"))
-        play = models.Toggle(label="play / pause", active=True, name="play")
-        speed = models.Select(
-            title="speed", value="1x", options=list(SPEEDS), name="speed"
-        )
-        slider = models.Slider(
+        play = Toggle(label="play / pause", active=True, name="play")
+        speed = Select(title="speed", value="1x", options=list(SPEEDS), name="speed")
+        slider = Slider(
             title="time (s)", start=0, end=1, value=0, step=0.01, name="time"
         )
-        ghost = models.Toggle(label="as a ghost", name="ghost")
-        self.removed = models.Button(label="remove", name="remove")
-        curves = [models.ColumnDataSource({"x": [], "y": []}) for _ in self.stages]
-        falls = [
-            models.ColumnDataSource(
-                {"x": [], "y": [], "words": []}, name=f"fall-{place}"
-            )
-            for place in range(len(self.stages))
-        ]
-        # It moves with each frame: Bokeh paints an overlay without the axes.
-        cursor = models.Span(
-            dimension="height", location=0.0, line_color=style.FAINT, level="overlay"
-        )
-        timeline = _timeline(curves, falls)
-        timeline.add_layout(cursor)
-        self.script = script = models.CustomJS.from_file(
+        ghost = Toggle(label="as a ghost", name="ghost")
+        self.removed = Button(label="remove", name="remove")
+        timeline = _timeline()
+        self.script = script = CustomJS.from_file(
             SCRIPTS / "play.mjs",
-            stages=[stage.parts for stage in self.stages],
+            stages=[
+                {"frames": each.frames, "figure": each.figure, "layout": each.layout}
+                for each in self.stages
+            ],
             play=play,
             speed=speed,
             slider=slider,
             looks=LOOKS,
             ghost=ghost,
-            cursor=cursor,
-            curves=curves,
-            falls=falls,
-            timeline=timeline.x_range,
+            timeline=timeline,
             view_m=VIEW_WIDTH_M,
             below_m=BELOW_GROUND_M,
             least=f"{STAGE_PX}px",
@@ -236,8 +189,8 @@ class Player:
             for event in ("mousemove", "mouseleave", "tap"):
                 stage.figure.js_on_event(event, script)
         slider.js_on_change("value", script)
-        play.js_on_change("active", script)
-        ghost.js_on_change("active", script)
+        for toggle in (play, ghost):
+            toggle.js_on_change("active", script)
         timeline.js_on_event("tap", script)
         # Frames may have come before the page.
         document.js_on_event(DocumentReady, script)
@@ -246,9 +199,7 @@ class Player:
         stages = flow(*(stage.layout for stage in self.stages), least_px=STAGE_PX)
         self._beside = flow(ghost, self.removed)
         self._beside.visible = self.stages[1].layout.visible = False
-        self.layout: models.Column = column(
-            stages, clock, timeline, self._beside, sizing_mode="stretch_width"
-        )
+        self.layout = Column(stages, clock, timeline, self._beside)
 
     def show(self, walk: Walk | None, place: int = 0) -> None:
         """Play a walk on a stage, the first or that beside it; none takes the second away."""
@@ -257,25 +208,26 @@ class Player:
             self._beside.visible = self.stages[1].layout.visible = walk is not None
 
 
-def _timeline(
-    curves: list[models.ColumnDataSource], falls: list[models.ColumnDataSource]
-) -> Any:
-    """Heights of the hips over time, and where each walker fell."""
+def _timeline() -> Any:
+    """Heights of the hips over time, where each walker fell, and a cursor."""
     plot = figure(
         name="timeline",
         tags=[OVER_TIME],
         height=TIMELINE_PX,
-        sizing_mode="stretch_width",
         tools="",
         toolbar_location=None,
-        x_range=models.Range1d(0.0, 10.0),
+        x_range=(0.0, 10.0),
         x_axis_label="time (s)",
         y_axis_label="hip (m)",
         min_border_top=14,
     )
     plot.yaxis.ticker.desired_num_ticks = 3
-    for curve, fall, colour in zip(curves, falls, GAITS, strict=True):
-        plot.line("x", "y", source=curve, line_color=colour)
+    for place, colour in enumerate((style.MODEL, style.BLACK)):
+        plot.line([], [], line_color=colour)
+        fall = ColumnDataSource(
+            {name: [] for name in ("x", "y", "words", "align", "offset")},
+            name=f"fall-{place}",
+        )
         plot.scatter(
             "x",
             "y",
@@ -290,10 +242,13 @@ def _timeline(
             "y",
             "words",
             source=fall,
-            text_align="right",
-            x_offset=-12,
+            text_align="align",
+            x_offset="offset",
             text_baseline="bottom",
             y_offset=-4,
             text_font_size="11px",
         )
+    # It moves with each frame: Bokeh paints an overlay without the axes.
+    cursor = {"location": 0.0, "line_color": style.FAINT, "level": "overlay"}
+    plot.add_layout(Span(dimension="height", **cursor))
     return plot

@@ -11,16 +11,29 @@ import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import cycle, islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
-from bokeh import models
-from bokeh.layouts import column
+from bokeh.models import (
+    BoxSelectTool,
+    ColorBar,
+    Column,
+    ColumnDataSource,
+    CustomJS,
+    DataTable,
+    Div,
+    LinearColorMapper,
+    NumberFormatter,
+    Select,
+    Span,
+    Spinner,
+    TableColumn,
+    TextInput,
+)
 from bokeh.models.text import PlainText
-from bokeh.models.tools import BoxSelectTool, PanTool, ResetTool, WheelZoomTool
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
@@ -30,7 +43,7 @@ from storage.simulator import FAILED, SURVIVED, WALKER
 from storage.store import ORIGIN, SOBOL_ROW, Store, evaluated_name
 from study.explore.server import SCRIPTS, Message, flow
 from study.explore.trials import STATE, TRIAL, Trials
-from study.explore.words import Menu, described, menu
+from study.explore.words import described, menu
 from study.pictures import style
 from taichi_nmm.result import ENERGY, NEEDED_BY, OF_MUSCLES, unknown
 
@@ -90,19 +103,18 @@ def numbers_of(store: Store, name: str, at_hand: pa.Table | None = None) -> Floa
 
     values = read(name).astype(np.float64)
     if store.simulator == WALKER:
-        needed = NEEDED_BY.get(name)
-        if needed is None or needed not in store.columns:
-            return values
-        both = {name: values, needed: read(needed)}
-        return np.where(unknown(name, both), np.nan, values)
-    own = [family for family in store.families if name.startswith(f"{family}_")]
-    flags = [evaluated_name(family) for family in own]
+        needed = NEEDED_BY.get(name, "")
+        if needed in store.columns:
+            values[unknown(name, {name: values, needed: read(needed)})] = np.nan
+        return values
+    families = [family for family in store.families if name.startswith(f"{family}_")]
+    flags = [evaluated_name(family) for family in families]
     if name in (*flags, Store.ROW, SURVIVED, *store.parameter_names):
         return values
     if flags:
-        return np.where(read(flags[0]), values, np.nan)
-    if ENDED in store.columns:
-        return np.where(read(ENDED) == FAILED, np.nan, values)
+        values[read(flags[0]) == 0] = np.nan
+    elif ENDED in store.columns:
+        values[read(ENDED) == FAILED] = np.nan
     return values
 
 
@@ -123,167 +135,96 @@ BESIDES = "#D8DCE0"  # of bars
 RINGS_PX = (17, 11)  # about the row that walks, and about the row under the pointer
 
 
-def cloud() -> dict[str, Any]:
+def cloud() -> Any:
     """A figure to drag a box over, and what the script moves on it.
 
     That is its one image, which the script paints, two rings, and the colours' bar; the
     last renderers are a front of two goals.
     """
-    box = BoxSelectTool(renderers=[])
     plot = figure(
         name="cloud",
         height=CLOUD_PX[1],
-        sizing_mode="stretch_width",
         title=" ",
-        tools=[PanTool(), WheelZoomTool(), ResetTool(), box],
-        active_drag=box,
-        x_range=models.Range1d(0.0, 1.0),
-        y_range=models.Range1d(0.0, 1.0),
+        tools="pan,wheel_zoom,reset,box_select",
+        active_drag="box_select",
+        x_range=(0.0, 1.0),
+        y_range=(0.0, 1.0),
     )
+    plot.select_one(BoxSelectTool).renderers = []
     plot.toolbar.logo = None
     pixels = np.zeros(CLOUD_PX[::-1], np.uint32)
-    image = models.ColumnDataSource(
-        {"image": [pixels], "x": [0.0], "y": [0.0], "dw": [1.0], "dh": [1.0]}
-    )
-    plot.image_rgba("image", "x", "y", "dw", "dh", source=image)
+    plot.image_rgba([pixels], [0.0], [0.0], [1.0], [1.0])
     nowhere = np.full(2, np.nan)
-    rings = models.ColumnDataSource(
+    rings = ColumnDataSource(
         {"x": nowhere, "y": nowhere, "size": RINGS_PX}, name="rings"
     )
-    for width, colour in ((5, "white"), (2.5, style.VERMILION)):
-        plot.scatter(
-            "x",
-            "y",
-            size="size",
-            source=rings,
-            line_color=colour,
-            line_width=width,
-            fill_color=None,
-        )
-    front = models.ColumnDataSource({"x": [], "y": []}, name="front")
+    look = {"source": rings, "size": "size", "fill_color": None}
+    plot.scatter("x", "y", **look, line_color="white", line_width=5)
+    plot.scatter("x", "y", **look, line_color=style.VERMILION, line_width=2.5)
+    front = ColumnDataSource({"x": [], "y": []}, name="front")
     plot.line("x", "y", source=front, line_color=style.INK, line_dash="dashed")
     plot.scatter("x", "y", source=front, size=9, line_color=style.INK, fill_color=None)
-    mapper = models.LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
-    return {
-        "plot": plot,
-        "image": image,
-        "rings": rings,
-        "mapper": mapper,
-        "front": front,
-    }
+    mapper = LinearColorMapper(palette="Viridis256", low=0.0, high=1.0)
+    plot.add_layout(ColorBar(color_mapper=mapper, height=10, padding=4), "below")
+    return plot
 
 
-class Histogram(NamedTuple):
-    """The numbers of a column.
-
-    Attributes:
-        plot: a small figure.
-        bars: of all rows, and of those selected.
-        span: a line at the row that is shown.
-    """
-
-    plot: Any
-    bars: list[models.ColumnDataSource]
-    span: models.Span
-
-
-def histogram(slot: int) -> Histogram:
-    """Of the column in this slot."""
+def histogram(slot: int) -> Any:
+    """A small figure of the column in this slot: all rows, those selected, and that shown."""
     plot = figure(
         name=f"histogram-{slot}",
         height=HISTOGRAM_PX,
         tools="",
         toolbar_location=None,
         title=" ",
-        x_range=models.Range1d(0.0, 1.0),
+        x_range=(0.0, 1.0),
     )
     plot.title.text_font_size = "10px"
-    plot.yaxis.visible = False
+    plot.yaxis.visible = plot.grid.visible = False
     plot.xaxis.ticker.desired_num_ticks = 3
-    plot.grid.visible = False
     plot.add_tools(BoxSelectTool(renderers=[], dimensions="width"))
-    bars = []
     # Those selected are an overlay, which Bokeh paints anew without the axes.
     for colour, level in ((BESIDES, "glyph"), (style.MODEL, "overlay")):
-        sides = {name: np.zeros(BINS) for name in ("left", "right", "count")}
-        source = models.ColumnDataSource(sides)
-        bars.append(source)
-        plot.quad(
-            left="left",
-            right="right",
-            bottom=0,
-            top="count",
-            source=source,
-            fill_color=colour,
-            line_color=None,
-            level=level,
-        )
-    span = models.Span(
-        dimension="height",
-        line_color=style.VERMILION,
-        line_width=2,
-        name=f"at-{slot}",
-        level="overlay",
-    )
-    plot.add_layout(span)
-    return Histogram(plot=plot, bars=bars, span=span)
+        left, right, top = np.zeros((3, BINS))
+        plot.quad(left, right, top, 0, color=colour, line_color=None, level=level)
+    shown = {"line_color": style.VERMILION, "line_width": 2, "level": "overlay"}
+    plot.add_layout(Span(dimension="height", **shown))
+    return plot
 
 
-def table(
-    source: models.ColumnDataSource, row: str, words: list[str]
-) -> models.DataTable:
+def table(source: ColumnDataSource, row: str, words: list[str]) -> DataTable:
     """The listed rows. A DataTable keeps its first titles, so other columns need a new one."""
-    numbers = models.NumberFormatter(format="0.[0000]", nan_format="-")
+    numbers = NumberFormatter(format="0.[0000]", nan_format="-")
     columns = [
-        models.TableColumn(field="row", title=row, width=60),
-        models.TableColumn(field="mark", title="", width=55),
+        TableColumn(field="row", title=row, width=60),
+        TableColumn(field="mark", title="", width=55),
     ]
     for slot, name in enumerate(words):
         if name != row:  # as of a study's trials
             title = html.escape(name)
             columns.append(
-                models.TableColumn(field=f"c{slot}", title=title, formatter=numbers)
+                TableColumn(field=f"c{slot}", title=title, formatter=numbers)
             )
-    return models.DataTable(
-        source=source,
-        columns=columns,
-        height=240,
-        sizing_mode="stretch_width",
-        index_position=None,
-    )
+    return DataTable(source=source, columns=columns, height=240, index_position=None)
 
 
-FIRST = ("mean_speed_mps", "phi_printed", SURVIVED, "step_length_mean_m")
 PALETTE = "viridis"
 
 
-class Mark(NamedTuple):
-    """Which rows are marked.
-
-    Attributes:
-        column: that decides.
-        usual: the word there of a row that is not marked.
-        other: the word that the page has for those that are.
-    """
-
-    column: str
-    usual: str
-    other: str
-
-
-MARKED = {  # by what numbers the rows
-    "row": Mark(column=ORIGIN, usual=SOBOL_ROW, other="bred"),
-    TRIAL: Mark(column=STATE, usual="complete", other="not complete"),
+# By what numbers the rows: a column, its word of a row that is not marked, and the page's
+# word of one that is.
+MARKED = {
+    "row": (ORIGIN, SOBOL_ROW, "bred"),
+    TRIAL: (STATE, "complete", "not complete"),
 }
 
 
 def marked(store: Store, at_hand: pa.Table) -> NDArray[np.uint8]:
     """Of each row whether it is marked, 1 or 0, [n]; the column that tells is at hand."""
-    mark = MARKED[store.ROW]
-    if mark.column not in store.columns:
+    column, usual, _ = MARKED[store.ROW]
+    if column not in store.columns:
         return np.zeros(len(store), np.uint8)
-    words = at_hand[mark.column].to_numpy()
-    return np.asarray(words != mark.usual, np.uint8)
+    return np.asarray(at_hand[column].to_numpy() != usual, np.uint8)
 
 
 def numeric_columns(store: Store) -> list[str]:
@@ -303,8 +244,8 @@ def first_columns(store: Store, known: list[str]) -> list[str]:
     survived = [name for name in store.columns if name.endswith(end)]
     # The second of a store before 0.4: as its words say.
     energy = ENERGY if ENERGY in known else OF_MUSCLES
-    speed, score, survival, steps = FIRST
-    first = [speed, score, *(survived or [survival])[:1], energy, steps]
+    survival = (survived or [SURVIVED])[0]
+    first = ["mean_speed_mps", "phi_printed", survival, energy, "step_length_mean_m"]
     if set(first) <= set(known):
         return first
     # A parameter may be a word, and so not among the numbers.
@@ -336,7 +277,7 @@ class StoreView:
         first = first_columns(store, known)
         # Read at once: to open the files takes longer than to read a column.
         needed = (NEEDED_BY.get(name, name) for name in first)
-        wanted = {store.ROW, MARKED[store.ROW].column, *first, *needed}
+        wanted = {store.ROW, MARKED[store.ROW][0], *first, *needed}
         self._at_hand: pa.Table = store.table(wanted & {*store.columns})
         self._rows: NDArray[np.int64] = self._read(store.ROW).astype(np.int64)
         self._words = described(store, known)
@@ -345,9 +286,7 @@ class StoreView:
                 self._words[name] = self._words[name]._replace(words=words)
         options = menu(self._words)
         self._columns = [
-            models.Select(
-                title=role, value=name, options=options, name=f"column-{slot}"
-            )
+            Select(title=role, value=name, options=options, name=f"column-{slot}")
             for slot, (role, name) in enumerate(zip(ROLES, first, strict=True))
         ]
         self._hidden: Ranges = {}  # of columns that are not shown
@@ -356,8 +295,8 @@ class StoreView:
             "marked": marked(store, self._at_hand),
             "kept": np.ones(len(store), np.uint8),
         }
-        self._source = models.ColumnDataSource(rows, name="rows")
-        self.selection = models.TextInput(
+        self._source = ColumnDataSource(rows, name="rows")
+        self.selection = TextInput(
             title="selection: column low..high, ...",
             placeholder="drag a box",
             name="selection",
@@ -365,68 +304,48 @@ class StoreView:
         self._refusal = Message("selection-message")
         self._row_refusal = Message("row-message")
         # without `low` and `high`: the browser would silently replace a wrong number
-        self.row = models.Spinner(
-            title=f"{store.ROW} shown", step=1, mode="int", name="row"
-        )
-        cloud_parts = cloud()
-        self._cloud, self._front = cloud_parts["plot"], cloud_parts.pop("front")
-        self._bar = models.ColorBar(
-            color_mapper=cloud_parts["mapper"], height=10, padding=4
-        )
-        self._cloud.add_layout(self._bar, "below")
+        self.row = Spinner(title=f"{store.ROW} shown", step=1, mode="int", name="row")
+        self._cloud = cloud()
         self._histograms = [histogram(slot) for slot in range(len(ROLES))]
         fields = ("row", "mark", *(f"c{slot}" for slot in range(len(ROLES))))
-        self._listed = models.ColumnDataSource(
-            {name: [] for name in fields}, name="listed"
-        )
-        count = models.Div(name="count")
+        self._listed = ColumnDataSource({name: [] for name in fields}, name="listed")
         for slot in range(len(ROLES)):
             self._load(slot)
-        self._rows_panel = column(
-            self._table(), sizing_mode="stretch_width", name="Rows"
+        self._rows_panel = Column(self._table(), name="Rows")
+        count = Div(name="count")
+        self._connect(count)
+        clear = message.button("all rows", lambda: self.selection.update(value=""))
+        take = message.button("selection as Parquet", lambda: save(self._ranges()))
+        # Its words leave in the menus what has them.
+        find = TextInput(title="find in the menus", placeholder="hip mean", name="find")
+        found = CustomJS.from_file(
+            SCRIPTS / "find.mjs", columns=self._columns, options=options
         )
-        self._connect(count=count, **cloud_parts)
-        clear = models.Button(label="all rows")
-        clear.on_click(lambda: self.selection.update(value=""))
-        take = models.Button(label="selection as Parquet")
-        take.on_click(message.safely(lambda: save(self._ranges())))
-        points = [
-            flow(*self._columns, self._finder(options), least_px=215),
+        find.js_on_change("value_input", found)
+        panel = Column(
+            flow(*self._columns, find, least_px=215),
             self._cloud,
             flow(self.selection, clear, least_px=110),
             self._refusal.layout,
-            flow(*(each.plot for each in self._histograms), least_px=160),
+            flow(*self._histograms, least_px=160),
             flow(count, self.row, take),
             self._row_refusal.layout,
-        ]
+            name="Points",
+        )
         self.selection.styles = {"flex": "4 1 260px"}
-        panel = column(*points, sizing_mode="stretch_width", name="Points")
         self.panels = [panel, self._rows_panel]
         self._refusal.watch(self.selection, "value", self._check)
-        self._row_refusal.watch(self.row, "value", self._picked)
-        self._row_refusal.watch(
-            self.row, "tags", self._picked
-        )  # the same row, clicked again
+        for attribute in ("value", "tags"):  # the second: the same row, clicked again
+            self._row_refusal.watch(self.row, attribute, self._picked)
         for slot, select in enumerate(self._columns):
             message.watch(select, "value", partial(self._look_at, slot))
-
-    def _finder(self, options: Menu) -> models.TextInput:
-        """A field whose words leave in the menus what has them."""
-        find = models.TextInput(
-            title="find in the menus", placeholder="hip mean", name="find"
-        )
-        script = models.CustomJS.from_file(
-            SCRIPTS / "find.mjs", columns=self._columns, options=options
-        )
-        find.js_on_change("value_input", script)
-        return find
 
     @property
     def _names(self) -> list[str]:
         """The five columns that are shown."""
         return [select.value for select in self._columns]
 
-    def _table(self) -> models.DataTable:
+    def _table(self) -> DataTable:
         words = [self._words[name].words for name in self._names]
         return table(self._listed, self._store.ROW, words)
 
@@ -468,17 +387,20 @@ class StoreView:
     def _load(self, slot: int) -> None:
         """Put a column into a slot; the script finds its bounds."""
         name = self._columns[slot].value
-        words = self._words[name].words
-        self._columns[slot].description = f"{name}: {self._words[name].meaning}"
+        _, words, meaning = self._words[name]
+        self._columns[slot].description = f"{name}: {meaning}"
         # A name between dollars would be drawn as TeX.
-        self._histograms[slot].plot.title.text = PlainText(words)
-        place = ROLES[slot]
-        if place == "across":
-            self._cloud.xaxis.axis_label = PlainText(words)
-        elif place == "up":
-            self._cloud.yaxis.axis_label = PlainText(words)
-        elif place == "colour":
-            self._bar.title = PlainText(words)
+        text = PlainText(words)
+        self._histograms[slot].title.text = text
+        across, bar = self._cloud.below
+        (up,) = self._cloud.left
+        match ROLES[slot]:
+            case "across":
+                across.axis_label = text
+            case "up":
+                up.axis_label = text
+            case "colour":
+                bar.title = text
         self._draw_front()
         # Last: it makes the script paint.
         self._source.data[f"c{slot}"] = self._read(name)
@@ -486,46 +408,42 @@ class StoreView:
     def _draw_front(self) -> None:
         """Join the trials of a front where the axes are the two goals."""
         store, axes = self._store, self._names[:2]
+        front = self._cloud.renderers[-1].data_source
+        joined: list[int] = []
         if isinstance(store, Trials) and {*axes} == {*store.goals}:
-            on_front = np.isin(self._rows, store.front)
-            x, y = (self._read(name)[on_front] for name in axes)
-            order = np.argsort(x)
-            self._front.data = {"x": x[order], "y": y[order]}
-        elif len(self._front.data["x"]):
-            self._front.data = {"x": [], "y": []}
+            joined = store.front
+        on_front = np.isin(self._rows, joined)
+        x, y = (self._read(name)[on_front] for name in axes)
+        order = np.argsort(x)
+        front.data = {"x": x[order], "y": y[order]}
 
-    def _connect(self, **parts: Any) -> None:
+    def _connect(self, count: Div) -> None:
         """Let the page's script know its parts, and hear of what a person does."""
         rgba = matplotlib.colormaps[PALETTE](np.arange(256), bytes=True)
-        script = models.CustomJS.from_file(
+        script = CustomJS.from_file(
             SCRIPTS / "brush.mjs",
             source=self._source,
             columns=self._columns,
             selection=self.selection,
-            histograms=[each.plot for each in self._histograms],
-            bars=[each.bars for each in self._histograms],
-            spans=[each.span for each in self._histograms],
+            plot=self._cloud,
+            histograms=self._histograms,
+            count=count,
             table=self._listed,
             row=self.row,
             listing=self._rows_panel,
             word=self._store.ROW,
-            mark=MARKED[self._store.ROW].other,
+            mark=MARKED[self._store.ROW][-1],
             palette=rgba.view("<u4").ravel().tolist(),
-            **parts,
         )
         for each in self._histograms:
-            each.plot.js_on_event("selectiongeometry", script)
+            each.js_on_event("selectiongeometry", script)
         for event in ("selectiongeometry", "tap", "mousemove", "mouseleave"):
             self._cloud.js_on_event(event, script)
-        for model, attribute in (
-            (self._cloud, "inner_width"),  # it has been laid out
-            (self.row, "value"),
-            (self._source, "data"),
-            (self.selection, "value"),
-            (self._listed.selected, "indices"),
-            (self._cloud.x_range, "start"),
-            (self._cloud.x_range, "end"),
-            (self._cloud.y_range, "start"),
-            (self._cloud.y_range, "end"),
-        ):
-            model.js_on_change(attribute, script)
+        for ends in (self._cloud.x_range, self._cloud.y_range):
+            ends.js_on_change("start", script)
+            ends.js_on_change("end", script)
+        self._cloud.js_on_change("inner_width", script)  # it has been laid out
+        self._source.js_on_change("data", script)
+        self._listed.selected.js_on_change("indices", script)
+        for field in (self.row, self.selection):
+            field.js_on_change("value", script)

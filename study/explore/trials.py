@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import optuna
@@ -26,6 +26,7 @@ from storage.inputs.reading import is_file, json_document, reading
 from storage.simulator import SIMULATOR_KEY, WALKER
 from storage.store import Store, open_store
 from study.experiment import folder
+from study.explore.words import Tables
 from study.report.runs import goals_of
 from taichi_nmm.parameters import GAIN_NAMES
 
@@ -33,6 +34,7 @@ TRIAL, STATE, VALUE = "trial", "state", "value"  # the first columns
 SETTING = {"seed", "simulation", "body", "ground"}  # of a walker's experiment
 OTHERWISE = "a store or a study database; for others: taichi-nmm report, dashboard or bench serve"
 STORE_START = b"PAR1"  # of a Parquet file
+BEGUN = tuple({*TrialState} - {TrialState.WAITING})
 MOST_LISTED = 8  # studies; of more, the runs are not told apart
 
 
@@ -54,7 +56,7 @@ class Trials(Store):
 
     rows: pa.Table
     best: int
-    document: dict[str, Any]
+    document: Tables
     goals: dict[str, str]
     front: list[int]
 
@@ -113,23 +115,19 @@ def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) ->
             allowed = f"--study with one of {listed(shown, name or '')}"
         raise InputError("study", name or "none named", f"{allowed}, of {file}")
     study = load_whole(storage, name)
-    trials = [
-        trial
-        for trial in study.get_trials(deepcopy=False)
-        if trial.state is not TrialState.WAITING
-    ]
+    trials = study.get_trials(deepcopy=False, states=BEGUN)
     sign = -1.0 if study.directions[0] is StudyDirection.MAXIMIZE else 1.0
-    ranked = sorted(
+    ranked = [
         (sign * trial.values[0], trial.number) for trial in trials if trial.values
-    )
+    ]
     if not ranked:
         raise InputError("study", name, "a study of which a trial has a value")
+    _, best = min(ranked)
     table, parameters = _table(trials)
     document = _document(study, file)
     goals = _goals(study, document)
     fixed = document.get("fixed_gains", {})
     walks = {*parameters, *fixed}.issuperset(GAIN_NAMES)
-    _, best = ranked[0]
     return Trials(
         path=Path(name.replace("/", "-")),
         files=(),
@@ -148,7 +146,7 @@ def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) ->
     )
 
 
-def _goals(study: optuna.Study, document: dict[str, Any]) -> dict[str, str]:
+def _goals(study: optuna.Study, document: Tables) -> dict[str, str]:
     """Names of two goals by their columns, and what they pay for where this project knows."""
     columns = (VALUE, f"{VALUE}_1")
     if len(study.directions) != len(columns):
@@ -163,7 +161,7 @@ def _goals(study: optuna.Study, document: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _document(study: optuna.Study, file: Path) -> dict[str, Any]:
+def _document(study: optuna.Study, file: Path) -> Tables:
     """What a study of the walker says of itself, or the comparison in whose folder it is."""
     known = study.user_attrs.get(folder.LIVE_ATTRIBUTE)
     beside = file.with_name(folder.EXPERIMENT_NAME)
@@ -181,14 +179,17 @@ def _table(trials: list[FrozenTrial]) -> tuple[pa.Table, list[str]]:
 
     Names become words, each of one column, as selections need them.
     """
-    columns: dict[str, Any] = {
+    columns: Tables = {
         TRIAL: [trial.number for trial in trials],
         STATE: [trial.state.name.lower() for trial in trials],
     }
     searched = [trial.params for trial in trials]
     parameters = []
     for part in (
-        [_values(trial) for trial in trials],
+        [
+            {f"{VALUE}_{place}" if place else VALUE: value for place, value in each}
+            for each in (enumerate(trial.values or ()) for trial in trials)
+        ],
         searched,
         [trial.user_attrs for trial in trials],
     ):
@@ -204,9 +205,3 @@ def _table(trials: list[FrozenTrial]) -> tuple[pa.Table, list[str]]:
             if part is searched:
                 parameters.append(name)
     return pa.table(columns), parameters
-
-
-def _values(trial: FrozenTrial) -> dict[str, float]:
-    """The values of a trial by the names of their columns; of a failed one none."""
-    values = enumerate(trial.values or ())
-    return {f"{VALUE}_{place}" if place else VALUE: value for place, value in values}

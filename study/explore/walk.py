@@ -1,11 +1,9 @@
 """One walk for the page, in a process beside it: its body, ground and world, and its frames."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any
 
 import matplotlib
@@ -13,7 +11,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
-from storage.inputs.config import Table, laid_over
+from storage.inputs.config import Table, laid_over, to_toml
 from storage.inputs.errors import InputError
 from study.experiment.gains import NamedGains, gains_of_source, recorded_walk
 from study.experiment.walker import (
@@ -22,7 +20,7 @@ from study.experiment.walker import (
     experiment_of,
     row_text,
 )
-from study.explore.words import CHOICES
+from study.explore.words import CHOICES, Tables
 from study.pictures import style, write_gait_cycle, write_strip
 from study.pictures.fall import fall_text
 from study.pictures.gait_cycle import STRIKE, event_times
@@ -44,18 +42,18 @@ from study.pictures.trajectory_files import (
     require_trajectory_file,
     write_trajectory,
 )
-from taichi_nmm.result import Trajectory
+from taichi_nmm.result import Result, Trajectory
 from taichi_nmm.settings import ENGINES
 from taichi_nmm.terrain import GRID_SPACING_M, Terrain
 
-GROUNDS: dict[str, dict[str, Any]] = CHOICES["grounds"]
+GROUNDS: dict[str, Tables] = CHOICES["grounds"]
 WORLDS: dict[str, dict[str, list[float]]] = CHOICES["worlds"]
 DISTURBANCES: dict[str, float] = CHOICES["disturbances"]
 LASTS_S: dict[str, float] = CHOICES["lasts_s"]  # by the kind of ground
 DURATIONS = ("5 s", "10 s", "20 s", "40 s", "100 s")
 OWN = "as in the study"
 NAME = "walk"  # of the configuration
-NONE: Mapping[str, Any] = MappingProxyType({})
+NONE: Tables = {}
 CHANGED = {"body", "terrain", "world", "simulation"}  # what may be laid over a setting
 
 
@@ -67,9 +65,9 @@ def chosen_setting(
     world: str,
     engine: str,
     duration_s: float,
-    own: Mapping[str, Any] = NONE,
-    files: Mapping[str, Any] = NONE,
-    changes: Mapping[str, Any] = NONE,
+    own: Tables = NONE,
+    files: Tables = NONE,
+    changes: Tables = NONE,
 ) -> WalkerExperiment:
     """The experiment of the page's choices, by the names above; its last run walks.
 
@@ -86,29 +84,17 @@ def chosen_setting(
     simulation = own.get("simulation", {})
     if simulation.get("engine", ENGINES[0]) != engine:
         simulation = {"engine": engine}
-    body = {"disturbance": DISTURBANCES.get(disturbance)}
     tables = {
         "seed": seed,
         "runs": own.get("run", 0) + 1,
         "simulation": {**simulation, "duration_s": duration_s},
-        "body": own["body"] if disturbance == OWN else body,
+        "body": own["body"]
+        if disturbance == OWN
+        else {"disturbance": DISTURBANCES[disturbance]},
         "terrain": own["ground"] if ground == OWN else {**GROUNDS, **files}[ground],
         "world": own.get("world", {}) if world == OWN else WORLDS[world],
     }
     return experiment_of(Table(laid_over(tables, dict(changes))), NAME)
-
-
-def to_toml(tables: dict[str, Any], name: str = "") -> str:
-    """Plain values as TOML, in which they look as in JSON; tables come last."""
-    lines, inner = [], []
-    for key, value in tables.items():
-        if isinstance(value, dict):
-            inner.append(to_toml(value, f"{name}.{key}".lstrip(".")))
-        else:
-            lines.append(f"{key} = {json.dumps(value)}\n")
-    if name and lines:
-        lines.insert(0, f"[{name}]\n")
-    return "\n".join(filter(None, ["".join(lines), *inner]))
 
 
 RATE_HZ = 30
@@ -188,11 +174,6 @@ class Walk:
     frames: Frames
     ended: str
 
-    @property
-    def mass_kg(self) -> float:
-        """Of the whole body."""
-        return float(self.experiment.body(self.run).mass_kg.sum())
-
 
 def walk(gains: NamedGains, experiment: WalkerExperiment) -> Walk:
     """Simulate on the last run of an experiment, and prepare what is drawn.
@@ -201,8 +182,7 @@ def walk(gains: NamedGains, experiment: WalkerExperiment) -> Walk:
         InputError: what the simulator refuses.
     """
     run = experiment.runs - 1
-    alone = experiment.on_one_thread()  # beside walks of other tabs
-    result = recorded_walk(gains, alone.with_settings(arch="cpu"), run, SEEN_RATE_HZ)
+    result = _alone(gains, experiment, run, SEEN_RATE_HZ)
     row, trajectory = result.rows[0], result.trajectories[0]
     terrain = experiment.terrain(run)
     return Walk(
@@ -216,10 +196,17 @@ def walk(gains: NamedGains, experiment: WalkerExperiment) -> Walk:
     )
 
 
+def _alone(
+    gains: NamedGains, experiment: WalkerExperiment, run: int, rate_hz: float
+) -> Result:
+    """On one thread, beside walks of other tabs."""
+    plain = experiment.on_one_thread().with_settings(arch="cpu")
+    return recorded_walk(gains, plain, run, rate_hz)
+
+
 def recorded(walk: Walk, number: int) -> tuple[Trajectory, int]:
     """A walk again, as the command `walk` records it, and the number that was given."""
-    alone = walk.experiment.on_one_thread().with_settings(arch="cpu")
-    result = recorded_walk(walk.gains, alone, walk.run, RECORD_RATE_HZ)
+    result = _alone(walk.gains, walk.experiment, walk.run, RECORD_RATE_HZ)
     return kept(result.trajectories[0]), number
 
 
@@ -243,38 +230,37 @@ NAMES = (GAINS, CONFIG)  # what every command takes: --gains, --config
 RECORDINGS = tuple(f"walk{ending}" for ending in FORMATS)
 STRIP, CYCLE = "strip.png", "gait_cycle.png"
 PICTURES = (STRIP, CYCLE)
+FILES = (*NAMES, FILM, *RECORDINGS, *PICTURES)
 # What does the same without a page, in a folder with both files.
 COMMAND = f"taichi-nmm walk --gains {GAINS} --config {CONFIG} --trajectory walk.sto"
 
 
 def file_of_walk(walk: Walk, name: str) -> tuple[str, bytes]:
-    """A file by its name above, and its content, to be taken from the page."""
-    if name in (*RECORDINGS, *PICTURES):
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            write_recording(walk, path)
-            return name, path.read_bytes()
-    if name == FILM:
-        terrain = walk.experiment.terrain(walk.run)
-        pictures = frames(walk.trajectory, terrain, FILM_S, walk.gains.name)
-        return name, encoded(pictures, LARGE)
+    """A file by its name above, and its content, to be taken from the page.
+
+    Recordings and pictures have the bytes of the command's.
+    """
+    terrain = walk.experiment.terrain(walk.run)
+    if name == GAINS:
+        return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
     if name == CONFIG:
         tables = {"runs": walk.run + 1, **as_written(walk.experiment)}
         return name, to_toml(tables).encode()
-    return name, f"{json.dumps(walk.gains.as_document(), indent=1)}\n".encode()
-
-
-def write_recording(walk: Walk, path: Path) -> None:
-    """One of `RECORDINGS` or `PICTURES`, with the bytes of the command's."""
-    if path.name in RECORDINGS:
-        require_trajectory_file(path)  # before the work
-    trajectory, _ = recorded(walk, 0)
-    terrain = walk.experiment.terrain(walk.run)
-    title = f"{walk.gains.name} on {terrain.name}: {row_text(walk.row)}"
-    if path.name == STRIP:
-        write_strip(path, trajectory, terrain, title)
-    elif path.name == CYCLE:
-        write_gait_cycle(path, trajectory, walk.experiment.weight_n(walk.run), title)
-    else:
-        world = walk.experiment.world(walk.run)
-        write_trajectory(path, trajectory, walk.gains.name, world)
+    if name == FILM:
+        pictures = frames(walk.trajectory, terrain, FILM_S, walk.gains.name)
+        return name, encoded(pictures, LARGE)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        if name in RECORDINGS:
+            require_trajectory_file(path)  # before the work
+        trajectory, _ = recorded(walk, 0)
+        title = f"{walk.gains.name} on {terrain.name}: {row_text(walk.row)}"
+        if name == STRIP:
+            write_strip(path, trajectory, terrain, title)
+        elif name == CYCLE:
+            weight_n = walk.experiment.weight_n(walk.run)
+            write_gait_cycle(path, trajectory, weight_n, title)
+        else:
+            world = walk.experiment.world(walk.run)
+            write_trajectory(path, trajectory, walk.gains.name, world)
+        return name, path.read_bytes()

@@ -3,13 +3,21 @@
 import html
 from collections.abc import Callable
 from concurrent.futures import Executor
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from bokeh import models
 from bokeh.document import Document
-from bokeh.layouts import column, row
+from bokeh.models import (
+    Column,
+    Div,
+    NumericInput,
+    RadioButtonGroup,
+    Row,
+    Select,
+    Slider,
+    Spinner,
+)
 
 from storage.inputs.errors import InputError
 from storage.store import Store
@@ -21,19 +29,18 @@ from study.experiment.gains import (
 )
 from study.explore import walk as walking
 from study.explore.repair_view import RepairView
-from study.explore.server import WRAPS, Latest, Message, Saver, flow
+from study.explore.server import Call, Latest, Message, Saver, flow
 from study.explore.signals import Signals
 from study.explore.stage import Player
 from study.explore.strides import Cycle
 from study.explore.trials import Trials
 from study.explore.what_if import WhatIf
+from study.explore.words import CHOICES, Tables
 from study.report.people import FURTHER, QUANTITIES
-from taichi_nmm.parameters import DEVICE, GAINS
+from taichi_nmm.parameters import DEVICE, GAINS, Parameter
 from taichi_nmm.result import known_numbers
 from taichi_nmm.settings import ENGINES
 
-SIGNALS = "signals"
-STRIDE = "stride beside people"
 FIRST_GAIT = "reference"
 
 
@@ -65,12 +72,10 @@ class WalkView:
         saver = Saver(document, makers, message)
         self.save = saver.save
         self._player = Player(document)
-        self._figures: dict[str, Cycle | Signals] = {}
-        self._signals = partial(Signals, document, makers, message, self._player.script)
-        self._score = models.Div(text="", name="score", disable_math=True)
+        self._score = Div(name="score")
         self._others = Latest(document, walkers, self._walked_beside, message.failed)
         self._hands = Hands(self._again, self.show)
-        self._files: dict[str, Any] = {}  # grounds of a person's own
+        self._files: Tables = {}  # grounds of a person's own
         self._what_if = WhatIf(self._chosen, self._add_ground)
         menders, noted = repairs
         self._repair = RepairView(
@@ -86,47 +91,44 @@ class WalkView:
         for name, choice in self._choices.items():
             answer = self._on_ground if name == "ground" else self._chosen
             refusal.watch(choice, "value", answer)
+        # What draws is made when it is first looked at: a page would open a quarter later.
+        self._figures: dict[str, Callable[[], Signals | Cycle]] = {
+            "signals": cache(
+                partial(Signals, document, makers, message, self._player.script)
+            ),
+            "stride beside people": cache(Cycle),
+        }
         self._parts = {
             "gains": self._hands.layout,
-            "what if": column(
-                self._what_if.layout,
-                self._repair.layout,
-                sizing_mode="stretch_width",
-            ),
+            "what if": Column(self._what_if.layout, self._repair.layout),
             "score": self._score,
-            SIGNALS: None,
-            STRIDE: None,
+            **dict.fromkeys(self._figures),
             "take it with you": self._taking(),
         }
-        self._part = models.RadioButtonGroup(
-            labels=list(self._parts),
-            active=0,
-            stylesheets=[WRAPS],
-            name="part",
-            tags=[saver.source],
+        self._part = RadioButtonGroup(
+            labels=list(self._parts), active=0, name="part", tags=[saver.source]
         )
-        self._below = column(self._hands.layout, sizing_mode="stretch_width")
+        self._below = Column(self._hands.layout)
         message.watch(self._part, "active", self._turn)
-        keep = models.Button(label="keep it beside", name="keep")
-        keep.on_click(message.safely(lambda: self._put_beside(self._walk)))
+        keep = message.button(
+            "keep it beside", lambda: self._put_beside(self._walk), name="keep"
+        )
         self._player.removed.on_click(message.safely(lambda: self._put_beside(None)))
-        walk = column(
+        walk = Column(
             flow(*self._choices.values(), keep),
             refusal.layout,
             self._player.layout,
-            sizing_mode="stretch_width",
             name="The walk",
         )
-        parts = column(
+        parts = Column(
             self._part,
             self._below,
-            sizing_mode="stretch_width",
             name="Gains, what if, score, signals, stride and files",
         )
         self.panels = [walk, parts]
         refusal.safely(self._go_on)()
 
-    def _page(self) -> dict[str, Any]:
+    def _page(self) -> Tables:
         """What a repair is of, for a later tab."""
         return {
             "files": self._files,
@@ -172,7 +174,7 @@ class WalkView:
         else:
             duration.value = lasts  # which is another choice
 
-    def _add_ground(self, name: str, table: dict[str, Any]) -> None:
+    def _add_ground(self, name: str, table: Tables) -> None:
         """Let a ground of a person's own be chosen, and walk there."""
         menu = self._choices["ground"]
         self._files[name] = table
@@ -226,46 +228,32 @@ class WalkView:
         start = self._beside or self._start
         if self._walk is not None and start is not None:
             self._score.text = score_text(self._walk, start)
-            for part in (SIGNALS, STRIDE):
-                if self._looked_at == part:
-                    self._drawn(part).show(self._walk, self._beside)
+            if (drawn := self._figures.get(self._looked_at)) is not None:
+                drawn().show(self._walk, self._beside)
 
     @property
     def _looked_at(self) -> str:
         """The part that is shown."""
         return str(self._part.labels[self._part.active])
 
-    def _drawn(self, part: str) -> Cycle | Signals:
-        """Made when it is first looked at: a page would open a quarter later."""
-        if part not in self._figures:
-            self._figures[part] = Cycle() if part == STRIDE else self._signals()
-        return self._figures[part]
-
     def _turn(self) -> None:
         """Show another part alone: a hidden figure never gets a size."""
         self._compare()
         part = self._looked_at
-        self._below.children = [self._parts[part] or self._drawn(part).layout]
+        self._below.children = [self._parts[part] or self._figures[part]().layout]
 
     def _taking(self) -> Any:
-        names = (
-            *walking.NAMES,
-            walking.FILM,
-            *walking.RECORDINGS,
-            *walking.PICTURES,
-        )
-        buttons = [models.Button(label=name, name=f"save-{name}") for name in names]
-        for button in buttons:
-            button.on_click(self._message.safely(partial(self._take, button.label)))
+        buttons = [
+            self._message.button(name, partial(self._take, name), name=f"save-{name}")
+            for name in walking.FILES
+        ]
         words = "With both files, this command draws, films and records the walk:"
-        command = f"<code>{walking.COMMAND}</code>"
-        if self._own.get("run"):
-            command = f"<code>{walking.COMMAND} --run {self._own['run']}</code>"
-        return column(
+        run = self._own.get("run")
+        command = walking.COMMAND + (f" --run {run}" if run else "")
+        return Column(
             flow(*buttons),
-            models.Div(text=words),
-            models.Div(text=command, name="command"),
-            sizing_mode="stretch_width",
+            Div(text=words),
+            Div(text=f"<code>{command}</code>", name="command"),
         )
 
     def _take(self, name: str) -> None:
@@ -273,36 +261,35 @@ class WalkView:
             self.save(walking.file_of_walk, self._walk, name)
 
 
-def _choices(own: dict[str, Any]) -> dict[str, Any]:
+def _choices(own: Tables) -> Tables:
     """By the names of `chosen_setting`'s arguments; first those of a study, if there is one."""
     study = [walking.OWN] if own else []
     grounds = [*study, *walking.GROUNDS]
     lasts = _lasts(grounds[0], own, {})
-    menus: dict[str, tuple[str, list[str]]] = {
-        "ground": ("ground", grounds),
-        "world": ("world", [*study, *walking.WORLDS]),
-        "disturbance": ("masses of the body", [*study, *walking.DISTURBANCES]),
-        "engine": ("engine", list(ENGINES)),
-        "duration_s": ("at most", list(dict.fromkeys([*walking.DURATIONS, lasts]))),
+    menus = {
+        "ground": grounds,
+        "world": [*study, *walking.WORLDS],
+        "disturbance": [*study, *walking.DISTURBANCES],
+        "engine": list(ENGINES),
+        "duration_s": list(dict.fromkeys([*walking.DURATIONS, lasts])),
     }
-    found: dict[str, Any] = {
-        name: models.Select(
-            title=title,
+    first = {**own.get("simulation", {}), "duration_s": lasts}
+    found: Tables = {
+        name: Select(
+            title=CHOICES["menus"].get(name, name),
             options=options,
-            value=options[0],
+            value=first.get(name, options[0]),
             name=name.removesuffix("_s"),
         )
-        for name, (title, options) in menus.items()
+        for name, options in menus.items()
     }
-    found["duration_s"].value = lasts
-    found["engine"].value = own.get("simulation", {}).get("engine", ENGINES[0])
-    found["seed"] = models.Spinner(
+    found["seed"] = Spinner(
         title="seed", value=own.get("seed", 1), step=1, mode="int", name="seed"
     )
     return found
 
 
-def _lasts(ground: str, own: dict[str, Any], files: dict[str, Any]) -> str:
+def _lasts(ground: str, own: Tables, files: Tables) -> str:
     """How long a walk is asked for at first: as in the study, or until it has met the ground."""
     if ground == walking.OWN:
         return f"{own['simulation']['duration_s']:.12g} s"
@@ -323,58 +310,44 @@ class Hands:
     starting point.
     """
 
-    def __init__(
-        self, changed: Callable[[], None], start: Callable[[NamedGains], None]
-    ) -> None:
+    def __init__(self, changed: Call, start: Callable[[NamedGains], None]) -> None:
         self._refusal = message = Message("gains-message")
         self._changed = changed
         self._start = start
-        self._still = False  # while the page, not a person, moves the sliders
-        self._starts = models.Select(
-            title="start from", options=["", *STARTS], name="start"
-        )
-        self._sliders = [
-            models.Slider(
+        self._starts = Select(title="start from", options=["", *STARTS], name="start")
+        message.watch(self._starts, "value", self._from_start)
+        self._fields: dict[str, tuple[NumericInput, Slider]] = {}
+        for gain in MOVED:
+            slider = Slider(
                 title=gain.meaning,
                 start=gain.low,
                 end=gain.high,
                 value=gain.low,
                 step=(gain.high - gain.low) / STEPS,
                 show_value=False,
-                stylesheets=[WRAPS],
-                sizing_mode="stretch_width",
                 name=f"gain-{gain.name}",
             )
-            for gain in MOVED
-        ]
-        self._numbers = [
-            models.NumericInput(
+            number = NumericInput(
                 title=f"{gain.name} ({gain.unit})",
                 mode="float",
                 format="0.[00000]",
                 width=NUMBER_PX,
                 name=f"number-{gain.name}",
             )
-            for gain in MOVED
-        ]
-        message.watch(self._starts, "value", self._from_start)
-        pairs = list(zip(self._sliders, self._numbers, strict=True))
-        for place, (slider, number) in enumerate(pairs):
             slider.js_link("value", number, "value")
             number.js_link("value", slider, "value")
-            message.watch(number, "value", partial(self._set, place))
+            message.watch(number, "value", partial(self._set, gain))
+            self._fields[gain.name] = number, slider
         self.take(gains_of_source(STARTS[0]))
-        rows = flow(*(row(*pair) for pair in pairs), least_px=300)
-        self.layout: models.Column = column(
-            self._starts, message.layout, rows, sizing_mode="stretch_width"
-        )
+        rows = [Row(slider, number) for number, slider in self._fields.values()]
+        self.layout = Column(self._starts, message.layout, flow(*rows, least_px=300))
 
     def take(self, gains: NamedGains) -> None:
         """Show other gains, without a call of `changed`."""
         self.gains = gains
         values = gains.by_name()
-        for place, gain in enumerate(MOVED):
-            self._show(place, values[gain.name])
+        for name in self._fields:
+            self._show(name, values[name])
 
     def _from_start(self) -> None:
         if self._starts.value:
@@ -382,25 +355,24 @@ class Hands:
             self._starts.value = ""
             self._start(gains)
 
-    def _set(self, place: int) -> None:
-        gain, values = MOVED[place], self.gains.by_name()
-        before, value = values[gain.name], self._numbers[place].value
-        if self._still or value == before:
+    def _set(self, gain: Parameter) -> None:
+        values, (number, _) = self.gains.by_name(), self._fields[gain.name]
+        before, value = values[gain.name], number.value
+        if value == before:  # the page, not a person, has moved it
             return
         if value is None or not gain.low <= value <= gain.high:
-            self._show(place, before)
+            self._show(gain.name, before)
             raise InputError(gain.name, value, f"{gain.low:g} to {gain.high:g}")
         self._refusal.tell("")
         name = self.gains.name.removesuffix(" changed") + " changed"
         self.gains = named_gains(name, {**values, gain.name: value})
         self._changed()
 
-    def _show(self, place: int, value: float) -> None:
-        self._still = True
+    def _show(self, name: str, value: float) -> None:
         # The number first: a link that answered to the slider would change the number
         # once more.
-        self._numbers[place].value = self._sliders[place].value = value
-        self._still = False
+        for field in self._fields[name]:
+            field.value = value
 
 
 def score_text(walk: walking.Walk, start: walking.Walk) -> str:
@@ -409,7 +381,11 @@ def score_text(walk: walking.Walk, start: walking.Walk) -> str:
     heads = ["number", first, walk.gains.name, "change", "people"]
     lines = ["".join(f"<th scope=col>{html.escape(head)}</th>" for head in heads)]
     known = [
-        {**known_numbers(each.row), "mass_kg": each.mass_kg} for each in (start, walk)
+        {
+            **known_numbers(each.row),
+            "mass_kg": each.experiment.body(each.run).mass_kg.sum(),
+        }
+        for each in (start, walk)
     ]
     for each in (*QUANTITIES, *FURTHER):
         before, now = (each.value(numbers) for numbers in known)

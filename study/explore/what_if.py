@@ -12,19 +12,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from bokeh import models
-from bokeh.layouts import column
+from bokeh.models import (
+    Column,
+    FileInput,
+    RadioButtonGroup,
+    Select,
+    Slider,
+    TextAreaInput,
+)
 
-from storage.inputs.config import Table
+from storage.inputs.config import Table, to_toml
 from storage.inputs.errors import InputError
-from study.explore.server import NIGHT, WRAPS, Message, flow
-from study.explore.walk import to_toml
-from study.explore.words import CHOICES, in_words
+from study.explore.server import Call, Message, flow
+from study.explore.words import CHOICES, Tables, in_words
 from taichi_nmm.body import FACTOR_NAMES, SIDES
 from taichi_nmm.result import MUSCLES
 from taichi_nmm.terrain import read_ground
 
-Tables = dict[str, Any]
 LEAST_PX = 170  # of a control
 STEPS = 200  # of a slider
 WHOLE = {  # tables with all of their keys, or none: by the key that tells
@@ -50,10 +54,11 @@ def with_value(tables: Tables, path: list[str], value: Any) -> Tables:
 
 def value_at(tables: Tables, path: list[str]) -> Any:
     """What stands at a path; None: nothing."""
-    found: Any = tables
-    for name in path:
-        found = found.get(name) if isinstance(found, dict) else None
-    return found
+    first, *rest = path
+    found = tables.get(first)
+    if not rest:
+        return found
+    return value_at(found, rest) if isinstance(found, dict) else None
 
 
 def read_lines(text: str) -> Tables:
@@ -92,53 +97,39 @@ class WhatIf:
     `ground` with the name and the table of a ground of one's own.
     """
 
-    def __init__(
-        self, changed: Callable[[], None], ground: Callable[[str, Tables], None]
-    ) -> None:
+    def __init__(self, changed: Call, ground: Callable[[str, Tables], None]) -> None:
         self.tables: Tables = {}
         self._changed = changed
         self._ground = ground
         self._still = False  # while the page, not a person, moves the controls
         self._refusal = Message("what-if-message")
-        self._controls: dict[str, Any] = {}
+        self._controls: Tables = {}
         groups = {
             title: flow(*self._group(parts), least_px=LEAST_PX)
             for title, parts in CHOICES["what_if"].items()
         }
-        self._file = models.FileInput(
+        self._file = FileInput(
             title="a ground of your own, lines x_m,height_m",
             accept=".csv,.txt,.gz",
             name="ground-file",
-            stylesheets=[NIGHT],
         )
         read = self._refusal.safely(self._read_file)
         # It comes last, and is empty once the file has been read.
         self._file.on_change("filename", lambda attr, old, new: new and read())
-        self._lines = models.TextAreaInput(
+        self._lines = TextAreaInput(
             title="the same as lines of a configuration, which may be edited",
             rows=5,
             cols=60,
-            sizing_mode="stretch_width",
             name="lines",
         )
         self._refusal.watch(self._lines, "value", self._read_lines)
-        undo = models.Button(label="none of this", name="undo")
-        undo.on_click(self._refusal.safely(lambda: self.take({})))
-        which = models.RadioButtonGroup(
-            labels=list(groups), active=0, name="what", stylesheets=[WRAPS]
-        )
-        shown = column(*groups.values(), sizing_mode="stretch_width")
+        undo = self._refusal.button("none of this", lambda: self.take({}), name="undo")
+        which = RadioButtonGroup(labels=list(groups), active=0, name="what")
+        shown = Column(*groups.values())
         which.on_change("active", lambda attr, old, new: turn(shown, new))
         turn(shown, 0)
-        self.layout: models.Column = column(
-            which,
-            shown,
-            flow(self._file),
-            self._lines,
-            self._refusal.layout,
-            flow(undo),
-            sizing_mode="stretch_width",
-        )
+        own = flow(self._file), self._lines, self._refusal.layout, flow(undo)
+        self.layout = Column(which, shown, *own)
 
     def _group(self, parts: list[Tables]) -> list[Any]:
         """The controls of a group, of which some are alike."""
@@ -157,22 +148,21 @@ class WhatIf:
         if self._still:
             return
         control = self._controls[path]
-        names = path.split(".")
         value = None if control.value == control.tags[0] else control.value
         table = path.rpartition(".")[0]
         if table in WHOLE:
-            whole = {
-                each.removeprefix(f"{table}."): other
-                for each, other in self._controls.items()
-                if each.startswith(f"{table}.")
-            }
-            tells = whole[WHOLE[table]]
-            names, value = table.split("."), None
+            path = table
+            tells = self._controls[f"{table}.{WHOLE[table]}"]
+            value = None
             if tells.value != tells.tags[0]:
-                value = {each: other.value for each, other in whole.items()}
+                value = {
+                    each.removeprefix(f"{table}."): other.value
+                    for each, other in self._controls.items()
+                    if each.startswith(f"{table}.")
+                }
         elif "pair" in control.tags and value is not None:
             value = [value, value]
-        self.take(with_value(self.tables, names, value))
+        self.take(with_value(self.tables, path.split("."), value))
 
     def _read_lines(self) -> None:
         if not self._still:
@@ -214,11 +204,11 @@ def control_of(part: Tables, title: str, path: str) -> Any:
     """A slider or a menu; its first tag is the value that stands for no line."""
     usual = part["usual"]
     if "options" in part:
-        return models.Select(
+        return Select(
             title=title, options=part["options"], value=usual, name=path, tags=[usual]
         )
     low, high = part["ends"]
-    return models.Slider(
+    return Slider(
         title=title,
         start=low,
         end=high,
@@ -226,11 +216,11 @@ def control_of(part: Tables, title: str, path: str) -> Any:
         format="0[.]0[000]",
         value=usual,
         name=path,
-        tags=[usual, *(["pair"] if part.get("pair") else [])],
+        tags=[usual] + ["pair"] * part.get("pair", False),
     )
 
 
-def turn(shown: models.Column, active: int) -> None:
+def turn(shown: Column, active: int) -> None:
     """Show one group alone."""
     for place, group in enumerate(shown.children):
         group.visible = place == active

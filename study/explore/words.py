@@ -14,7 +14,10 @@ from study.pictures.gait_cycle import PEOPLE
 from taichi_nmm.parameters import GAINS
 from taichi_nmm.result import FURTHER_FIELDS, SUMMARY_FIELDS
 
-CHOICES: dict[str, Any] = tomllib.loads(
+Tables = dict[str, Any]
+"""Plain values by their names, such as a table of a configuration."""
+
+CHOICES: Tables = tomllib.loads(
     Path(__file__).with_name("choices.toml").read_text(encoding="utf-8")
 )
 MUSCLES = {muscle.lower(): words for muscle, words in PEOPLE["muscles"].items()}
@@ -53,24 +56,20 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
     for name in names:
         # The longest: a name may begin another one.
         families = [each for each in store.families if name.startswith(f"{each}_")]
-        family = max(families, key=len, default=None)
+        family = max(families, key=len, default="")
+        words, last = in_words(name.removeprefix(f"{family}_") if family else name)
+        group = GAIT if name in gait else OUTCOME
+        meaning = "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
         if name in gains:
             gain = gains[name]
             group, words = GAIN, f"{name} ({gain.unit})"
             meaning = f"{gain.meaning}; {gain.low:g} to {gain.high:g} {gain.unit}"
         elif name in store.parameter_names:
             group, words, meaning = GAIN, name, "a searched parameter"
-        elif family is not None:
-            of_worlds, last = in_words(name.removeprefix(f"{family}_"))
-            group, words = f"family {family}", f"{family}: {of_worlds}"
+        elif family:
             statistic = STATISTICS.get(last, "whether the row was tried")
-            meaning = f"{statistic}, family {family}"
-        else:
-            group = GAIT if name in gait else OUTCOME
-            words, _ = in_words(name)
-            meaning = (
-                "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
-            )
+            group, words = f"family {family}", f"{family}: {words}"
+            meaning = f"{statistic}, {group}"
         found[name] = Described(group=group, words=words, meaning=meaning)
     return found
 

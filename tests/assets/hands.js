@@ -41,7 +41,7 @@ window.bones_of = (leg) => {
 
 // Lines of these colours that the explorer's stage shows: the frames that they are of, and x and z of each point, metres.
 window.drawn_in = (colours) => {
-    const {xs, ys, key, colour} = named("stage").renderers.at(-1).data_source.data
+    const {xs, ys, key, line_color: colour} = named("stage").renderers.at(-1).data_source.data
     const points = key.map((_, i) => [...xs[i]].flatMap((x, at) => [x, ys[i][at]]))
     return key.map((name, i) => [name, points[i]])
         .filter(([, line], i) => colours.includes(colour[i]) && line.every(isFinite))

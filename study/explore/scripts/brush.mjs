@@ -111,25 +111,31 @@ function tell(div, text) {
   if (view?.markup_el) view.markup_el.textContent = text
 }
 
+// Of a histogram the bars of all rows, then those of the rows inside.
+function bars_of({renderers}) {
+  return renderers.map(({data_source}) => data_source)
+}
+
 // All views to another column: bounds of most of its numbers, for a few outliers would press all others together.
-function turn({source, plot, histograms, bars, mapper}, slot) {
+function turn({source, plot, histograms}, slot) {
   const values = state.values[slot] = source.data[`c${slot}`]
   const finite = new Float64Array(values).filter(Number.isFinite).sort()
   const at = (percent) => finite[Math.round(percent / 100 * (finite.length - 1))]
   let [low, high] = finite.length ? SHOWN_PERCENT.map(at) : [0, 1]
   if (!(high > low)) [low, high] = [low - 0.5, low + 0.5]
   state.ends[slot] = [low, high]
-  for (const {data: {left, right}} of bars[slot]) {
+  const bars = bars_of(histograms[slot])
+  for (const {data: {left, right}} of bars) {
     left.forEach((_, i) => {
       left[i] = low + (high - low) * i / left.length
       right[i] = low + (high - low) * (i + 1) / left.length
     })
   }
-  const [every] = bars[slot]
-  tally(every.data.count, finite, state.ends[slot])
+  const [every] = bars
+  tally(every.data.top, finite, state.ends[slot])
   every.change.emit()
   histograms[slot].x_range.setv({start: low, end: high}, HERE)
-  if (slot === 2) mapper.setv({low, high}, HERE)
+  if (slot === 2) plot.below.at(-1).color_mapper.setv({low, high}, HERE)
   if (slot > 1) return
   const [start, end] = [low - MARGIN * (high - low), high + MARGIN * (high - low)]
   state.turning = true // painted once, in the end
@@ -149,7 +155,8 @@ function tally(counts, values, [low, high], inside = null) {
 }
 
 // Rows outside the selection first, pale; then those inside, coloured; marked ones last, with a rim.
-function paint({source, image, plot, palette}) {
+function paint({source, plot, palette}) {
+  const image = plot.renderers[0].data_source
   const {c0, c1, c2, marked} = source.data
   let pixels = image.data.image[0]
   const laid_out = !plot.properties.inner_width.is_unset && plot.inner_width > 0 && plot.inner_height > 0
@@ -185,9 +192,10 @@ function paint({source, image, plot, palette}) {
   image.change.emit()
 }
 
-function count({source, bars}) {
-  bars.forEach(([, chosen], slot) => {
-    tally(chosen.data.count, source.data[`c${slot}`], state.ends[slot], state.inside)
+function count({source, histograms}) {
+  histograms.forEach((plot, slot) => {
+    const [, chosen] = bars_of(plot)
+    tally(chosen.data.top, source.data[`c${slot}`], state.ends[slot], state.inside)
     chosen.change.emit()
   })
 }
@@ -265,13 +273,13 @@ function nearest({source, plot}, {x, y}) {
   return found
 }
 
-function point_at({source, plot, rings, histograms, word}, place) {
+function point_at({source, plot, histograms, word}, place) {
   if (place === state.pointed) return
   state.pointed = place
   const number = (slot) => `${histograms[slot].title.text.text} ${shown(source.data[`c${slot}`][place])}`
   const text = place < 0 ? " " : [`${word} ${source.data.row[place]}`, number(0), number(1), number(2)].join(", ")
   plot.title.setv({text}, HERE)
-  ring(rings, 1, source.data, place)
+  ring(plot, 1, source.data, place)
 }
 
 function shown(value) {
@@ -279,15 +287,17 @@ function shown(value) {
 }
 
 // The row that walks: a ring in the cloud, a line in each histogram, a colour in the table.
-function mark({source, rings, spans, row, table}) {
+function mark({source, plot, histograms, row, table}) {
   const place = source.data.row.indexOf(row.value)
-  ring(rings, 0, source.data, place)
-  spans.forEach((span, slot) => span.setv({location: place < 0 ? null : source.data[`c${slot}`][place]}, HERE))
+  ring(plot, 0, source.data, place)
+  const span_of = ({center}) => center.find(({type}) => type === "Span")
+  histograms.forEach((each, slot) => span_of(each).setv({location: place < 0 ? null : source.data[`c${slot}`][place]}, HERE))
   const listed = table.data.row.indexOf(row.value)
   table.selected.setv({indices: listed < 0 ? [] : [listed]}, HERE)
 }
 
-function ring(rings, which, {c0, c1}, place) {
+function ring(plot, which, {c0, c1}, place) {
+  const rings = plot.renderers[1].data_source
   const {x, y} = rings.data
   const [across, up] = place < 0 ? [NaN, NaN] : [c0[place], c1[place]]
   if (Object.is(across, x[which]) && Object.is(up, y[which])) return

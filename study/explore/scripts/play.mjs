@@ -9,12 +9,14 @@ const CURVES = /^(cycle-|signals-)/ // begins the names of figures over time or 
 const OVER_TIME = "over time" // tags a figure
 const BONES = [0, 1, 3] // at which points of a leg's chain thigh, shank and foot begin
 const [SHANK, FOOT, PYLON] = [1, 2, 3] // of the bones, and what a prosthesis has below the middle of the shank
+const EARLY = 0.3 // share of the time line
 const NEAR_M = 0.05 // of a muscle, from the pointer
 const TOUCHED = "(hover: none)" // a finger leaves at once what it has tapped
 const OWN_KEYS = /^(INPUT|SELECT|TEXTAREA|BUTTON|SUMMARY)$/ // to which the space bar means something
 let state = null
 
-export default (args, changed) => {
+export default (given, changed) => {
+  const args = {...given, stages: given.stages.map(with_parts), cursor: given.timeline.center.find(({type}) => type === "Span")}
   state ??= begin(args)
   const pointed = args.stages.find(({figure}) => figure === changed.origin)
   if (changed === args.slider) {
@@ -28,12 +30,18 @@ export default (args, changed) => {
   } else if (changed !== args.play && changed !== args.ghost) { // the page is ready, or frames have come
     const ends = args.stages.map(({frames}) => frames.data.time_s?.[0].at(-1) ?? 0)
     args.slider.setv({end: Math.max(0.1, ...ends)}, HERE)
-    args.timeline.setv({end: 1.02 * Math.max(0.1, ...ends)}, HERE)
-    args.stages.forEach((stage, which) => line_of(stage.frames.data, args.curves[which], args.falls[which]))
+    args.timeline.x_range.setv({end: 1.02 * Math.max(0.1, ...ends)}, HERE)
+    args.stages.forEach((stage, which) => line_of(stage.frames.data, args.timeline.renderers.slice(3 * which), args.slider.end))
     if (changed !== args.stages[1].frames) move_to(args, 0)
     if (ends[0] > 0 || changed.data) state.shown += 1
   }
   draw_all(args)
+}
+
+// A stage, and what is moved on it: it comes after the ground.
+function with_parts(stage) {
+  const [, , trail, ghost_head, ghost_lines, head, lines] = stage.figure.renderers.map(({data_source}) => data_source)
+  return {...stage, trail, ghost_head, ghost_lines, head, lines}
 }
 
 function begin(args) {
@@ -120,11 +128,15 @@ function draw_strides({stages: [{frames}], cursor}) {
 }
 
 // A walk on the time line: the height of its hip, and its fall.
-function line_of({time_s, height_m, fell}, curve, fall) {
+function line_of({time_s, height_m, fell}, [{data_source: curve}, {data_source: fall}], last) {
   const [x, y] = [Array.from(time_s?.[0] ?? []), Array.from(height_m?.[0] ?? [])]
   curve.setv({data: {x, y}}, HERE)
   const end = fell?.[0][0] ? -1 : x.length
-  fall.setv({data: {x: x.slice(end), y: y.slice(end), words: x.slice(end).map((time) => `fell at ${time.toFixed(1)} s`)}}, HERE)
+  const fell_at = x.slice(end)
+  const words = fell_at.map((time) => `fell at ${time.toFixed(1)} s`)
+  const early = (time) => time < EARLY * last // whose words would begin before the axes
+  const [align, offset] = [["left", "right"], [12, -12]].map((both) => fell_at.map((time) => both[early(time) ? 0 : 1]))
+  fall.setv({data: {x: fell_at, y: y.slice(end), words, align, offset}}, HERE)
 }
 
 // The number of the frame that is shown now.
@@ -202,13 +214,13 @@ function lines_of(looks, ghost) {
   if (!ghost) looks.arrows.forEach((colour, i) => lines.push(["forces", 2 * i, 2, looks.force, colour, -1]))
   const [key, first, counts, metres, colour, muscle, leg, bone] = [...Array(8)].map((_, i) => lines.map((line) => line[i] ?? -1))
   const [xs, ys] = [0, 1].map(() => counts.map((count) => new Float32Array(count).fill(NaN)))
-  const whole = {xs, ys, key, first, metres, width: metres.map(() => 1), colour, muscle, leg, bone}
-  return ghost ? {...whole, colour: colour.fill(looks.ghost), muscle: muscle.fill(-1)} : whole
+  const whole = {xs, ys, key, first, metres, line_width: metres.map(() => 1), line_color: colour, muscle, leg, bone}
+  return ghost ? {...whole, line_color: colour.fill(looks.ghost), muscle: muscle.fill(-1)} : whole
 }
 
 // Lines are given by the name of their frames and their first point there.
 function pose(lines, head, all, n, px, shift, looks) {
-  const {xs, ys, key, first, metres, width, colour, muscle, leg, bone} = lines.data
+  const {xs, ys, key, first, metres, line_width: width, line_color: colour, muscle, leg, bone} = lines.data
   const frames = all.time_s[0].length
   const muscles = all.activation[0].length / frames
   key.forEach((name, i) => {

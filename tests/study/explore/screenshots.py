@@ -10,7 +10,6 @@ Walks stand still at one moment; a picture has 256 colours, and so few bytes.
 
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -24,7 +23,7 @@ SHOWN_S = 4.4  # of each walk
 LAID_OUT_MS = 3000  # until a page has been laid out anew
 
 
-def keep(page: Any, name: str, part: Any = None, columns: int = 1) -> None:
+def keep(page, name, part=None, columns=1):
     """A picture of the window or of a part; or of the whole page, cut into columns."""
     change(page, "play", "active", False)
     page.wait_for_timeout(LAID_OUT_MS)
@@ -37,11 +36,11 @@ def keep(page: Any, name: str, part: Any = None, columns: int = 1) -> None:
     few.save(IMG / f"explorer-{name}.png", optimize=True)
 
 
-def turn_to(page: Any, part: str) -> None:
+def turn_to(page, part):
     page.get_by_role("button", name=part, exact=True).click()
 
 
-def draw_store(page: Any) -> None:
+def draw_store(page):
     """A store by day, by night and on a phone; two of its gaits, their signals, and a what if."""
     with opened(page, OUT / "quickstart-store"):
         show_row(page, ROW)
@@ -57,7 +56,7 @@ def draw_store(page: Any) -> None:
         turn_to(page, "score")
         keep(page, "gaits", page.locator(".column").last)
         turn_to(page, "signals")
-        page.wait_for_function("named('beside-1')?.data.x.length > 1000")
+        page.wait_for_function("named('signals-1-beside')?.data.x.length > 1000")
         keep(page, "signals", page.locator("details").last)
         turn_to(page, "what if")
         page.wait_for_function("named('lines') !== null")
@@ -67,7 +66,7 @@ def draw_store(page: Any) -> None:
         keep(page, "what-if", page.locator(".column").last)
 
 
-def draw_studies(page: Any) -> None:
+def draw_studies(page):
     """A study, and strides of two of the gaits of another one."""
     page.set_viewport_size({"width": 1280, "height": 1000})
     with opened(page, OUT / "compare" / "risers", "--study", "risers/worlds/run-000"):

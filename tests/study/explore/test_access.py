@@ -1,8 +1,5 @@
 """The explorer for everybody: axe-core, which tries the rules of WCAG, finds nothing serious."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from tests.browser import opened_page
@@ -24,7 +21,7 @@ PARTS = {  # with a model of each
 UNFILTERED = {"rules": {"color-contrast": {"enabled": False}}}
 
 
-def test_nothing_serious_is_found(tmp_path: Path) -> None:
+def test_nothing_serious_is_found(tmp_path):
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright",
         reason="no axe-core: pip install 'taichi-nmm[test]'",
@@ -32,7 +29,7 @@ def test_nothing_serious_is_found(tmp_path: Path) -> None:
     fake_walker.write_store(tmp_path / "store")
     with opened_page(1280, 1000) as page, opened(page, tmp_path / "store"):
 
-        def found(options: dict[str, Any] | None = None) -> list[str]:
+        def found(options=None):
             page.wait_for_timeout(1000)  # names are given twice a second
             broken = axe.run(page, options=options).response["violations"]
             return [

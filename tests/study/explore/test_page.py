@@ -2,11 +2,8 @@
 
 import json
 import re
-from collections.abc import Iterator
 from io import BytesIO
-from pathlib import Path
 from shutil import copy
-from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -18,7 +15,7 @@ from storage.tables import document_hash, write_table
 from study.experiment.gains import gains_of_source
 from study.explore.signals import FIRST
 from study.explore.store_view import read_selection
-from study.explore.walk import RATE_HZ, Walk, chosen_setting, recorded, walk
+from study.explore.walk import RATE_HZ, chosen_setting, recorded, walk
 from study.pictures import stick_figure, style
 from study.pictures.trajectory_files import own_columns
 from taichi_nmm.result import MUSCLES
@@ -33,7 +30,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folders(tmp_path_factory):
     """A store whose gains are real, and whose scores are a formula's."""
     pytest.importorskip("bokeh", reason="no bokeh: pip install 'taichi-nmm[explore]'")
     folder = tmp_path_factory.mktemp("explored")
@@ -42,7 +39,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page() -> Iterator[Any]:
+def page():
     """Of this file alone: it is larger than others."""
     with opened_page(1500, 1250) as page:
         errors, asked = [], []
@@ -56,7 +53,7 @@ def page() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def store(folders: Path, page: Any) -> Iterator[Path]:
+def store(folders, page):
     """Opened in the page."""
     before = content(folders / "store")
     with opened(page, folders / "store"):
@@ -68,7 +65,7 @@ SCRIPT = "<img src=x onerror=window.ran=1>"
 TEX = r"$$\href{javascript:window.ran=1}{onerror}$$"
 
 
-def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> None:
+def test_names_of_a_file_are_text(page, folders, tmp_path):
     """A store comes from anybody: what its columns are called is shown and never run."""
     store = open_store(folders / "store")
     table = store.table()
@@ -97,9 +94,7 @@ def test_names_of_a_file_are_text(page: Any, folders: Path, tmp_path: Path) -> N
         assert page.evaluate("window.ran") is None
 
 
-def drag(
-    page: Any, name: str, start: tuple[float, float], end: tuple[float, float]
-) -> None:
+def drag(page, name, start, end):
     """Draw a box in a figure: corners as shares of what lies within its axes."""
     left, top, width, height = page.evaluate("axes_of", name)
     page.mouse.move(left + start[0] * width, top + start[1] * height)
@@ -111,12 +106,12 @@ def drag(
 DOUBLE_CLICK_MS = 600  # a second click of a browser within 300 ms is a part of one
 
 
-def click_on_point(page: Any, row: int) -> None:
+def click_on_point(page, row):
     """Click on a row where it is in the cloud; it walks."""
     walks(page, lambda: page.mouse.click(*page.evaluate("point_of", row)))
 
 
-def select(page: Any, text: str) -> None:
+def select(page, text):
     change(page, "selection", "value", text)
 
 
@@ -124,17 +119,17 @@ SLOW = "mean_speed_mps 0..0.5"
 """A selection of some of the rows."""
 
 
-def speeds_of(store: Path) -> Any:
+def speeds_of(store):
     return open_store(store).table(["mean_speed_mps"])["mean_speed_mps"].to_numpy()
 
 
-def look_at(page: Any, part: str, model: str) -> None:
+def look_at(page, part, model):
     """Turn to a part of the walk's panel, until a model of it is there."""
     page.get_by_role("button", name=part, exact=True).click()
     page.wait_for_function("(model) => named(model) !== null", arg=model)
 
 
-def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
+def test_a_store_opens_with_all_its_rows(page, store):
     rows = len(open_store(store))
     assert page.evaluate("window.store_view.chosen") == rows == fake_walker.STORE_ROWS
     assert page.evaluate("named('count').text") == f"{rows} of {rows} rows"
@@ -142,7 +137,7 @@ def test_a_store_opens_with_all_its_rows(page: Any, store: Path) -> None:
     assert page.evaluate(f"{image}.some((pixel) => pixel !== 0)")
 
 
-def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) -> None:
+def test_a_brush_filters_the_table_and_the_histograms(page, store):
     drag(page, "cloud", (0.3, 0.05), (0.9, 0.95))
     page.wait_for_function("named('selection').value !== ''")
     page.wait_for_function("window.store_view.chosen < window.store_view.inside.length")
@@ -153,14 +148,14 @@ def test_a_brush_filters_the_table_and_the_histograms(page: Any, store: Path) ->
     speeds = page.evaluate("[...named('listed').data.c0]")
     assert 0 < len(speeds) == min(chosen, 200)
     assert all(low <= value <= high for value in speeds)
-    bars = "named('histogram-1').renderers[1].data_source.data.count"
+    bars = "named('histogram-1').renderers[1].data_source.data.top"
     assert page.evaluate(f"{bars}.reduce((sum, bar) => sum + bar)") == chosen
     drag(page, "histogram-1", (0.0, 0.5), (0.5, 0.5))
     page.wait_for_function("(text) => named('selection').value !== text", arg=text)
     page.wait_for_function(f"window.store_view.chosen < {chosen}")
 
 
-def test_a_typed_selection_filters_too(page: Any, store: Path) -> None:
+def test_a_typed_selection_filters_too(page, store):
     select(page, SLOW)
     speeds = speeds_of(store)
     slow = speeds[speeds <= 0.5]
@@ -176,7 +171,7 @@ def test_a_typed_selection_filters_too(page: Any, store: Path) -> None:
     page.wait_for_function(f"{message} === ''")
 
 
-def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
+def test_a_click_walks_and_is_marked(page, store):
     show_row(page, 17)
     page.get_by_text("store-row-17").first.wait_for()
     stage = {"x": 720, "y": 180, "width": 740, "height": 400}
@@ -193,7 +188,8 @@ def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
     assert row != 17
     x, y = (page.evaluate(f"named('rings').data.{axis}[0]") for axis in "xy")
     assert [x, y] == shown[:2]
-    marks = "[0, 1, 2, 3, 4].map((slot) => named(`at-${slot}`).location)"
+    spans = "named(`histogram-${slot}`).center.filter(({type}) => type === 'Span')"
+    marks = f"[0, 1, 2, 3, 4].map((slot) => {spans}[0].location)"
     assert page.evaluate(marks) == shown
     marked = "named('listed').data.row[named('listed').selected.indices[0]]"
     assert page.evaluate(marked) == row
@@ -202,7 +198,7 @@ def test_a_click_walks_and_is_marked(page: Any, store: Path) -> None:
     walks(page, page.locator(".slick-cell.selected").first.click)
 
 
-def test_another_column_is_drawn_and_ranges_last(page: Any, store: Path) -> None:
+def test_another_column_is_drawn_and_ranges_last(page, store):
     select(page, SLOW)
     page.wait_for_function("!window.store_view.all")
     chosen = page.evaluate("window.store_view.chosen")
@@ -221,7 +217,7 @@ def test_another_column_is_drawn_and_ranges_last(page: Any, store: Path) -> None
     select(page, "")
 
 
-def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
+def test_columns_are_found_by_their_words(page, store):
     change(page, "find", "value_input", "knee swing rad")
     first = "named('column-0').options.gait?.[0][1]"
     page.wait_for_function(f"{first} === 'knee peak swing (rad)'")
@@ -230,7 +226,7 @@ def test_columns_are_found_by_their_words(page: Any, store: Path) -> None:
 
 
 @pytest.mark.parametrize("width", [390, 1280, 1920])
-def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
+def test_nothing_is_cut_or_overlaps(page, store, width):
     page.set_viewport_size({"width": width, "height": 1250})
     page.wait_for_timeout(1000)
     edges = (ASSETS / "edges.js").read_text(encoding="utf-8")
@@ -239,7 +235,7 @@ def test_nothing_is_cut_or_overlaps(page: Any, store: Path, width: int) -> None:
     assert wide <= width and apart and beside == (width > 1000)
 
 
-def test_a_figure_hides_what_bokeh_does_not_clear(page: Any, store: Path) -> None:
+def test_a_figure_hides_what_bokeh_does_not_clear(page, store):
     """Its outermost pixels, where parts of an earlier size stay: at night no paper is there."""
     page.emulate_media(color_scheme="dark")
     page.wait_for_timeout(300)
@@ -250,7 +246,7 @@ def test_a_figure_hides_what_bokeh_does_not_clear(page: Any, store: Path) -> Non
     assert pixels[1:-2, 3:5].min() == 255
 
 
-def test_play_pause_and_scrub(page: Any, store: Path) -> None:
+def test_play_pause_and_scrub(page, store):
     change(page, "play", "active", False)
     change(page, "time", "value", 0.5)
     page.wait_for_function("window.walk_player.time === 0.5")
@@ -268,7 +264,7 @@ def test_play_pause_and_scrub(page: Any, store: Path) -> None:
     page.wait_for_function("window.walk_player.time > 0.5")
 
 
-def test_a_slider_changes_the_gait_within_its_bounds(page: Any, store: Path) -> None:
+def test_a_slider_changes_the_gait_within_its_bounds(page, store):
     walks(page, lambda: change(page, "start", "value", "reference"))
     leg = "[...named('stage-frames').data.near[0]]"
     before = page.evaluate(leg)
@@ -286,9 +282,7 @@ def test_a_slider_changes_the_gait_within_its_bounds(page: Any, store: Path) -> 
 
 
 @cases("out-of-bounds.toml", "field", "text", "line", "said")
-def test_out_of_bounds_is_said(
-    page: Any, store: Path, field: str, text: str, line: str, said: str
-) -> None:
+def test_out_of_bounds_is_said(page, store, field, text, line, said):
     look_at(page, "gains", "number-K_SOL")
     held = page.evaluate(f"named('{field}').value") or 0
     # At the keyboard: fields round and clip what a hand on a model does not.
@@ -306,7 +300,7 @@ PLACES = asset("muscles-on-the-body.toml")
 LEFT_AHEAD_S, RIGHT_AHEAD_S = 3.10, 3.64  # of the gait `reference`
 
 
-def muscle_place(page: Any, side: str, muscle: str) -> tuple[float, float]:
+def muscle_place(page, side, muscle):
     """Where a muscle is now on the stage, m, by the bones that are drawn there."""
     place = PLACES[muscle]
     points = page.evaluate("bones_of", "near" if side == "left" else "far")
@@ -318,7 +312,7 @@ def muscle_place(page: Any, side: str, muscle: str) -> tuple[float, float]:
     return float(x), float(z)
 
 
-def point_at(page: Any, side: str, muscle: str) -> None:
+def point_at(page, side, muscle):
     """Move the mouse to a muscle."""
     place = muscle_place(page, side, muscle)
     page.evaluate("painted")
@@ -326,7 +320,7 @@ def point_at(page: Any, side: str, muscle: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def standing(page: Any, store: Path) -> None:
+def standing(page, store):
     """The gait `reference`."""
     look_at(page, "gains", "start")
     walks(page, lambda: change(page, "start", "value", "reference"))
@@ -334,7 +328,7 @@ def standing(page: Any, store: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def the_walk() -> Walk:
+def the_walk():
     """What the page shows first, simulated here."""
     level = chosen_setting(
         ground="flat",
@@ -349,9 +343,7 @@ def the_walk() -> Walk:
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("muscle", PLACES)
-def test_a_muscle_is_named_where_it_is(
-    page: Any, standing: None, the_walk: Walk, muscle: str, side: str
-) -> None:
+def test_a_muscle_is_named_where_it_is(page, standing, the_walk, muscle, side):
     """With its own activation and thickness; found by its place, not by its number."""
     change(page, "play", "active", False)
     behind = muscle == "HFL"  # seen best on the leg that is behind
@@ -374,7 +366,7 @@ def test_a_muscle_is_named_where_it_is(
     change(page, "play", "active", True)
 
 
-def press(page: Any, step: str) -> int:
+def press(page, step):
     """Click on words or a row, choose of a menu, or point at a muscle; these are so many clicks."""
     what, _, which = step.rpartition(": ")
     if what == "point":
@@ -391,24 +383,22 @@ def press(page: Any, step: str) -> int:
 
 
 @cases("newcomer.toml", "steps", "sees")
-def test_a_newcomer_finds_it_in_four_clicks(
-    page: Any, store: Path, steps: list[str], sees: str
-) -> None:
+def test_a_newcomer_finds_it_in_four_clicks(page, store, steps, sees):
     assert sum(press(page, step) for step in steps) <= 4
     page.wait_for_function(sees)
 
 
-def test_signals_are_found_by_typing(page: Any, store: Path, the_walk: Walk) -> None:
+def test_signals_are_found_by_typing(page, store, the_walk):
     """Two are there at first; a third is drawn over the stride, with the muscle of people."""
     look_at(page, "gains", "start")
     walks(page, lambda: change(page, "start", "value", "reference"))
     change(page, "duration", "value", "10 s")  # as `the_walk`
     look_at(page, "signals", "signals")
-    page.wait_for_function("named('signal-1')?.data.y.length === 2000")
+    page.wait_for_function("named('signals-1-signal')?.data.y.length === 2000")
     columns = own_columns(recorded(the_walk, 0)[0])
     page.wait_for_function("named('signal-words').text === 'blue: reference'")
     for slot, name in enumerate(FIRST):
-        drawn = page.evaluate(f"[...named('signal-{slot}').data.y]")
+        drawn = page.evaluate(f"[...named('signals-{slot}-signal').data.y]")
         assert drawn == columns[name].tolist()
         assert page.evaluate(f"named('signals-{slot}').tags[1]") == name
     field = page.evaluate_handle("view_of('signals').shadow_el.querySelector('input')")
@@ -418,14 +408,14 @@ def test_signals_are_found_by_typing(page: Any, store: Path, the_walk: Walk) -> 
     page.keyboard.press("Enter")
     page.wait_for_function("named('signals-2').tags[1] === 'l_SOL_activation'")
     page.get_by_text("over the stride", exact=True).click()
-    page.wait_for_function("named('on-2').data.x.length === 4")
+    page.wait_for_function("named('signals-2-on').data.x.length === 4")
     page.wait_for_function("named('signals-2').inner_width > 100")
     page.wait_for_function(
         "walk_player.lines.some(([, , {name}]) => name === 'signals-2')"
     )
 
 
-def test_what_if_a_muscle_is_weak(page: Any, store: Path) -> None:
+def test_what_if_a_muscle_is_weak(page, store):
     """It walks at once, and lines that cannot be used leave it."""
     look_at(page, "gains", "start")
     walks(page, lambda: change(page, "start", "value", "reference"))
@@ -448,13 +438,15 @@ def test_what_if_a_muscle_is_weak(page: Any, store: Path) -> None:
     change(page, "duration", "value", "10 s")
 
 
-def test_a_prosthesis_and_a_device_are_on_the_stage(page: Any, store: Path) -> None:
+def test_a_prosthesis_and_a_device_are_on_the_stage(page, store):
     """Pylon and foot on the left in place of half the shank; struts about the right ankle."""
     worn = """[world]
         prosthesis = { side = "left", stiffness_nmprad = 350.0, damping_nmsprad = 1.0 }
         exoskeleton = { motion = "plantarflexion", side = "right" }"""
+    look_at(page, "what if", "lines")
     walks(page, lambda: change(page, "lines", "value", worn))
     look_at(page, "gains", "number-exo_torque")
+    page.wait_for_timeout(1000)  # a slider that is just being drawn takes its old value
     walks(page, lambda: change(page, "number-exo_torque", "value", 40.0))
     change(page, "play", "active", False)
     page.wait_for_function("stopped_at", arg=0.5)
@@ -466,16 +458,18 @@ def test_a_prosthesis_and_a_device_are_on_the_stage(page: Any, store: Path) -> N
     assert foot == pytest.approx([*heel, *ball], abs=1e-4)
     frames = "named('stage-frames').data"
     shown = page.evaluate(f"{frames}.muscles[0].slice(0, 14 * 30).map(isFinite)")
-    muscles = np.reshape([*shown.values()], (14, 30)).all(axis=1).tolist()
+    muscles = np.reshape(shown, (14, 30)).all(axis=1).tolist()
     assert muscles == [muscle not in ACROSS_ANKLE for muscle in MUSCLES] + [True] * 7
     assert page.evaluate(f"{frames}.arrows[0].some(isFinite)")
+    walks(page, lambda: change(page, "number-exo_torque", "value", 0.0))
+    assert len(page.evaluate("drawn_in", [style.DEVICE, style.TORQUE])) == 2
     look_at(page, "what if", "lines")
     walks(page, page.get_by_text("none of this").click)
     assert page.evaluate("drawn_in", [style.DEVICE, style.TORQUE]) == []
     change(page, "play", "active", True)
 
 
-def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:
+def test_data_keep_their_colours_at_night(page, store):
     left, top, width, height = page.evaluate("axes_of", "cloud")
     inside = {"x": left + 3, "y": top + 3, "width": width - 6, "height": height - 6}
     by_day = page.screenshot(clip=inside)
@@ -486,7 +480,7 @@ def test_data_keep_their_colours_at_night(page: Any, store: Path) -> None:
     assert by_night == by_day
 
 
-def test_the_selection_reads_back(page: Any, store: Path) -> None:
+def test_the_selection_reads_back(page, store):
     select(page, SLOW)
     page.wait_for_timeout(300)
     with page.expect_download() as saved:
@@ -497,7 +491,7 @@ def test_the_selection_reads_back(page: Any, store: Path) -> None:
     select(page, "")
 
 
-def test_a_phone_shows_the_walker_first_and_is_tapped(page: Any, store: Path) -> None:
+def test_a_phone_shows_the_walker_first_and_is_tapped(page, store):
     """A tap on a point lets it walk, a tap on a muscle names it."""
     context = page.context.browser.new_context(
         viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True
@@ -524,7 +518,7 @@ def test_a_phone_shows_the_walker_first_and_is_tapped(page: Any, store: Path) ->
     context.close()
 
 
-def test_a_tab_that_is_closed_leaves_others_alone(page: Any, store: Path) -> None:
+def test_a_tab_that_is_closed_leaves_others_alone(page, store):
     other = page.context.browser.new_page()
     other.goto(page.url)
     other.wait_for_function("window.store_view?.refreshed > 0")
@@ -535,7 +529,7 @@ def test_a_tab_that_is_closed_leaves_others_alone(page: Any, store: Path) -> Non
     assert page.get_by_text("store-row-3").count() == 0  # which the other tab asked for
 
 
-def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) -> None:
+def test_a_store_that_is_being_filled(folders, page, tmp_path):
     """The first shard is there, the manifest is not; then another one comes."""
     whole = tmp_path / "whole"
     fake_walker.write_store(whole, shard_rows=100)
@@ -554,9 +548,7 @@ def test_a_store_that_is_being_filled(folders: Path, page: Any, tmp_path: Path) 
         page.get_by_text("store: ").first.wait_for()
 
 
-def test_a_head_of_the_table_sorts_all_rows(
-    page: Any, folders: Path, tmp_path: Path
-) -> None:
+def test_a_head_of_the_table_sorts_all_rows(page, folders, tmp_path):
     """Not only those that the table lists: a store may have any number."""
     path = tmp_path / "many"
     fake_walker.write_store(path, samples=450)

@@ -3,8 +3,6 @@
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
-from typing import Any
 
 import optuna
 import pytest
@@ -32,17 +30,17 @@ REPAIR = "repair it: 30 trials"
 LONG_MS = 600_000  # three processes start and compile, on a busy machine
 
 
-def click(page: Any, button: str) -> None:
+def click(page, button):
     page.get_by_role("button", name=button, exact=True).click()
 
 
-def done(page: Any, trials: int) -> None:
+def done(page, trials):
     """Wait until so many trials are told."""
     told = "parseInt(document.querySelector('body') && named('repair')?.text)"
     page.wait_for_function(f"{told} >= {trials}")
 
 
-def repair_half_a_soleus(page: Any, address: str) -> None:
+def repair_half_a_soleus(page, address):
     """Begin, and wait for some trials; a second click is answered."""
     page.goto(address)
     page.wait_for_function("window.walk_player?.shown > 0")
@@ -58,7 +56,7 @@ def repair_half_a_soleus(page: Any, address: str) -> None:
     page.get_by_text("repair, trial").first.wait_for()  # it walks
 
 
-def test_a_repair_goes_on_where_the_server_was_killed(tmp_path: Path) -> None:
+def test_a_repair_goes_on_where_the_server_was_killed(tmp_path):
     store, out = tmp_path / "store", tmp_path / "repairs"
     fake_walker.write_store(store)
     words = ("explore", store, "--port", "0", "--no-browser", "--out", out)
@@ -106,7 +104,7 @@ def test_a_repair_goes_on_where_the_server_was_killed(tmp_path: Path) -> None:
         assert found.values == expected.values
 
 
-def test_a_finished_repair_says_nothing_of_another_walker(tmp_path: Path) -> None:
+def test_a_finished_repair_says_nothing_of_another_walker(tmp_path):
     fake_walker.write_store(tmp_path / "store")
     shown: list[NamedGains] = []
     with ThreadPoolExecutor(1) as menders:
@@ -121,7 +119,7 @@ def test_a_finished_repair_says_nothing_of_another_walker(tmp_path: Path) -> Non
         told = view.layout.select_one({"name": "repair"})
         weak = chosen_setting(**LEVEL, changes=WEAK)
         view.take(weak)
-        view._runs = view._told_of = view._now
+        view._told_of, view._runs = view._now, True
         gains = gains_of_source("published")
         view._tried(Repair(trials=30, best=3, gains=gains, words="walked"))
         assert told.text == "30 of 30 trials; best: trial 3, walked"
@@ -131,7 +129,7 @@ def test_a_finished_repair_says_nothing_of_another_walker(tmp_path: Path) -> Non
         assert told.text == ""
 
 
-def test_what_cannot_be_repaired_is_said(tmp_path: Path) -> None:
+def test_what_cannot_be_repaired_is_said(tmp_path):
     """The page goes on, and another click may do."""
     store = tmp_path / "store"
     fake_walker.write_plain_store(store, samples=20)

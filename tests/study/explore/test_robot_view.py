@@ -1,13 +1,10 @@
 """The page of a store of somebody else's simulator: a row's numbers, and a film of it."""
 
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from optuna.distributions import IntDistribution
 
-from storage import Store, make_store
+from storage import make_store
 from storage.inputs.errors import InputError
 from study.explore.page import BASE, numbers_text, page_of, worlds_of
 from study.explore.store_view import first_columns, numbers_of, numeric_columns
@@ -19,22 +16,22 @@ GALE = {"settings": 2, "min_survival_s": 3.0, "world": {"wind": [1.0, 3.0]}}
 HEAVY = {"settings": 2, "min_survival_s": 0.2, "world": {"mass": [1.0, 2.0]}}
 
 
-def made(simulator: Any, path: Path, samples: int, **settings: Any) -> Store:
+def made(simulator, path, samples, **settings):
     return make_store(simulator, path, workers=1, samples=samples, **settings)
 
 
-def numbers(drawn: dict[str, Any], place: int) -> dict[str, float]:
+def numbers(drawn, place):
     """Of a world that a store's specification has."""
     return {name: float(each[place]) for name, each in drawn.items()}
 
 
 @pytest.fixture(scope="module")
-def cart(tmp_path_factory: pytest.TempPathFactory) -> Store:
+def cart(tmp_path_factory):
     path = tmp_path_factory.mktemp("stores") / "cart"
     return made(robot.Cart, path, 32, families={"gale": GALE})
 
 
-def test_worlds_and_columns_are_the_stores_own(cart: Store) -> None:
+def test_worlds_and_columns_are_the_stores_own(cart):
     drawn = cart.specification["families"]["gale"]["drawn"]
     assert worlds_of(cart) == {
         BASE: numbers(cart.specification["drawn"], 0),
@@ -52,7 +49,7 @@ HOT = {"settings": 4, "min_survival_s": 0.0, "world": {"heat_k": [340.0, 370.0]}
 WARM = {"settings": 2, "min_survival_s": 3000.0}
 
 
-def test_what_a_failed_run_did_not_give_is_unknown(tmp_path: Path) -> None:
+def test_what_a_failed_run_did_not_give_is_unknown(tmp_path):
     """A battery that burns has lost no 0 J: not on the page, and not in a family's mean."""
     store = made(
         plants.Battery,
@@ -81,22 +78,22 @@ def test_what_a_failed_run_did_not_give_is_unknown(tmp_path: Path) -> None:
 
 
 def test_rows_that_mean_something_else_to_a_simulator_are_not_filmed(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     wide = rail.made(parameters=rail.PARAMETERS | {"beats": IntDistribution(1, 9)})
     store = made(wide, tmp_path / "rail", 4, simulation={"duration_s": 0.1})
     with pytest.raises(InputError, match=r"^store\.gains\.beats: .*'high': 4\.0"):
         page_of(store.path, tmp_path, simulator="tests/storage/rail.py:Rail")
 
 
-def test_the_table_robust_is_a_family_like_others(tmp_path: Path) -> None:
+def test_the_table_robust_is_a_family_like_others(tmp_path):
     store = made(robot.Cart, tmp_path / "cart", 8, robust=GALE, world={"wind": 2.0})
     worlds, drawn = worlds_of(store), store.specification["robust"]["drawn"]
     assert worlds["robust 1"] == numbers(drawn, 1)
     assert worlds[BASE]["wind"] == 2.0  # which is not the simulator's own
 
 
-def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
+def test_a_simulator_that_has_nothing_to_film_is_refused(cart):
     for name, allowed in (
         ("robot.py:Cart", "a MujocoSimulator"),
         ("rail.py:Rail", "thrust_n"),
@@ -106,7 +103,7 @@ def test_a_simulator_that_has_nothing_to_film_is_refused(cart: Store) -> None:
 
 
 @pytest.mark.slow
-def test_a_click_shows_numbers_and_films_the_row(tmp_path: Path) -> None:
+def test_a_click_shows_numbers_and_films_the_row(tmp_path):
     store = made(
         rail.Rail,
         tmp_path / "rail",

@@ -57,21 +57,23 @@ def test_it_listens_on_the_loopback_alone_and_has_no_other_doors(address):
     for name in ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}"):
         assert status(address, "/", {"Host": name}) == 200
     # Other sites cannot embed the page.
-    embedding = "/autoload.js?bokeh-autoload-element=1"
-    for path in (embedding, "/metadata", "/robots.txt", "/static"):
+    embedding = "/page/autoload.js?bokeh-autoload-element=1"
+    for path in (embedding, "/page/metadata", "/robots.txt", "/static"):
         assert status(address, path, {}) == 404
 
 
 def test_a_sign_comes_before_the_page_which_takes_seconds(address):
-    found = [urlopen(f"{address}{query}").read().decode() for query in ("", "?opened")]
-    assert "The page opens" in found[0] and 'replace("/?opened")' in found[0]
+    found = [urlopen(f"{address}{query}").read().decode() for query in ("", "page")]
+    assert "The page opens" in found[0] and 'replace("/page")' in found[0]
     assert "Bokeh" not in found[0] and "Bokeh" in found[1]
 
 
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", ""]
 )
-@pytest.mark.parametrize("path", ["/", "/static/js/bokeh.min.js", "/ws", "/metadata"])
+@pytest.mark.parametrize(
+    "path", ["/", "/static/js/bokeh.min.js", "/page/ws", "/page/metadata"]
+)
 def test_other_names_find_nothing(address, host, path):
     assert status(address, path, {"Host": host}) in (400, 404)
 
@@ -89,7 +91,7 @@ def open_socket(address, words, origin=None):
         "Origin": origin or address.rstrip("/"),
         "Sec-WebSocket-Protocol": words,
     }
-    return status(address, "/ws", headers)
+    return status(address, "/page/ws", headers)
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,11 @@ import pytest
 from bokeh.models import CustomJS
 
 from study.experiment.gains import gains_of_source
-from study.explore import walk as walking
+from study.explore import signals as of_signals
 from study.explore.server import Message
-from study.explore.signals import MOST, OF_PEOPLE, Signals, label
-from study.explore.walk import Walk, chosen_setting, recorded, walk
+from study.explore.signals import MOST, Signals, label
+from study.explore.walk import chosen_setting, recorded, walk
+from study.explore.words import CHOICES
 from study.pictures.gait_cycle import PANELS
 from study.pictures.trajectory_files import OWN_COLUMNS, own_columns
 from taichi_nmm.result import MUSCLES
@@ -24,12 +25,12 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def reference() -> Walk:
+def reference():
     """On level ground, on which it walks enough strides."""
     return walk(gains_of_source("reference"), chosen_setting(**LEVEL))
 
 
-def at_once(function: Any, *arguments: Any) -> Future[Any]:
+def at_once(function, *arguments):
     """What an executor promises, kept."""
     future = Future[Any]()
     future.set_result(function(*arguments))
@@ -37,13 +38,13 @@ def at_once(function: Any, *arguments: Any) -> Future[Any]:
 
 
 @pytest.fixture
-def signals() -> Signals:
+def signals():
     """In a tab and with an executor that do all at once."""
     both = Mock(submit=at_once, add_next_tick_callback=lambda task: task())
     return Signals(both, both, Message("message"), script=CustomJS())
 
 
-def drawn(signals: Signals, curve: str, name: str) -> dict[str, Any]:
+def drawn(signals, curve, name):
     """A curve of a plot, which is found by the name of its column."""
     shown = [plot for plot in signals.plots if plot.figure.visible]
     (plot,) = [plot for plot in shown if name in plot.figure.tags]
@@ -51,7 +52,7 @@ def drawn(signals: Signals, curve: str, name: str) -> dict[str, Any]:
     return dict(plot.sources[curve].data)
 
 
-def choose(signals: Signals, *names: str, over: int = 0) -> None:
+def choose(signals, *names, over=0):
     signals.over.active = over
     signals.names.value = list(names)
 
@@ -65,13 +66,11 @@ def choose(signals: Signals, *names: str, over: int = 0) -> None:
         ("l_hip_extension_power_w", "left hip extension power (W)"),
     ],
 )
-def test_a_column_is_called_by_words_and_by_its_name(name: str, words: str) -> None:
+def test_a_column_is_called_by_words_and_by_its_name(name, words):
     assert label(name).startswith(words)
 
 
-def test_a_signal_is_a_column_of_the_command_s_recording(
-    reference: Walk, signals: Signals
-) -> None:
+def test_a_signal_is_a_column_of_the_command_s_recording(reference, signals):
     columns = own_columns(recorded(reference, 0)[0])
     assert [*columns] == ["time_s", *OWN_COLUMNS]
     signals.show(reference, None)
@@ -84,7 +83,7 @@ def test_a_signal_is_a_column_of_the_command_s_recording(
             assert len(drawn(signals, "beside", name)["x"]) == 0
 
 
-def test_another_gait_is_drawn_beside(reference: Walk, signals: Signals) -> None:
+def test_another_gait_is_drawn_beside(reference, signals):
     published = walk(gains_of_source("published"), reference.experiment)
     signals.show(published, reference)
     choose(signals, "l_ground_z_n")
@@ -99,13 +98,14 @@ def test_another_gait_is_drawn_beside(reference: Walk, signals: Signals) -> None
 
 @pytest.mark.parametrize("side", "lr")
 def test_who_walks_as_people_do_is_drawn_upon_them(
-    reference: Walk, signals: Signals, side: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    reference, signals, side, monkeypatch
+):
     """Signs, units and strides, of each column that people have."""
     alike = replace(reference, trajectory=synthetic_gait.walk(12.0, 200.0))
-    monkeypatch.setattr(walking, "recorded", lambda walk, n: (walk.trajectory, n))
+    monkeypatch.setattr(of_signals, "recorded", lambda walk, n: (walk.trajectory, n))
     signals.show(alike, None)
-    for stem, (panel, _) in OF_PEOPLE.items():
+    muscles = {f"{muscle}_activation": (muscle, 1.0) for muscle in MUSCLES}
+    for stem, (panel, _) in (CHOICES["of_people"] | muscles).items():
         name = f"{side}_{stem}"
         choose(signals, name, over=1)
         walks, people = (drawn(signals, each, name) for each in ("signal", "people"))
@@ -119,7 +119,7 @@ def test_who_walks_as_people_do_is_drawn_upon_them(
         assert ((people["low"] <= people["y"]) & (people["y"] <= people["high"])).all()
 
 
-def test_powers_are_work_over_time(reference: Walk) -> None:
+def test_powers_are_work_over_time(reference):
     """What they sum to is the work of the torques over the angles."""
     trajectory, _ = recorded(reference, 0)
     columns = own_columns(trajectory)

@@ -10,7 +10,7 @@ from tests.cases import asset
 COLUMNS = ("speed", "phi_printed")
 
 
-def test_a_text_and_its_ranges() -> None:
+def test_a_text_and_its_ranges():
     ranges = read_selection(" speed -0.5..1.25,phi_printed 1e1..Infinity, ", COLUMNS)
     assert ranges == {"speed": (-0.5, 1.25), "phi_printed": (10.0, np.inf)}
     assert read_selection("", COLUMNS) == {}
@@ -30,6 +30,6 @@ def test_a_text_and_its_ranges() -> None:
         for text in texts
     ],
 )
-def test_what_is_no_selection(text: str, named: str) -> None:
+def test_what_is_no_selection(text, named):
     with pytest.raises(InputError, match=named):
         read_selection(text, COLUMNS)

@@ -1,7 +1,6 @@
 """A study as rows of a store: anybody's, and the walker's, whose trials walk as they did."""
 
 from concurrent.futures import Executor
-from pathlib import Path
 
 import numpy as np
 import optuna
@@ -30,7 +29,7 @@ from tests.study.explore.serving import change, opened
 PAID = ("mean_speed_mps", "m1_mean")
 
 
-def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> None:
+def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path):
     journal = optuna.storages.JournalStorage(
         JournalFileBackend(str(tmp_path / "mine.log"))
     )
@@ -71,7 +70,7 @@ def test_the_study_of_anybody_in_a_journal_and_in_a_database(tmp_path: Path) -> 
     assert document.title.endswith(f"one.db: 1 trial of {one.study_name}")
 
 
-def test_a_front_of_two_goals_is_drawn_between_its_axes(tmp_path: Path) -> None:
+def test_a_front_of_two_goals_is_drawn_between_its_axes(tmp_path):
     names, url = ["slowness", "energy"], f"sqlite:///{tmp_path / 'two.db'}"
     study = optuna.create_study(
         study_name="two/worlds/run-000", storage=url, directions=["minimize"] * 2
@@ -98,7 +97,7 @@ def test_a_front_of_two_goals_is_drawn_between_its_axes(tmp_path: Path) -> None:
     assert np.transpose([*front.data.values()]).tolist() == [[1, 3], [2, 2], [4, 1]]
 
 
-def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
+def test_what_is_no_study_of_one_name_with_values(tmp_path):
     for name in ("toy/dog/run-000", "toy/tpe/run-000"):
         study = optuna.create_study(
             study_name=name, storage=f"sqlite:///{tmp_path / 'two.db'}"
@@ -114,8 +113,8 @@ def test_what_is_no_study_of_one_name_with_values(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_walk_of_a_trial_with_a_prosthesis_is_that_of_the_trial(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     (tmp_path / "own.toml").write_text(
         config_path("prosthesis").read_text().replace("100.", "1.")
     )

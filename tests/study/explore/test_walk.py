@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from storage.inputs.config import read_toml
+from storage.inputs.config import read_toml, to_toml
 from study.commands.walk import summary
 from study.experiment.gains import gains_of_source, named_gains
 from study.experiment.walker import as_written, read_experiment
@@ -39,7 +39,7 @@ def same_robot(one, other):
 
 def reread(experiment, folder):
     path = folder / "walk.toml"
-    path.write_text(walking.to_toml(as_written(experiment)))
+    path.write_text(to_toml(as_written(experiment)))
     return read_experiment(path)
 
 
@@ -86,7 +86,7 @@ def test_a_seed_that_no_configuration_takes_and_tables_within_tables(
     with pytest.raises(InputError, match="seed: -1"):
         chosen_setting(**LEVEL | {"seed": -1})
     tables = {"a": {"b": {"c": 1.5}, "d": [1, 2]}, "e": "x\ty", "f": True}
-    (tmp_path / "t.toml").write_text(walking.to_toml(tables))
+    (tmp_path / "t.toml").write_text(to_toml(tables))
     assert read_toml(tmp_path / "t.toml").unread == tables
 
 
@@ -174,13 +174,13 @@ def test_axes_of_the_stride_show_all():
     """The impact of the heel goes beyond what people's tables need."""
     cycle = Cycle()
     cycle.show(walk(gains_of_source("published"), chosen_setting(**LEVEL)), None)
-    for name, (plot, source, _) in cycle.plots.items():
-        drawn = [source.data[curve] for curve in ("y", "low", "high", "right")]
-        low, high = np.min(drawn), np.max(drawn)
-        assert plot.y_range.start <= low and high <= plot.y_range.end, name
-    force, source, _ = cycle.plots["vertical_bw"]
-    highest = max(source.data["high"].max(), source.data["right"].max())
-    assert force.y_range.end == highest > PANELS["vertical_bw"].ceiling
+    for name, plot in cycle.plots.items():
+        left, right = (plot.sources[look].data for look in ("signal", "right"))
+        drawn = [left["low"], left["high"], right["y"]]
+        ends = plot.figure.y_range
+        assert ends.start <= np.min(drawn) and np.max(drawn) <= ends.end, name
+        if name == "vertical_bw":
+            assert ends.end == np.max(drawn) > PANELS[name].ceiling
 
 
 def test_the_score_has_the_numbers_and_the_words_of_the_command():
@@ -199,7 +199,9 @@ def test_the_score_has_the_numbers_and_the_words_of_the_command():
         name: Result(np.array([each.row]), (each.trajectory,))
         for name, each in (("lasts", lasts), ("weak", fallen))
     }
-    said = summary("gait", results, flat(), lasts.mass_kg).splitlines()
+    said = summary(
+        "gait", results, flat(), lasts.experiment.body(0).mass_kg.sum()
+    ).splitlines()
     for label, cells in shown.items():
         (line,) = [each for each in said if each.startswith(label)]
         assert tuple(line.removeprefix(label).split()[:2]) == cells, label

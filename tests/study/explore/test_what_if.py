@@ -5,14 +5,12 @@ import html
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from storage.inputs.errors import InputError
 from study.experiment.gains import gains_of_source
-from study.experiment.walker import WalkerExperiment
 from study.explore import walk as walking
 from study.explore.walk import chosen_setting
 from study.explore.what_if import EVERY, Tables, WhatIf, read_file, with_value
@@ -27,33 +25,33 @@ from tests.tools.running import run_tool
 class Page:
     """The controls, and the setting that they make."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.grounds: dict[str, Tables] = {}
         self.what_if = WhatIf(self.chosen, self.grounds.__setitem__)
         self.setting = chosen_setting(**LEVEL)
 
-    def chosen(self) -> None:
+    def chosen(self):
         self.setting = chosen_setting(**LEVEL, changes=self.what_if.tables)
 
-    def control(self, name: str) -> Any:
+    def control(self, name):
         return self.what_if.layout.select_one({"name": name})
 
-    def said(self) -> str:
+    def said(self):
         return str(self.control("what-if-message").text)
 
 
 @pytest.fixture
-def page() -> Page:
+def page():
     return Page()
 
 
-def strengths(setting: WalkerExperiment) -> dict[str, float]:
+def strengths(setting):
     return dict(zip(MUSCLE_NAMES, setting.world(0).strength[0].tolist(), strict=True))
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize("muscle", MUSCLES)
-def test_a_slider_weakens_its_own_muscle(page: Page, muscle: str, side: str) -> None:
+def test_a_slider_weakens_its_own_muscle(page, muscle, side):
     page.control(f"world.muscles.{muscle}_{side}").value = 0.5
     expected = dict.fromkeys(MUSCLE_NAMES, 1.0) | {f"{muscle}_{side}": 0.5}
     assert strengths(page.setting) == expected
@@ -65,9 +63,7 @@ def test_a_slider_weakens_its_own_muscle(page: Page, muscle: str, side: str) -> 
 
 
 @pytest.mark.parametrize("segment", EVERY["body.mass"])
-def test_a_segment_becomes_heavier_and_its_inertia_is_its_own(
-    page: Page, segment: str
-) -> None:
+def test_a_segment_becomes_heavier_and_its_inertia_is_its_own(page, segment):
     """An inertia that is not named goes with the mass."""
     usual = chosen_setting(**LEVEL).body(0)
     name = segment.replace("_left", "_l").replace("_right", "_r")
@@ -83,7 +79,7 @@ def test_a_segment_becomes_heavier_and_its_inertia_is_its_own(
     np.testing.assert_allclose(factors, 1 - 0.5 * of)
 
 
-def test_world_foot_and_device(page: Page) -> None:
+def test_world_foot_and_device(page):
     page.control("world.friction").value = 0.4
     page.control("world.catch_ns").value = 2.0
     page.control("world.prosthesis.stiffness_nmprad").value = 400.0
@@ -100,7 +96,7 @@ def test_world_foot_and_device(page: Page) -> None:
     assert page.setting.world(0).prosthesis.max() == 0.0
 
 
-def test_a_push_and_a_slip_are_tables_once_they_are_something(page: Page) -> None:
+def test_a_push_and_a_slip_are_tables_once_they_are_something(page):
     page.control("world.push.time_s").value = 2.0
     page.control("world.slip.friction").value = 0.2
     assert page.what_if.tables == {}
@@ -118,7 +114,7 @@ def test_a_push_and_a_slip_are_tables_once_they_are_something(page: Page) -> Non
     assert page.what_if.tables == {}
 
 
-def test_lines_move_the_controls_and_last(page: Page) -> None:
+def test_lines_move_the_controls_and_last(page):
     tendon = "[world.muscles]\nslack_length = { SOL = 1.05 }\nSOL_left = 0.5"
     text = f"world.friction = [0.5, 0.6]\n{tendon}"
     page.control("lines").value = text
@@ -132,9 +128,7 @@ def test_lines_move_the_controls_and_last(page: Page) -> None:
 
 
 @cases("refused-lines.toml", "text", "said")
-def test_what_is_refused_leaves_the_last_good_lines(
-    page: Page, text: str, said: str
-) -> None:
+def test_what_is_refused_leaves_the_last_good_lines(page, text, said):
     page.control("world.muscles.SOL_left").value = 0.5
     page.control("lines").value = text
     assert re.match(said, html.unescape(page.said()))
@@ -145,14 +139,14 @@ def test_what_is_refused_leaves_the_last_good_lines(
     assert page.said() == "" and strengths(page.setting)["SOL_left"] == 0.75
 
 
-def test_values_at_paths() -> None:
+def test_values_at_paths():
     one = with_value({}, ["a", "b"], 1)
     assert one == {"a": {"b": 1}}
     assert with_value(one, ["a", "c"], 2) == {"a": {"b": 1, "c": 2}}
     assert with_value(one, ["a", "b"], None) == {} and one == {"a": {"b": 1}}
 
 
-def test_a_ground_of_ones_own() -> None:
+def test_a_ground_of_ones_own():
     text = "x_m,height_m\n0,0\n3,0\n6,0.3\n"
     table = read_file("../hill.csv", text.encode())
     assert table["file"] == "hill.csv"
@@ -166,11 +160,11 @@ def test_a_ground_of_ones_own() -> None:
 
 @pytest.mark.slow
 def test_the_files_of_a_what_if_walk_the_same_to_the_bit(
-    page: Page,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    page,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
     page.control("world.muscles.SOL_left").value = 0.85
     page.control("body.mass.hat").value = 1.1
     page.control("body.inertia.shank_left").value = 0.9
