@@ -24,7 +24,7 @@ from study.report.runs import read_facts, read_results
 def main(args: Namespace) -> None:
     """Compare, or go on."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    experiment = read_any(args.config, args.arch, args.seed)
+    experiment = read_any(args.config, args.arch, args.seed, store=args.store)
     out = folder_of(args, experiment.name)
     read_facts(out)  # refused before the work, since the report at the end reads them
     arms = tuple(args.arms.split(",")) if args.arms is not None else None

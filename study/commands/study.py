@@ -29,7 +29,7 @@ from study.options import config_path
 def main(args: Namespace) -> None:
     """Run the study, or go on with it."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    experiment = read_any(args.config, args.arch, args.seed)
+    experiment = read_any(args.config, args.arch, args.seed, store=args.store)
     if args.store is not None:
         experiment = with_store(experiment, (args.arm,), args.store)
     experiment.require_run(args.run)

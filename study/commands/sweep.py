@@ -35,11 +35,11 @@ def main(args: Namespace) -> None:
     """Sweep, or go on."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     swept = read_swept(args.over)
-    plain = read_any(args.config, args.arch, args.seed)
+    plain = read_any(args.config, args.arch, args.seed, store=args.store)
     arm = args.arm or arm_of(plain)
 
     def read(over: Mapping[str, Any]) -> Experiment:
-        experiment = read_any(args.config, args.arch, args.seed, over)
+        experiment = read_any(args.config, args.arch, args.seed, over, args.store)
         if args.store is None:
             return experiment
         return with_store(experiment, [arm], args.store)

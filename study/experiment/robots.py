@@ -170,13 +170,19 @@ def read_any(
     arch: str | None,
     seed: int | None,
     over: Mapping[str, Any] | None = None,
+    store: Path | None = None,
 ) -> Experiment:
     """The experiment of a configuration: on the walker, or on the simulator that it names.
+
+    `store` takes the place of the one that a configuration of a simulator names. Those
+    of the walker name several: see `arms.with_store`.
 
     Raises:
         InputError: as `read_experiment` and `read_robots`.
     """
     if is_of_robots(path):
+        if store is not None:
+            over = {**(over or {}), "store": str(store)}
         return read_robots(path, arch, seed, over)
     return read_experiment(path, arch, seed, over)
 

@@ -161,10 +161,14 @@ BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2
 BEYOND_SCALE = Constant(log(0.8), 0.35, PARAMETER_SCALE_BOUNDS)
 BEYOND_SHARED_SD = 0.7
 # v of the mean over w worlds is expected to be 1 / w, and no less than this. It is what a
-# robot's ranking may differ from theirs: few worlds tell little of it, and of many one
-# or two falls shall not turn it round.
+# robot's ranking may differ from theirs: of many worlds one or two falls shall not turn
+# it round.
 LEAST_RANKING = 0.03
 RANKING_SD = 0.5
+# Of fewer worlds it tells less of the robot, but is not left before trials say that it is
+# wrong: with 1 / w, one world on another machine lost to its own ranking.
+FEW_WORLDS = 10
+RANKING_OF_FEW = Constant(log(0.1), 1.0, SLOPE_BOUNDS)
 WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 
 
@@ -335,18 +339,18 @@ def new_covariance(
         parameters: d, their number; its prior length scales grow with it.
         standardised: see `Covariance`.
         is_familiar: whether trials tell how far costs lie apart, so that no single one
-            can turn the worlds' ranking round: it is then as free to fit the trials as
-            that of one world.
+            can turn the worlds' ranking round: it is then free to fit them.
         likeness: a^2, how much the machine may be like some worlds and unlike others.
     """
     if kernel.related and not kernel.of_parameters:
         return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
     terms = []
     if kernel.related:
-        ranking = max(1.0 / len(columns.worlds), LEAST_RANKING)
-        if is_familiar:
-            ranking = 1.0
-        slope = Constant(log(ranking), RANKING_SD, SLOPE_BOUNDS)
+        worlds = len(columns.worlds)
+        slope = RANKING_OF_FEW
+        if is_familiar or worlds >= FEW_WORLDS:
+            expected = 1.0 if is_familiar else max(1.0 / worlds, LEAST_RANKING)
+            slope = Constant(log(expected), RANKING_SD, SLOPE_BOUNDS)
         terms = [Term(columns.worlds, likeness), Term(columns.mean, slope)]
         if not standardised:
             terms.append(Term(columns.one, SHIFT))

@@ -192,6 +192,19 @@ def test_the_report_and_the_database_are_as_of_any_comparison(folder, trials, ca
         read_results(old)
 
 
+def test_a_store_by_option_takes_the_place_of_the_configurations(config, tmp_path):
+    """The configuration's own is not even looked for."""
+    known, folder = str(read_robots(config).stores["worlds"]), str(tmp_path / "out")
+    moved = config.with_name("moved.toml")
+    moved.write_text(config.read_text().replace(known, "nowhere"))
+    words = f"--config {moved} --arms ranking --runs 1 --trials 2 --workers 1"
+    asked = [*words.split(), "--out", folder]
+    with refused("^store: .*nowhere"):
+        main(parser_of("compare").parse_args(asked))
+    main(parser_of("compare").parse_args([*asked, "--store", known]))
+    assert read_results(folder).trials == 2
+
+
 @pytest.mark.parametrize("arm", ["worlds", "ranking", "tpe-ranking"])
 def test_a_live_study_has_these_trials(arm, config, trials, tmp_path):
     url = f"sqlite:///{tmp_path / 'live.db'}"

@@ -202,7 +202,7 @@ def test_smooth_costs_are_soon_in_units_of_the_trials_others_in_those_of_the_tab
         model = study.sampler._policy.present(study).model
         assert model.in_table_units is not is_smooth
         of_ranking = model.posterior.covariance.terms[1].variance.mode
-        assert of_ranking == pytest.approx(0.0 if is_smooth else np.log(1.0 / 4.0))
+        assert of_ranking == pytest.approx(0.0 if is_smooth else np.log(0.1))
         costs = np.array(values_of(study))
         assert_allclose(model.in_units(model.cost()), costs)
 
@@ -227,7 +227,7 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
     assert model.in_table_units is not is_hidden
     likeness, ranking, *_ = model.posterior.covariance.terms
     assert likeness.variance == (DOUBTED if is_hidden else WORLD)
-    assert ranking.variance.mode == pytest.approx(0.0 if is_hidden else -np.log(4.0))
+    assert ranking.variance.mode == pytest.approx(0.0 if is_hidden else np.log(0.1))
     assert_allclose(model.in_units(model.cost()), values)
 
 
