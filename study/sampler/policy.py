@@ -24,7 +24,7 @@ from threadpoolctl import ThreadpoolController
 
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
-from study.sampler.arrays import Floats, Mask
+from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.calibration import Errors, past_errors
 from study.sampler.covariance import ADDITIVE, NEARNESS, Kernel
 from study.sampler.draws import Purpose, generator
@@ -46,6 +46,7 @@ Features = Callable[[Floats], Floats]
 """Features [n, k] of points [n, d], by a function of the user's."""
 
 RANKED = 3
+ROWS_TRIED = 3  # without success, after one: who is like no world leaves the table
 ENDS = 2
 RANDOM = 3
 ODD_TURN = 1  # of those that are left to the parameters where features are doubted
@@ -252,6 +253,24 @@ def ranking_goes_on(ensemble: Ensemble, *, has_failed: bool) -> bool:
     to be had, they do, too: two falls do not yet tell which worlds a robot is like.
     """
     return has_failed or len(ensemble.names) == 1 or ensemble.is_smooth
+
+
+def rows_fail(model: Model, rows: Whole) -> bool:
+    """Whether a table is left: after a success its last `ROWS_TRIED` rows have failed.
+
+    A robot is then like no world, and gains by steps from its own trials. The model does
+    not see it: where worlds disagree on a row, it may be good again and again.
+
+    Args:
+        model: after n trials.
+        rows: of the table that they were; below 0: off it, [n].
+    """
+    if model.success is None or not isinstance(model.ensemble, Ensemble):
+        return False
+    succeeded = model.feasible & (model.costs <= model.success)
+    tried = (rows >= 0) & (np.cumsum(succeeded) > 0)
+    last = succeeded[tried][-ROWS_TRIED:]
+    return len(last) == ROWS_TRIED and not last.any()
 
 
 def call_features(

@@ -41,6 +41,10 @@ STEP_TOLERANCE = 1e-8  # of a step: a value on the grid may be so far off, as fo
 CHOICE_LENGTH = np.sqrt(0.5)  # of a one-hot code: two of them are 1 apart
 # log10 of a step's standard deviation, in ranges: 0.3 % to 50 %.
 STEP_DECADES = (-2.5, -0.3)
+# Of a range: a point off the table that is nearer to a trial, in every parameter,
+# repeats it. With two knobs half of the trials were such repeats; in 16 dimensions none
+# is.
+REPEAT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,13 +184,13 @@ def not_among(points: Floats, taken: Floats) -> Mask:
     return new if new.any() else np.ones(len(points), dtype=bool)
 
 
-def not_near(points: Floats, taken: Floats, share: float) -> Mask:
-    """Which points of the unit cube [m, e] lie `share` of a range or more from all [t, e], [m].
+def not_near(points: Floats, taken: Floats) -> Mask:
+    """Which points of the unit cube [m, e] are `REPEAT` or more from all taken ones [t, e], [m].
 
     In one parameter at least: it is the largest of the distances.
     """
     away = scipy.spatial.distance.cdist(points, taken, "chebyshev")
-    return np.asarray(away.min(axis=1, initial=np.inf) >= share)
+    return np.asarray(away.min(axis=1, initial=np.inf) >= REPEAT)
 
 
 def as_suggested(distribution: BaseDistribution, value: Any) -> Any:

@@ -58,6 +58,7 @@ from study.sampler.policy import (
     features_of,
     one_thread,
     ranking_goes_on,
+    rows_fail,
     set_attributes,
     take_back,
 )
@@ -72,10 +73,6 @@ from study.sampler.worlds import Ensemble
 
 CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
-# Of a range: a point off the table that is nearer to a trial, in every parameter,
-# repeats it. With two knobs half of the trials were such repeats; in 16 dimensions none
-# is.
-REPEAT = 0.01
 
 
 class TableExhaustedError(RuntimeError):
@@ -437,7 +434,7 @@ class TablePolicy(Policy):
         own_turn: int,
         certificate: Certificate | None,
     ) -> tuple[float, Proposal]:
-        """The best of some points near the best rows and trials, and its utility.
+        """The best of some points near the best rows and trials, and its utility or infinity.
 
         Beside worlds no point that repeats a trial, unless nothing else is left:
         repeats are asked for by enqueuing them.
@@ -463,7 +460,7 @@ class TablePolicy(Policy):
             new = new & known if (new & known).any() else known
             points = self._as_points(near, features)
         else:
-            elsewhere = new & not_near(unit, space.unit(taken), REPEAT)
+            elsewhere = new & not_near(unit, space.unit(taken))
             if np.isfinite(utility).any() or elsewhere.any():
                 new = elsewhere
             own = self._points(model.ensemble).features
@@ -479,7 +476,10 @@ class TablePolicy(Policy):
         utility = model.utility(points, new, rng)
         chosen = argmax_random_tie(utility, rng)
         notes = notes_of(OFF_TABLE, features[chosen])
-        return float(utility[chosen]), Proposal(space.values(near[chosen]), notes)
+        value = float(utility[chosen])
+        if value > -np.inf and rows_fail(model, history.done.rows):
+            value = np.inf
+        return value, Proposal(space.values(near[chosen]), notes)
 
     def _of_row(self, row: int) -> Proposal:
         notes = notes_of(row, self.rows.features[row])

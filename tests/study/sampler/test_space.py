@@ -77,8 +77,8 @@ def test_taken_points_are_left_out_unless_nothing_is_left_and_the_first_misfit_i
     assert not_among(points, points).tolist() == [True, True]
     assert not_among(points, np.empty((0, 2))).all()
     unit = np.array([[0.5, 0.5], [0.509, 0.5], [0.511, 0.5], [0.5, 0.9]])
-    assert not_near(unit, unit[:1], 0.01).tolist() == [False, False, True, True]
-    assert not_near(unit, np.empty((0, 2)), 0.01).all()
+    assert not_near(unit, unit[:1]).tolist() == [False, False, True, True]
+    assert not_near(unit, np.empty((0, 2))).all()
     kinds = CategoricalDistribution(["x", "y", "z"])
     values = np.array([2.0, 0.0, 2.0, 1.0, 1.0])
     assert first_not_taken(kinds, values, CategoricalDistribution(["z", "x"])) == 3

@@ -15,9 +15,11 @@ from optuna.distributions import (
 from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler import table_policy
+from study.sampler import space as spaces
 from study.sampler.acquisition import FAMILIAR, FEW_SUCCESSES
 from study.sampler.covariance import DOUBTED, WITH_WORLDS, WORLD
+from study.sampler.history import OFF_TABLE
+from study.sampler.policy import ROWS_TRIED, rows_fail
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
 from tests.study.conftest import refused
@@ -229,6 +231,28 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
     assert likeness.variance == (DOUBTED if is_hidden else WORLD)
     assert ranking.variance.mode == pytest.approx(0.0 if is_hidden else np.log(0.1))
     assert_allclose(model.in_units(model.cost()), values)
+
+
+def test_the_table_is_left_after_three_rows_that_failed_behind_a_success():
+    """A fall off the table, or before a success, counts for nothing; a success begins anew."""
+    off, count = {"x": 0.123, "y": 4.56}, ROWS_TRIED
+    for falls, begins_anew in ((count, False), (count - 1, False), (count, True)):
+        study = study_of(table(FALLS), success=1.0)
+        last = 0.5 if begins_anew else 50.0
+        costs = [50.0] * count + [0.5] + [50.0] * (falls - 1) + [last]
+        for (x, y), value in zip(ROWS, costs, strict=False):
+            told(study, SPACE, {"x": x, "y": 100.0**y}, value)
+            told(study, SPACE, off, 50.0)
+        leaves = falls == count and not begins_anew
+        present = study.sampler._policy.present(study)
+        rows = np.array([OFF_TABLE if row is None else row for row in present.rows])
+        assert rows_fail(present.model, rows) is leaves
+        proposed = [study.ask(SPACE).user_attrs["row"] for _ in range(4)]
+        assert not leaves or proposed == [OFF_TABLE] * 4
+    keeps = study_of(table(FALLS), success=1.0, off_grid=0)
+    for (x, y), value in zip(ROWS, [0.5] + [50.0] * count, strict=False):
+        told(keeps, SPACE, {"x": x, "y": 100.0**y}, value)
+    assert keeps.ask(SPACE).user_attrs["row"] >= 0  # there is nowhere else to go
 
 
 def test_no_cost_is_expected_below_nothing_where_those_of_worlds_are_positive():
@@ -508,7 +532,7 @@ def test_no_day_is_spent_on_a_spot_that_was_tried():
     unit = space.unit(np.array([space.row(trial.params) for trial in study.trials]))
     for number in range(1, len(unit)):  # in the farthest knob, in ranges
         apart = np.abs(unit[:number] - unit[number]).max(axis=1)
-        assert apart.min() >= table_policy.REPEAT
+        assert apart.min() >= spaces.REPEAT
     again = study.trials[20].params
     study.enqueue_trial(again)
     study.optimize(machine, n_trials=1)
@@ -529,5 +553,5 @@ def test_in_many_dimensions_proposals_are_those_without_a_word_of_repeats(monkey
         return float(0.1 + ((at - 0.4) ** 2).sum())
 
     with_repeats = study_of(known, objective, 15)
-    monkeypatch.setattr(table_policy, "REPEAT", 0.0)
+    monkeypatch.setattr(spaces, "REPEAT", 0.0)
     assert params_of(study_of(known, objective, 15)) == params_of(with_repeats)
