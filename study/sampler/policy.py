@@ -46,7 +46,9 @@ Features = Callable[[Floats], Floats]
 """Features [n, k] of points [n, d], by a function of the user's."""
 
 RANKED = 3
-ROWS_TRIED = 3  # without success, after one: who is like no world leaves the table
+# Rows without success, after one: who is like no world leaves the table. With three of them
+# a robot on ramps down left it too early.
+ROWS_TRIED = 5
 ENDS = 2
 RANDOM = 3
 ODD_TURN = 1  # of those that are left to the parameters where features are doubted

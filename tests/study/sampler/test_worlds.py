@@ -233,7 +233,7 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
     assert_allclose(model.in_units(model.cost()), values)
 
 
-def test_the_table_is_left_after_three_rows_that_failed_behind_a_success():
+def test_the_table_is_left_after_five_rows_that_failed_behind_a_success():
     """A fall off the table, or before a success, counts for nothing; a success begins anew."""
     off, count = {"x": 0.123, "y": 4.56}, ROWS_TRIED
     for falls, begins_anew in ((count, False), (count - 1, False), (count, True)):
