@@ -216,7 +216,7 @@ def control_of(part: Tables, title: str, path: str) -> Any:
         format="0[.]0[000]",
         value=usual,
         name=path,
-        tags=[usual] + ["pair"] * part.get("pair", False),
+        tags=[usual, "pair"] if part.get("pair") else [usual],
     )
 
 

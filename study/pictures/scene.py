@@ -271,8 +271,11 @@ class Scene:
         wide, high = self._size_px
         left = 0.015 * wide
         self._write_title(canvas, left)
-        key = KEY + PUSH_KEY * bool(self._motion.push_n.any())
-        key += SLIP_KEY * bool(self._motion.sliding.any())
+        key = KEY
+        if self._motion.push_n.any():
+            key += PUSH_KEY
+        if self._motion.sliding.any():
+            key += SLIP_KEY
         lines = [(f"{time_s:6.2f} s   {x_m:7.2f} m", 18), (key, 15)]
         if self._motion.device is not None:
             lines.append((DEVICE_KEY, 15))
