@@ -384,7 +384,8 @@ def read_ground(table: Table) -> Ground:
         return Ground()
     if kind == "file" and not written.get("heights"):
         file = table.folder / written["file"]
-        written["heights"] = read_text("terrain.file", file, TABLE)
+        # Of an empty file, too, it is a text: without one, a file would be read.
+        written["heights"] = read_text("terrain.file", file, TABLE) or "\n"
     for end in range(2):
         options = {
             name: v[end] if isinstance(v, list) else v for name, v in written.items()

@@ -23,8 +23,8 @@ from study.experiment.sweep import Swept, Tuned, points_of, read_swept, sweep
 from study.experiment.walker import WalkerExperiment, row_text
 from study.pictures import strip
 from study.report.figures import REPORT_NAME
-from study.report.markdown import count_text, dashboard_summary
-from study.report.sweep import Walks, write_sweep
+from study.report.markdown import dashboard_summary
+from study.report.sweep import Walks, costs_of, write_sweep
 
 COLUMN = 12  # characters
 SHOWN_S = 15.0  # of a walk, of which the last metres are drawn
@@ -120,17 +120,10 @@ def walks_of(tuned: Sequence[Tuned]) -> Walks:
 
 def text(found: Mapping[str, Any]) -> str:
     """For people: a line a value."""
-    heads = (found["key"], "walk", "first walker", "lower", "best cost", "upper")
+    walk = f"walk, of {found['robots']}"
+    heads = [found["key"], walk, "first walker", "lower", "best cost", "upper"]
     wide = max(len(found["key"]), COLUMN)
-    lines = [
-        heads[0].ljust(wide) + "".join(head.rjust(COLUMN + 2) for head in heads[1:])
-    ]
-    for each in found["values"]:
-        low, high = each["best_cost_quartiles"]
-        when = each["first_walker"]
-        first = count_text(float("inf") if when is None else when, found["trials"])
-        cells = [f"{each['walkers']}/{found['robots']}", first]
-        cells += [f"{cost:.4g}" for cost in (low, each["best_cost"], high)]
-        line = str(each["value"]).ljust(wide)
-        lines.append(line + "".join(cell.rjust(COLUMN + 2) for cell in cells))
-    return "\n".join(lines)
+    return "\n".join(
+        value.ljust(wide) + "".join(cell.rjust(COLUMN + 2) for cell in cells)
+        for value, *cells in (heads, *costs_of(found))
+    )

@@ -19,13 +19,19 @@ import pyarrow.compute as pc
 
 from storage.inputs import typed
 from storage.inputs.errors import InputError
+from storage.inputs.reading import json_document
 from storage.pool import local_pool
 from storage.tables import document_hash
 from study.experiment.arms import check_arms
 from study.experiment.compare import Progress, Request, compare
 from study.experiment.database import Summarise
 from study.experiment.experiment import Experiment, Floats, Rows
-from study.experiment.folder import ExperimentFolder, by_study, document
+from study.experiment.folder import (
+    EXPERIMENT_NAME,
+    ExperimentFolder,
+    by_study,
+    document,
+)
 
 MOST_VALUES = 100
 LARGEST_WHOLE = 2**53  # beyond it a float is no exact whole number
@@ -126,8 +132,8 @@ def points_of(swept: Swept, read: Read, out: Path) -> list[Point]:
         out: folder of the sweep; each value has one in it.
 
     Raises:
-        InputError: an unknown key, a value that it does not allow, or a key that
-            decides no trial.
+        InputError: an unknown key, a value that it does not allow, a key that decides
+            no trial, or a folder with another experiment: it would get this report.
     """
     experiments = [
         replace(_read(swept, value, read), until_walker=False) for value in swept.values
@@ -144,6 +150,11 @@ def points_of(swept: Swept, read: Read, out: Path) -> list[Point]:
         base = experiment.name
         named = replace(experiment, name=f"{base}-{swept.label}-{shown}")
         points.append(Point(value, base, named, out / shown))
+    for file in sorted(out.rglob(EXPERIMENT_NAME)):
+        name = json_document("out", file, "an experiment").get("name")
+        if name != f"{base}-{swept.label}-{file.parent.name}":
+            allowed = f"a folder of this sweep alone: {file} is of {name}"
+            raise InputError("out", str(out), allowed)
     return points
 
 

@@ -167,6 +167,7 @@ def page_of(
         walkers: Executor, makers: Executor, menders: Executor, document: Document
     ) -> None:
         message = Message("message")
+        document.title = str(path)
         document.template = TEMPLATE
         document.theme = THEME
         try:

@@ -10,6 +10,7 @@ from typing import Any
 from bokeh.document import Document
 from bokeh.models import (
     Column,
+    CustomJS,
     Div,
     NumericInput,
     RadioButtonGroup,
@@ -335,7 +336,9 @@ class Hands:
                 name=f"number-{gain.name}",
             )
             slider.js_link("value", number, "value")
-            number.js_link("value", slider, "value")
+            # An emptied number has no value, which a slider cannot take.
+            moved = "if (cb_obj.value !== null) slider.value = cb_obj.value"
+            number.js_on_change("value", CustomJS(args={"slider": slider}, code=moved))
             message.watch(number, "value", partial(self._set, gain))
             self._fields[gain.name] = number, slider
         self.take(gains_of_source(STARTS[0]))

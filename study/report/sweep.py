@@ -135,11 +135,8 @@ def best_table(swept: Swept, tuned: Sequence[Tuned]) -> pa.Table:
     return pa.concat_tables(tables)
 
 
-def text(found: Mapping[str, Any], is_drawn: bool) -> str:
-    """The report, in Markdown; it links the figures beside it."""
-    key, robots = found["key"], found["robots"]
-    costs = ["lower quartile", "best cost, median", "upper quartile"]
-    header = [f"`{key}`", f"walk, of {robots}", "first walker, median trial", *costs]
+def costs_of(found: Mapping[str, Any]) -> list[list[str]]:
+    """A row a value: how many walk, the first walker, and quartiles of the best cost."""
     rows = []
     for each in found["values"]:
         low, high = each["best_cost_quartiles"]
@@ -147,10 +144,18 @@ def text(found: Mapping[str, Any], is_drawn: bool) -> str:
         first = count_text(np.inf if when is None else when, found["trials"])
         shown = [f"{cost:.4g}" for cost in (low, each["best_cost"], high)]
         rows.append([str(each["value"]), str(each["walkers"]), first, *shown])
+    return rows
+
+
+def text(found: Mapping[str, Any], is_drawn: bool) -> str:
+    """The report, in Markdown; it links the figures beside it."""
+    key, robots = found["key"], found["robots"]
+    costs = ["lower quartile", "best cost, median", "upper quartile"]
+    header = [f"`{key}`", f"walk, of {robots}", "first walker, median trial", *costs]
     parts = [
         f"# {escaped(found['experiment'])} over {escaped(key)}",
         WORDS.format(**found),
-        table(header, rows),
+        table(header, costs_of(found)),
         "![Best cost over the values](best-cost.png)",
     ]
     if any(each["gait"] for each in found["values"]):

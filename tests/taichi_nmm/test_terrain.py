@@ -188,6 +188,8 @@ def test_a_file_that_is_no_table_is_refused(tmp_path, text, allowed):
         terrain.from_file(path)
     assert caught.value.field == "terrain.file"
     assert str(path) in str(caught.value)
+    with refused(allowed):  # an empty one, too, and not one in the working folder
+        read_ground(Table({"kind": "file", "file": "bad.csv"}, "terrain", tmp_path))
 
 
 @pytest.mark.parametrize(("kind", "bad"), asset("bad-ground-options.toml").items())

@@ -82,9 +82,8 @@ def test_each_value_has_all_its_trials_on_the_same_robots(toy_sweep):
     assert bodies[0].shape == bodies[1].shape and (away[0] != away[1]).any()
     last = toy_sweep.shown[-1]
     assert (last.trials, last.total, last.studies) == (16, 16, 4)
-    assert [each.trials for each in toy_sweep.shown] == sorted(
-        each.trials for each in toy_sweep.shown
-    )
+    told = [each.trials for each in toy_sweep.shown]
+    assert told == sorted(told)
 
 
 def test_a_later_call_computes_what_is_missing_and_tells_what_it_is_asked(toy_sweep):
@@ -122,4 +121,7 @@ def test_nothing_begins_where_the_last_value_is_refused(toy_sweep):
     document.write_text(document.read_text().replace('"seed": 5', '"seed": 6'))
     with refused(r"seed: 5 .*0\.2"):
         toy_sweep.run(f"{KEY}=0.1,0.2")
-    assert not (toy_sweep.out / "0.1").exists()
+    # Nor in the folder of another sweep, whose report would be lost.
+    with refused(r"out: .*/0\.2/experiment\.json is of toy-disturbance-0\.2"):
+        toy_sweep.run("seed=3")
+    assert [each.name for each in toy_sweep.out.iterdir()] == ["0.2"]

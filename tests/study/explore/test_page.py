@@ -430,6 +430,8 @@ def test_what_if_a_muscle_is_weak(page, store):
     ground = page.evaluate_handle("view_of('ground-file').input_el").as_element()
     hill = b"x_m,height_m\n0,0\n1,0\n2,0.3\n"
     sent = {"name": "hill.csv", "mimeType": "text/csv", "buffer": hill}
+    ground.set_input_files(sent | {"buffer": hill.ljust(15_000_001)})
+    page.wait_for_function("/at most 15 MB/.test(named('what-if-message').text)")
     walks(page, lambda: ground.set_input_files(sent))
     heights = "[...named('stage-frames').data.ground[0]].filter((_, i) => i % 2)"
     page.wait_for_function(f"Math.abs(Math.max(...{heights}) - 0.3) < 1e-6")
@@ -546,6 +548,7 @@ def test_a_store_that_is_being_filled(folders, page, tmp_path):
         (growing / second.name).write_bytes(b"damaged")
         page.goto(address)
         page.get_by_text("store: ").first.wait_for()
+        assert page.title() == str(growing)
 
 
 def test_a_head_of_the_table_sorts_all_rows(page, folders, tmp_path):

@@ -19,7 +19,7 @@ from study.explore.walk import chosen_setting
 from tests.browser import opened_page
 from tests.processes import ROOT
 from tests.study import fake_walker
-from tests.study.explore.serving import change, explorer, opened, walks
+from tests.study.explore.serving import change, opened, walks
 from tests.study.explore.test_walk import LEVEL
 
 pytestmark = pytest.mark.slow
@@ -133,10 +133,8 @@ def test_what_cannot_be_repaired_is_said(tmp_path):
     """The page goes on, and another click may do."""
     store = tmp_path / "store"
     fake_walker.write_plain_store(store, samples=20)
-    with opened_page(1280, 1000) as page, explorer(store) as address:
+    with opened_page(1280, 1000) as page, opened(page, store):
         page.set_default_timeout(LONG_MS)
-        page.goto(address)
-        page.wait_for_function("window.walk_player?.shown > 0")
         click(page, "what if")
         page.wait_for_function("named('lines') !== null")
         click(page, REPAIR)
@@ -144,4 +142,3 @@ def test_what_cannot_be_repaired_is_said(tmp_path):
         page.wait_for_function(said)
         assert page.evaluate("named('repair').text") == ""
         walks(page, lambda: change(page, "world.friction", "value", 0.5))
-        page.goto("about:blank")

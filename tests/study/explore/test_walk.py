@@ -142,12 +142,9 @@ def test_what_is_taken_walks_the_same_to_the_bit(
 ):
     monkeypatch.chdir(tmp_path)
     for wanted in walking.NAMES:
-        name, content = walking.file_of_walk(fell, wanted)
-        Path(name).write_bytes(content)
-    words = walking.COMMAND.split()
-    assert words[:2] == ["taichi-nmm", "walk"]
-    more = ("--movie-seconds", "0", "--json", "--out", "pictures")
-    assert run_tool(monkeypatch, "walk", *words[2:], *more) == 0
+        Path(wanted).write_bytes(walking.file_of_walk(fell, wanted)[1])
+    words = f"{walking.COMMAND} --movie-seconds 0 --json --out pictures".split()
+    assert words[0] == "taichi-nmm" and run_tool(monkeypatch, *words[1:]) == 0
     found = json.loads(capsys.readouterr().out)
     for field in ("duration_s", "distance_m", "phi_printed", OF_MUSCLES):
         assert found[field] == fell.row[field], field

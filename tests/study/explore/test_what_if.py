@@ -179,11 +179,9 @@ def test_the_files_of_a_what_if_walk_the_same_to_the_bit(
     found = walking.walk(gains_of_source("reference"), setting)
     monkeypatch.chdir(tmp_path)
     for wanted in walking.NAMES:
-        name, content = walking.file_of_walk(found, wanted)
-        Path(name).write_bytes(content)
-    words = ("--movie-seconds", "0", "--json", "--out", "pictures")
-    command = walking.COMMAND.split()[2:]
-    assert run_tool(monkeypatch, "walk", *command, *words) == 0
+        Path(wanted).write_bytes(walking.file_of_walk(found, wanted)[1])
+    words = f"{walking.COMMAND} --movie-seconds 0 --json --out pictures".split()
+    assert run_tool(monkeypatch, *words[1:]) == 0
     told = json.loads(capsys.readouterr().out)
     for field in ("duration_s", "distance_m", "phi_printed"):
         assert told[field] == found.row[field], field
