@@ -39,7 +39,7 @@ from study.pictures.scene import (
     FORCE_WIDTH_M,
     VIEW_WIDTH_M,
 )
-from taichi_nmm.result import FELL, MUSCLES
+from taichi_nmm.result import MUSCLES
 
 ASPECT = 1.45  # of a stage, width over height
 GHOST = "#5B4B8A"
@@ -104,8 +104,8 @@ class Stage:
         key = f" ({DEVICE_KEY})" if "arrows" in walk.frames else ""
         self.say(walk.gains.name, f"{walk.ended}{key}")
         # Each as the one entry of a column, as Bokeh sends arrays of any shape.
-        frames = walk.frames | {"fell": np.array([walk.row["end_reason"] == FELL])}
-        self.frames.data = {name: [values] for name, values in frames.items()}
+        sent = {**walk.frames, "ended": walk.ended}
+        self.frames.data = {name: [values] for name, values in sent.items()}
 
     def _drawn(self, name: str) -> Any:
         """The script moves all of its renderers but the ground, which are the first two."""

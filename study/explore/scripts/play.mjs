@@ -128,12 +128,12 @@ function draw_strides({stages: [{frames}], cursor}) {
 }
 
 // A walk on the time line: the height of its hip, and its fall.
-function line_of({time_s, height_m, fell}, [{data_source: curve}, {data_source: fall}], last) {
+function line_of({time_s, height_m, ended}, [{data_source: curve}, {data_source: fall}], last) {
   const [x, y] = [Array.from(time_s?.[0] ?? []), Array.from(height_m?.[0] ?? [])]
   curve.setv({data: {x, y}}, HERE)
-  const end = fell?.[0][0] ? -1 : x.length
+  const words = [...ended?.[0].match(/^fell after [\d.]+ s/) ?? []] // as the story: one, or none
+  const end = x.length - words.length
   const fell_at = x.slice(end)
-  const words = fell_at.map((time) => `fell at ${time.toFixed(1)} s`)
   const early = (time) => time < EARLY * last // whose words would begin before the axes
   const [align, offset] = [["left", "right"], [12, -12]].map((both) => fell_at.map((time) => both[early(time) ? 0 : 1]))
   fall.setv({data: {x: fell_at, y: y.slice(end), words, align, offset}}, HERE)
