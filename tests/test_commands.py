@@ -162,7 +162,7 @@ def made(tmp_path_factory):
             "precompute --config walker2d --samples 32",
             "precompute --config ant --samples 32",
             "compare --config rough8-smooth --arms dog --runs 8 --trials 13",
-            "compare --config outside-limp --arms worlds --runs 1 --trials 27",
+            "compare --config outside-limp --arms worlds --runs 1 --trials 35",
             "compare --config mujoco-rough8-soft --arms worlds --runs 1 --trials 1",
         ):
             assert run_tool(patch, *line.split(), "--workers", 1) == 0
