@@ -50,7 +50,7 @@ def feature_table(
     if feature == RANKING:
         rows = table_of_worlds(store, costs).rows
         values = np.full(len(rows), np.nan)
-        values[rows.numbers] = -rows.ensemble(np.ones(1)).columns[:, -1]
+        values[rows.numbers] = -rows.ensemble(np.ones(1)).mean
     elif feature not in store.columns:
         raise InputError("store", str(store.path), f"a store with the column {feature}")
     else:

@@ -13,6 +13,7 @@ from study.sampler.covariance import (
     WORLD,
     Constant,
     Covariance,
+    GuessError,
     Kernel,
     new_covariance,
 )
@@ -140,6 +141,7 @@ class Model:
             y,
             standardised=self._in_costs is None,
             likeness=DOUBTED if self._is_familiar and not self._is_smooth else WORLD,
+            guess_error=self._guess_error,
         )
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
@@ -249,6 +251,11 @@ class Model:
             return False  # to ask whether costs are smooth takes long
         return are_many if self._is_smooth else look_alike
 
+    @property
+    def _guess_error(self) -> GuessError | None:
+        """What the table's guess between its rows may be off by, in the unit of costs."""
+        return None if self._in_costs is None else self._in_costs.guess_error
+
     def _look_alike(self, worlds: Ensemble) -> bool:
         """Whether trials have succeeded whose differences the table's unit hides."""
         succeeded = self.feasible
@@ -272,6 +279,7 @@ class Model:
         *,
         standardised: bool = True,
         likeness: Constant = WORLD,
+        guess_error: GuessError | None = None,
     ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
         seen = self.visible(points)
@@ -283,6 +291,7 @@ class Model:
             standardised=standardised,
             is_familiar=self._is_familiar,
             likeness=likeness,
+            guess_error=guess_error,
         )
         every = next(every for most, every in self.refits if len(x) <= most)
         first = len(x) - len(x) % every

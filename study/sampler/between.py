@@ -14,6 +14,9 @@ from the rows near it:
 The table decides which: its best rows are left out in turn, and guessed from the others.
 Features that it has beside worlds are always the nearest rows' mean: kriging has learned
 its constants from costs, and of other columns it would make wild ones.
+
+Where the guess of the best rows is off by more than costs differ in the table, rows tell
+nothing of points between them. The model then learns it as `covariance.GuessError` has it.
 """
 
 from collections.abc import Callable
@@ -24,7 +27,13 @@ import numpy as np
 import scipy
 
 from study.sampler.arrays import Floats, Whole
-from study.sampler.covariance import EUCLIDEAN, Covariance, new_covariance
+from study.sampler.covariance import (
+    EUCLIDEAN,
+    Covariance,
+    GuessError,
+    fall,
+    new_covariance,
+)
 from study.sampler.gp import LIKELIHOOD_TRIALS, cholesky, learn
 from study.sampler.transforms import new_columns
 
@@ -41,6 +50,7 @@ LEAST_TAUGHT = 32  # rows, from which kriging is learned
 # is used: half the error where costs are smooth (a plant: 0.2 to 0.35), most of it where
 # walkers fall (0.75), and there the guess picks places that only seem to be good.
 LARGEST_SHARE = 0.6
+WORTHLESS = 1.0  # standard deviations of the table, from which on a guess tells nothing
 
 
 def nearest_mean(x: Floats, columns: Floats, points: Floats) -> Floats:
@@ -71,11 +81,13 @@ class Between:
         guess: how columns at points follow from rows near them.
         beside: the last columns, so many, are of worlds, which the guess is of; those
             before are features.
+        error: what the guess of worlds may be off by; None: it is believed.
     """
 
     unit: Floats
     guess: Guess = nearest_mean
     beside: int = 0
+    error: GuessError | None = None
 
     def at(self, columns: Floats, points: Floats, centres: Floats) -> Floats:
         """Columns [m, k] of the rows at other points of the unit cube, [n, k].
@@ -92,6 +104,8 @@ class Between:
                 pool = self._pool(centre)
                 x, known, asked = self.unit[pool], columns[pool], points[own]
                 found[own, features:] = self.guess(x, known[:, features:], asked)
+                if self.error is not None:
+                    found[own, -1] = _gap(asked, x, self.error.length)
                 if features:
                     found[own, :features] = nearest_mean(x, known[:, :features], asked)
         return found
@@ -150,6 +164,37 @@ def chosen_guess(unit: Floats, mean: Floats) -> Guess:
         for guess in (kriging, nearest_mean)
     ]
     return kriging if errors[0] < LARGEST_SHARE * errors[1] else nearest_mean
+
+
+def guess_error(guess: Guess, unit: Floats, mean: Floats) -> GuessError | None:
+    """What a guess may be off by; None where it tells something of the best rows [m, e].
+
+    Args:
+        guess: the table's.
+        unit: the rows, [m, e].
+        mean: what is guessed, in standard deviations of the table, [m].
+    """
+    if len(mean) < LEAST_TAUGHT:
+        return None
+    best = np.argsort(mean, kind="stable")[:BEST_ROWS]
+    error = _left_out_error(guess, unit, mean, best)
+    if error < WORTHLESS:
+        return None
+    squares = _squares(unit[best], unit)
+    squares[np.arange(len(best)), best] = np.inf
+    distance = float(np.sqrt(np.median(squares.min(axis=1)).clip(LEAST_DISTANCE**2)))
+    # It was off by so much at this distance; halfway there it is off by most of it.
+    return GuessError(error**2, distance / 2.0)
+
+
+def _gap(points: Floats, rows: Floats, length: float) -> Floats:
+    """How little the row nearest to each point tells of it, [n]: `Columns.gap`.
+
+    With correlation k to that row, 1 - k^2 of the variance is left.
+    """
+    nearest = _squares(points, rows).min(axis=1).clip(0.0)
+    k = fall(-0.5 * nearest / length**2, rough=True)
+    return np.asarray(np.sqrt(1.0 - k**2))
 
 
 def _left_out_error(guess: Guess, unit: Floats, mean: Floats, some: Whole) -> float:

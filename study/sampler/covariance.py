@@ -19,6 +19,7 @@ A kernel is a sum of terms, each a variance times a shape:
 | roughness | t^2 (1 + q + q^2 / 3) exp(-q), q^2 = 5 sum_j (u_j - u'_j)^2 / L_j^2 | euclidean |
 | worlds | a^2 d . d', d being what each world adds to the mean over the worlds | worlds |
 | mean | v m m', m being the mean over the worlds | worlds |
+| guess | e^2 g g' times the shape of roughness, L shared, g being the gap to the rows | worlds |
 | shift | c^2 for all rows, where outcomes are in the unit of the costs | worlds |
 | similarity | s^2 K, of a pool (`study.sampler.similarity`) | similarity |
 
@@ -41,6 +42,10 @@ and the trials are few. So these scales share most of their prior:
 
 that is, they are learned as one scale, from which single parameters depart where trials
 ask for it.
+
+Points between the rows of a table have what rows near them cost in worlds. If these tell
+nothing of such points (`between.guess_error`), that counts as a cost of their own, which
+is 0 at a row, and which two points share that are near to each other.
 
 Parameter sets with equal features differ in cost, and no repetition would show it. Over
 features, noise is that spread, so it is expected to be large.
@@ -170,6 +175,20 @@ RANKING_SD = 0.5
 FEW_WORLDS = 10
 RANKING_OF_FEW = Constant(log(0.1), 1.0, SLOPE_BOUNDS)
 WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
+GUESS_SD = 0.5  # of the logarithms of e^2 and of its L: the table tells both
+
+
+@dataclass(frozen=True)
+class GuessError:
+    """What the rows' guess of a point between them may be off by.
+
+    Attributes:
+        variance: e^2, in table units squared.
+        length: L, in ranges of the parameters.
+    """
+
+    variance: float
+    length: float
 
 
 @dataclass(frozen=True)
@@ -184,6 +203,8 @@ class Term:
             scales share; 0: they are independent.
         rough: whether its shape is that of Matern 5/2; else it is a squared
             exponential.
+        gapped: whether its shape is multiplied by the first of the columns of both
+            rows, and is one of the others.
     """
 
     columns: range
@@ -191,6 +212,7 @@ class Term:
     scales: tuple[Constant, ...] = ()
     shared_sd: float = 0.0
     rough: bool = False
+    gapped: bool = False
 
 
 @dataclass(frozen=True)
@@ -267,7 +289,8 @@ class Covariance:
         k: Any = 0.0
         parts: list[tuple[float, Floats, Pull]] = []
         for term, variance, scales in self.valued(theta):
-            shape, pull = shape_of(seen_by(term, x), scales, rough=term.rough)
+            gap, seen = _gap_of(term, x)
+            shape, pull = shape_of(seen, scales, rough=term.rough, gap=gap)
             parts.append((variance, shape, pull))
             k = k + variance * shape
 
@@ -292,8 +315,9 @@ class Covariance:
         curved = []
         for term, variance, scales in self.valued(theta):
             if len(scales):
-                left = _left(_scaled(seen_by(term, a), scales)).T
-                curved.append((term, variance, scales, left))
+                own_gap, seen = _gap_of(term, a)
+                left = _left(_scaled(seen, scales)).T
+                curved.append((term, variance, scales, left, own_gap))
             else:
                 weights[term.columns.start : term.columns.stop] += variance
         used = np.flatnonzero(weights)
@@ -302,11 +326,14 @@ class Covariance:
 
         def cross(x: Floats) -> AnyFloats:
             total = (slopes @ x[:, straight].T).astype(precision, copy=False)
-            for term, variance, scales, left in curved:
-                half = left @ _right(_scaled(seen_by(term, x), scales))
+            for term, variance, scales, left, own_gap in curved:
+                gap, seen = _gap_of(term, x)
+                half = left @ _right(_scaled(seen, scales))
                 k = half.astype(precision, copy=False)
                 k = fall(k, rough=term.rough)
                 k *= variance
+                if own_gap is not None and gap is not None:
+                    k *= np.outer(own_gap, gap).astype(precision, copy=False)
                 total += k
             return total
 
@@ -316,8 +343,12 @@ class Covariance:
         """k(x, x) of rows [m, p], [m], or a number where it is the same for all."""
         total: Any = 0.0
         for term, variance, scales in self.valued(theta):
-            seen = seen_by(term, x)
-            shape = 1.0 if len(scales) else np.einsum("mp,mp->m", seen, seen)
+            gap, seen = _gap_of(term, x)
+            shape: Any = 1.0
+            if gap is not None:
+                shape = gap**2
+            elif not len(scales):
+                shape = np.einsum("mp,mp->m", seen, seen)
             total = total + variance * shape
         return total
 
@@ -330,6 +361,7 @@ def new_covariance(
     standardised: bool = True,
     is_familiar: bool = False,
     likeness: Constant = WORLD,
+    guess_error: GuessError | None = None,
 ) -> Covariance:
     """The covariance of rows with these columns.
 
@@ -341,6 +373,7 @@ def new_covariance(
         is_familiar: whether trials tell how far costs lie apart, so that no single one
             can turn the worlds' ranking round: it is then free to fit them.
         likeness: a^2, how much the machine may be like some worlds and unlike others.
+        guess_error: of points between rows; None: they count as if they were rows.
     """
     if kernel.related and not kernel.of_parameters:
         return Covariance((Term(columns.worlds, SIGNAL),), FEATURE_NOISE)
@@ -365,6 +398,11 @@ def new_covariance(
     if kernel.related:
         scales = (BEYOND_SCALE,) * len(nearby)
         terms.append(Term(nearby, BEYOND, scales, shared_sd=BEYOND_SHARED_SD))
+        if guess_error is not None:
+            variance = Constant(log(guess_error.variance), GUESS_SD, SIGNAL_BOUNDS)
+            scale = Constant(log(guess_error.length), GUESS_SD, PARAMETER_SCALE_BOUNDS)
+            seen = range(columns.gap.start, nearby.stop)
+            terms.append(Term(seen, variance, (scale,), rough=True, gapped=True))
         return Covariance(tuple(terms), WORLD_NOISE, standardised)
     if kernel.rough:
         scales = (ROUGH_SCALE,) * len(nearby)
@@ -382,11 +420,20 @@ def seen_by(term: Term, x: Floats) -> Floats:
     return x[:, term.columns.start : term.columns.stop]
 
 
-def shape_of(x: Floats, scales: Floats, *, rough: bool) -> tuple[Floats, Pull]:
+def _gap_of(term: Term, x: Floats) -> tuple[Floats | None, Floats]:
+    """The gap of rows [n, p], [n], if the term has one; the columns of its shape, [n, q]."""
+    seen = seen_by(term, x)
+    return (seen[:, 0], seen[:, 1:]) if term.gapped else (None, seen)
+
+
+def shape_of(
+    x: Floats, scales: Floats, *, rough: bool, gap: Floats | None = None
+) -> tuple[Floats, Pull]:
     """The shape of a term for all pairs of rows [n, q], and its pull by the log length scales.
 
     Without scales x . x'; else a function of r, the distance in length scales, whose
-    derivative by log l_j is its steepness times (x_j - x'_j)^2 / l_j^2.
+    derivative by log l_j is its steepness times (x_j - x'_j)^2 / l_j^2. With a gap [n]
+    all of it is multiplied by those of both rows.
     """
     if not len(scales):
         return x @ x.T, lambda weights: np.empty(0)
@@ -394,6 +441,10 @@ def shape_of(x: Floats, scales: Floats, *, rough: bool) -> tuple[Floats, Pull]:
     half = _left(scaled).T @ _right(scaled)
     steep = _matern_steepness(half) if rough else None
     value = np.asarray(fall(half, rough=rough), dtype=np.float64)
+    if gap is not None:
+        both = np.outer(gap, gap)
+        value *= both
+        steep = None if steep is None else steep * both
 
     def pull(weights: Floats) -> Floats:
         # sum_ij w_ij (s_i - s_j)^2 = sum_i s_i^2 (row + column) - 2 sum_ij s_i w_ij s_j

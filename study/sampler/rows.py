@@ -140,7 +140,8 @@ class Rows:
             if not isinstance(ensemble, Ensemble):
                 return Between(self.unit)
             beside = ensemble.columns.shape[1]
-            return Between(self.unit, ensemble.guess, beside=beside)
+            error = ensemble.guess_error
+            return Between(self.unit, ensemble.guess, beside=beside, error=error)
 
         return once(ensemble or self, "between", made)
 

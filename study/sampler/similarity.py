@@ -28,7 +28,7 @@ class Alike:
     def __init__(self, factor: Floats) -> None:
         self.parts = factor  # F, [m, r]
         self.mean = np.zeros(len(factor))  # none is expected to be better
-        nothing = np.zeros((len(factor), 2))  # neither a shift nor a mean
+        nothing = np.zeros((len(factor), 3))  # no shift, no mean, no gap
         self.columns = np.hstack([factor, nothing])  # as `transforms.Columns` has them
         self.kept: dict[Any, Any] = {}
 

@@ -31,9 +31,11 @@ class Columns:
     Attributes:
         features: of the candidates themselves.
         worlds: what each world adds to the mean over the worlds, or the factor of a
-            similarity; without either, this and the next two are empty.
+            similarity; without either, this and the next three are empty.
         one: a one in each row, whose multiple is the shift.
         mean: the mean over the worlds; 0 where only a similarity is known.
+        gap: how far a point is from the rows that tell what worlds cost there: 0 at a
+            row, 1 far from all.
         coordinates: of the parameters in the unit cube.
     """
 
@@ -41,12 +43,13 @@ class Columns:
     worlds: range
     one: range
     mean: range
+    gap: range
     coordinates: range
 
 
 def new_columns(features: int, coordinates: int, worlds: int | None = None) -> Columns:
     """The columns that follow from these counts; worlds None: nothing is known of any."""
-    beside = (0, 0, 0) if worlds is None else (worlds, 1, 1)
+    beside = (0, 0, 0, 0) if worlds is None else (worlds, 1, 1, 1)
     counts = (features, *beside, coordinates)
     ends = accumulate(counts)
     parts = zip(ends, counts, strict=True)

@@ -33,7 +33,8 @@ from numpy.typing import ArrayLike
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.between import Guess, chosen_guess, nearest_mean
+from study.sampler.between import Guess, chosen_guess, guess_error, nearest_mean
+from study.sampler.covariance import GuessError
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
     MOST,
@@ -271,13 +272,14 @@ class Ensemble:
         self.mean = own @ worlds.weights  # m, [m]
         self.parts = (own - self.mean[:, None]) * np.sqrt(worlds.weights)  # d, [m, w]
         # As `transforms.Columns` has them.
-        self.columns = np.column_stack([self.parts, np.ones(len(own)), self.mean])
+        shift, gap = np.ones(len(own)), np.zeros(len(own))
+        self.columns = np.column_stack([self.parts, shift, self.mean, gap])
         self.weights = worlds.weights
 
     def told(self, features: Floats) -> Floats:
         """What each world costs, [t, w], where points have these features, [t, k]."""
-        worlds, mean = len(self.names), features[:, -1]
-        parts = features[:, -2 - worlds : -2]
+        worlds, mean = len(self.names), features[:, -2]
+        parts = features[:, -3 - worlds : -3]
         return np.asarray(mean[:, None] + parts / np.sqrt(self.weights))
 
     @property
@@ -296,6 +298,13 @@ class Ensemble:
         if self._places is None:
             return nearest_mean
         return chosen_guess(self._places, self.mean)
+
+    @cached_property
+    def guess_error(self) -> GuessError | None:
+        """What `guess` may be off by; None where it tells something, or none is asked."""
+        if self._places is None or not self.in_costs:
+            return None
+        return guess_error(self.guess, self._places, self.mean)
 
     @property
     def is_smooth(self) -> bool:
