@@ -84,6 +84,7 @@ class Model:
         elsewhere: e trials of other studies, whose limits alone count; None: none.
         limits_elsewhere: the constraints of these, [e, c]; None without them.
         refits: up to how many trials constants are learned anew after how many.
+        off_grid: whether points between the rows of a table are candidates, too.
     """
 
     kernel: Kernel
@@ -98,6 +99,7 @@ class Model:
     elsewhere: Points | None = None
     limits_elsewhere: Floats | None = None
     refits: Sequence[tuple[float, int]] = REFITS
+    off_grid: bool = False
     _in_sight: bool | None = field(default=None, init=False)  # a success; not yet asked
 
     @cached_property
@@ -254,7 +256,9 @@ class Model:
     @property
     def _guess_error(self) -> GuessError | None:
         """What the table's guess between its rows may be off by, in the unit of costs."""
-        return None if self._in_costs is None else self._in_costs.guess_error
+        if self._in_costs is None or not self.off_grid:
+            return None
+        return self._in_costs.guess_error
 
     def _look_alike(self, worlds: Ensemble) -> bool:
         """Whether trials have succeeded whose differences the table's unit hides."""

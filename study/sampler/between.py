@@ -166,18 +166,17 @@ def chosen_guess(unit: Floats, mean: Floats) -> Guess:
     return kriging if errors[0] < LARGEST_SHARE * errors[1] else nearest_mean
 
 
-def guess_error(guess: Guess, unit: Floats, mean: Floats) -> GuessError | None:
-    """What a guess may be off by; None where it tells something of the best rows [m, e].
+def guess_error(unit: Floats, mean: Floats) -> GuessError | None:
+    """What the nearest rows' mean may be off by; None where it tells something of the best rows.
 
     Args:
-        guess: the table's.
         unit: the rows, [m, e].
         mean: what is guessed, in standard deviations of the table, [m].
     """
     if len(mean) < LEAST_TAUGHT:
         return None
     best = np.argsort(mean, kind="stable")[:BEST_ROWS]
-    error = _left_out_error(guess, unit, mean, best)
+    error = _left_out_error(nearest_mean, unit, mean, best)
     if error < WORTHLESS:
         return None
     squares = _squares(unit[best], unit)

@@ -210,6 +210,7 @@ class Policy:
             success=None if success is None else history.sign * success,
             elsewhere=elsewhere,
             limits_elsewhere=None if elsewhere is None else limits[n:],
+            off_grid=bool(self.options.off_grid),
         )
 
     def of_turn(self, model: Model, turn: int) -> Model:

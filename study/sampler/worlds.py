@@ -304,7 +304,9 @@ class Ensemble:
         """What `guess` may be off by; None where it tells something, or none is asked."""
         if self._places is None or not self.in_costs:
             return None
-        return guess_error(self.guess, self._places, self.mean)
+        error = guess_error(self._places, self.mean)
+        # To ask whether costs are smooth takes long.
+        return None if error is None or self.is_smooth else error
 
     @property
     def is_smooth(self) -> bool:

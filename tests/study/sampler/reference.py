@@ -58,7 +58,8 @@ def of_covariance(covariance, theta):
     """The same kernel of scikit-learn's with these constants and the same bounds."""
     total = None
     for term, variance, scales in covariance.valued(theta):
-        columns = slice(term.columns.start, term.columns.stop)
+        first = term.columns.start
+        columns = slice(first + term.gapped, term.columns.stop)
         if len(scales):
             limits = term.scales[0].bounds
             lengths = scales[0] if len(scales) == 1 else scales
@@ -70,6 +71,10 @@ def of_covariance(covariance, theta):
             inner = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
         factor = kernels.ConstantKernel(variance, term.variance.bounds)
         product = kernels.Product(factor, Columns(inner, columns))
+        if term.gapped:
+            linear = kernels.DotProduct(sigma_0=0.0, sigma_0_bounds="fixed")
+            gap = Columns(linear, slice(first, first + 1))
+            product = kernels.Product(gap, product)
         total = product if total is None else kernels.Sum(total, product)
     return total + kernels.WhiteKernel(np.exp(theta[-1]), covariance.noise.bounds)
 

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 
 from study import FeatureTable
 from study.sampler import between, gp
-from study.sampler.covariance import EUCLIDEAN, new_covariance
+from study.sampler.covariance import EUCLIDEAN, GuessError, fall, new_covariance
 from study.sampler.transforms import new_columns
 from study.sampler.worlds import Ensemble
 
@@ -133,3 +133,65 @@ def test_a_table_decides_once_and_not_for_goals_that_are_drawn():
     drawn = Ensemble(rows.worlds, costs)
     assert rows.between(drawn).guess is between.nearest_mean
     assert ensemble.is_smooth and not drawn.is_smooth
+
+
+# The best rows lie anywhere, each alone: those around it cost what the table does.
+ALONE = np.where(RNG.random(400) < 0.1, -4.0 + 0.1 * RNG.random(400), 1.0)
+
+
+def test_a_guess_is_doubted_where_it_is_off_by_more_than_costs_differ():
+    alone = (ALONE - ALONE.mean()) / ALONE.std()
+    best = np.argsort(alone, kind="stable")[: between.BEST_ROWS]
+    errors, nearest = [], []
+    for row in best:
+        others = np.arange(len(alone)) != row
+        x, place = UNIT[others], UNIT[row][None]
+        errors.append(between.nearest_mean(x, alone[others, None], place) - alone[row])
+        nearest.append(cdist(place, x).min())
+    found = between.guess_error(UNIT, alone)
+    assert found is not None and found.variance > 1.0
+    assert_allclose(found.variance, np.mean(np.square(errors)))
+    assert_allclose(found.length, np.median(nearest) / 2.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "mean",
+    [
+        pytest.param(BOWL / BOWL.std(), id="smooth"),
+        pytest.param(np.zeros(400), id="equal"),
+        pytest.param(ALONE[: between.LEAST_TAUGHT - 1], id="few rows"),
+    ],
+)
+def test_a_guess_that_tells_something_is_believed(mean):
+    assert between.guess_error(UNIT[: len(mean)], mean) is None
+
+
+def test_the_gap_is_none_at_a_row_and_grows_with_the_distance():
+    columns = np.column_stack([BOWL, np.zeros(400)])
+    error = GuessError(1.0, 0.05)
+    rows = between.Between(UNIT, beside=2, error=error)
+    step = np.array([1.0, 0.0, 0.0])
+    away = np.array([0.0, 0.01, 0.03, 40.0])
+    points = UNIT[7] + away[:, None] * step
+    found = rows.at(columns, points, UNIT[7][None])
+    plain = between.Between(UNIT, beside=2).at(columns, points, UNIT[7][None])
+    assert_allclose(found[:, 0], plain[:, 0])
+    assert_allclose(plain[:, 1], 0.0)
+    nearest = cdist(points, UNIT).min(axis=1)
+    k = fall(-0.5 * (nearest / error.length) ** 2, rough=True)
+    assert_allclose(found[:, 1], np.sqrt(1.0 - k**2), atol=1e-6)
+    assert found[0, 1] < 1e-3 and found[-1, 1] == 1.0
+    assert (np.diff(found[:, 1]) > 0.0).all()
+
+
+def test_only_a_table_of_costs_doubts_its_guess_and_a_row_is_as_it_was():
+    parameters = {f"x{column}": UNIT[:, column] for column in range(D)}
+    outcomes = 5.0 + np.column_stack([ALONE, ALONE])
+    table = FeatureTable.from_arrays(parameters, outcomes=outcomes)
+    ensemble = table.rows.ensemble(np.ones(1))
+    assert ensemble.guess_error is not None
+    assert table.rows.between(ensemble).error == ensemble.guess_error
+    assert_allclose(ensemble.columns[:, -1], 0.0)
+    ranked = FeatureTable.from_arrays(parameters, outcomes=outcomes, better="lower")
+    assert ranked.rows.ensemble(np.ones(1)).guess_error is None
+    assert Ensemble(table.rows.worlds, outcomes).guess_error is None  # drawn goals

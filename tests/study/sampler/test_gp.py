@@ -11,6 +11,8 @@ from study.sampler.transforms import Points, new_columns
 from tests.study.sampler import reference
 
 LAYOUT = (3, 4, 4)  # features, coordinates, parameters
+GAPPED = "worlds, with gaps"  # its three features are a one, a mean and a gap
+KINDS = (*reference.FORMS, GAPPED)
 EXACT = 1e-8
 FAST = 1e-4  # of the prior's scale
 X = np.random.default_rng(0).standard_normal((12, 7))
@@ -18,6 +20,12 @@ X = np.random.default_rng(0).standard_normal((12, 7))
 
 def covariance_of(form, layout=LAYOUT):
     features, coordinates, parameters = layout
+    if form == GAPPED:
+        columns = new_columns(0, coordinates, worlds=0)
+        error = kinds.GuessError(1.5, 0.3)
+        return kinds.new_covariance(
+            kinds.WITH_WORLDS, columns, parameters, guess_error=error
+        )
     columns = new_columns(features, coordinates)
     return kinds.new_covariance(reference.FORMS[form], columns, parameters)
 
@@ -41,7 +49,7 @@ def trials(count, seed):
 
 
 # Kernels.
-@pytest.mark.parametrize("form", reference.FORMS)
+@pytest.mark.parametrize("form", KINDS)
 def test_kernels_are_scikit_learns(form):
     ours = covariance_of(form)
     theta = ours.start + np.linspace(-1.0, 1.0, len(ours.start))
@@ -133,7 +141,7 @@ def test_a_ranking_by_few_worlds_is_less_sure():
 
 
 # Likelihood and constants.
-@pytest.mark.parametrize("form", reference.FORMS)
+@pytest.mark.parametrize("form", KINDS)
 def test_the_misfit_and_its_gradient_are_scikit_learns(form):
     covariance = covariance_of(form)
     for seed, count in enumerate((1, 2, 9, 40, 120)):
@@ -152,7 +160,7 @@ def test_the_misfit_and_its_gradient_are_scikit_learns(form):
 
 
 @pytest.mark.parametrize("count", [1, 2, 8, 30, 31, gp.LIKELIHOOD_TRIALS])
-@pytest.mark.parametrize("form", reference.FORMS)
+@pytest.mark.parametrize("form", KINDS)
 def test_the_constants_are_those_that_scikit_learn_finds(form, count):
     covariance = covariance_of(form)
     x, y = trials(count, seed=count)
@@ -199,7 +207,7 @@ def oracle(posterior, candidates):
 @pytest.mark.parametrize(
     ("form", "count"),
     [
-        *((form, 40) for form in reference.FORMS),
+        *((form, 40) for form in KINDS),
         *(("euclidean", n) for n in (1, 2, 7, 1000)),
     ],
 )
@@ -228,7 +236,7 @@ def assert_near(
     assert np.max(np.abs(found[1] - variance) / prior) < tolerance
 
 
-@pytest.mark.parametrize("form", reference.FORMS)
+@pytest.mark.parametrize("form", KINDS)
 def test_in_32_bits_it_is_near_by_the_priors_scale_noise_included(form):
     candidates = some_points(2 * gp.BLOCK + 17, seed=2)
     posterior = fitted(covariance_of(form), 100)

@@ -17,6 +17,7 @@ from scipy.stats import multivariate_normal, norm
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import space as spaces
 from study.sampler.acquisition import FAMILIAR, FEW_SUCCESSES
+from study.sampler.between import guess_error
 from study.sampler.covariance import DOUBTED, WITH_WORLDS, WORLD
 from study.sampler.history import OFF_TABLE
 from study.sampler.policy import ROWS_TRIED, rows_fail
@@ -215,7 +216,8 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
 ):
     """The ranking then fits them as freely as they ask, and worlds count if these ask for it.
 
-    Before, nobody asks whether costs are smooth: to learn that takes long.
+    Before, nobody asks whether costs are smooth, which takes long to learn, but where the
+    nearest rows tell nothing.
     """
     study, best = study_of(table(FALLS), success=1.0), COSTS.min()
     values = [40.0, best, *np.linspace(best, best + value, FEW_SUCCESSES)[1:]]
@@ -225,7 +227,8 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
         model = study.sampler._policy.present(study).model
         if number < FEW_SUCCESSES:
             assert model.posterior and model.in_table_units
-            assert "guess" not in vars(model.ensemble)
+            is_asked = "guess" in vars(model.ensemble)
+            assert is_asked is (guess_error(ROWS, model.ensemble.mean) is not None)
     assert model.in_table_units is not is_hidden
     likeness, ranking, *_ = model.posterior.covariance.terms
     assert likeness.variance == (DOUBTED if is_hidden else WORLD)
