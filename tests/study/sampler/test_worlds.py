@@ -19,7 +19,7 @@ from study.sampler import space as spaces
 from study.sampler.acquisition import FAMILIAR, FEW_SUCCESSES
 from study.sampler.between import guess_error
 from study.sampler.covariance import DOUBTED, WITH_WORLDS, WORLD
-from study.sampler.history import OFF_TABLE
+from study.sampler.history import OFF_TABLE, placed
 from study.sampler.policy import ROWS_TRIED, rows_fail
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
@@ -234,6 +234,23 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
     assert likeness.variance == (DOUBTED if is_hidden else WORLD)
     assert ranking.variance.mode == pytest.approx(0.0 if is_hidden else np.log(0.1))
     assert_allclose(model.in_units(model.cost()), values)
+
+
+def test_where_rows_tell_nothing_of_points_between_them_these_are_unsure():
+    """Without such points as candidates the model is as it was; at a row it always is."""
+    (x, y), sd = ROWS[0], {}
+    asked = [{"x": x + step, "y": 100.0**y} for step in (0.0, 0.03)]
+    for off_grid in (0, 100):
+        study = study_of(table(FALLS), success=1.0, off_grid=off_grid)
+        for x, y in ROWS[:3]:
+            told(study, SPACE, {"x": x, "y": 100.0**y}, 50.0)
+        policy = study.sampler._policy
+        model = policy.present(study).model
+        assert model.posterior.covariance.terms[-1].gapped is (off_grid > 0)
+        seen = policy._seen(placed(policy.rows, asked), model.ensemble)
+        sd[off_grid] = np.sqrt(model.posterior.predict(model.visible(seen))[1])
+    assert_allclose(sd[100][0], sd[0][0], rtol=0.1)
+    assert sd[100][1] > 2.0 * sd[0][1]
 
 
 def test_the_table_is_left_after_five_rows_that_failed_behind_a_success():
