@@ -26,7 +26,7 @@ from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
 from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.calibration import Errors, past_errors
-from study.sampler.covariance import ADDITIVE, NEARNESS, Kernel
+from study.sampler.covariance import ADDITIVE, FEW_WORLDS, NEARNESS, Kernel
 from study.sampler.draws import Purpose, generator
 from study.sampler.goals import Goals
 from study.sampler.history import (
@@ -248,14 +248,20 @@ class Policy:
             warnings.warn(message, UserWarning, stacklevel=2)
 
 
-def ranking_goes_on(ensemble: Ensemble, *, has_failed: bool) -> bool:
+def ranking_goes_on(ensemble: Ensemble, options: Options, *, has_failed: bool) -> bool:
     """Whether the second and third trials still follow the ranking by mean costs in worlds.
 
     Of smooth costs, or of one world, they do: they tell how far the robot is from all
     worlds. Of others the first trial tells enough. But if it failed where a success is
     to be had, they do, too: two falls do not yet tell which worlds a robot is like.
+    And where few worlds tell nothing of points between the rows, a success is no reason
+    to leave the rows for these.
     """
-    return has_failed or len(ensemble.names) == 1 or ensemble.is_smooth
+    if has_failed or len(ensemble.names) == 1 or ensemble.is_smooth:
+        return True
+    are_few = len(ensemble.names) < FEW_WORLDS
+    leaves_rows = options.off_grid > 0
+    return leaves_rows and are_few and ensemble.guess_error is not None
 
 
 def rows_fail(model: Model, rows: Whole) -> bool:

@@ -332,7 +332,7 @@ class TablePolicy(Policy):
         ensemble = self._ensemble(history)
         assert isinstance(ensemble, Ensemble)
         has_failed = success is not None and history.cost.min() > history.sign * success
-        return ranking_goes_on(ensemble, has_failed=has_failed)
+        return ranking_goes_on(ensemble, self.options, has_failed=has_failed)
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows, compared = self.rows, self.compared(study)
