@@ -195,3 +195,5 @@ def test_only_a_table_of_costs_doubts_its_guess_and_a_row_is_as_it_was():
     ranked = FeatureTable.from_arrays(parameters, outcomes=outcomes, better="lower")
     assert ranked.rows.ensemble(np.ones(1)).guess_error is None
     assert Ensemble(table.rows.worlds, outcomes).guess_error is None  # drawn goals
+    single = FeatureTable.from_arrays(parameters, outcomes=outcomes[:, :1])
+    assert single.rows.ensemble(np.ones(1)).guess_error is None
