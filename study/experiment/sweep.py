@@ -70,7 +70,7 @@ def read_swept(word: str) -> Swept:
     """What a user wrote, as `FORM`.
 
     Raises:
-        InputError: another form, no numbers, or a range that never ends.
+        InputError: another form, no numbers, or a range that never ends or misses its stop.
     """
     key, _, given = word.partition("=")
     parts = given.split(":")
@@ -87,11 +87,14 @@ def read_swept(word: str) -> Swept:
 
 
 def _range(word: str, start: float, stop: float, step: float) -> list[float]:
-    """From start to stop, which is one of them where a step ends there: in decimals."""
+    """From start to stop, both of which are among them: in decimals."""
     first, last, by = (Decimal(str(number)) for number in (start, stop, step))
     steps = (last - first) / by if by else Decimal(-1)
     if steps < 0:
         allowed = "a step that leads from the start to the stop: this range never ends"
+        raise InputError("over", word, allowed)
+    if steps < MOST_VALUES and steps % 1:
+        allowed = f"a step that ends at {stop:g}, or values with commas between them"
         raise InputError("over", word, allowed)
     count = int(min(steps, Decimal(MOST_VALUES))) + 1
     return [float(first + by * number) for number in range(count)]

@@ -25,9 +25,9 @@ Floats = NDArray[np.float64]
 
 QUARTILES = (0.25, 0.5, 0.75)
 WORDS = """\
-`{arm}` tuned {robots} robots anew at each value of `{key}`, {trials} trials each; the robots are \
-the same at all values. Costs are {cost}, of the best trial: quartiles over robots. `best.csv` has \
-all numbers of the best trial of each robot."""
+`{arm}` tuned {robots} robots anew at each value of `{key}`, {trials} trials each; the \
+configuration's seed draws the robots. Costs are {cost}, of the best trial: quartiles over robots. \
+`best.csv` has all numbers of the best trial of each robot."""
 BESIDE = """\
 Medians over the best trials that walk. People: mean and two standard deviations to both sides, of \
 walking at their own pace on level ground (Winter 1991; steps a minute: Bae et al. 2024); `-`: no \

@@ -17,7 +17,7 @@ KEY = "body.disturbance"
     ("word", "values"),
     [
         ("1:0:-0.25", (1, 0.75, 0.5, 0.25, 0)),
-        ("0:1:0.3", (0, 0.3, 0.6, 0.9)),
+        ("0:0.9:0.3", (0, 0.3, 0.6, 0.9)),
         ("0.1:0.3:0.1", (0.1, 0.2, 0.3)),  # as they are written, to the last bit
         ("2:2:1", (2,)),
         ("1,0.5,1", (1, 0.5)),
@@ -39,6 +39,13 @@ def test_at_most_a_hundred_values():
     assert len(read_swept("a=1:100:1").values) == 100
     with refused("at most 100 values"):
         read_swept("a=0:100:1")
+    with refused("at most 100 values"):
+        read_swept("a=0:1e60:1")
+
+
+def test_a_range_ends_at_its_stop():
+    with refused("over: 'a=1:0:-0.3' .* a step that ends at 0"):
+        read_swept("a=1:0:-0.3")
 
 
 class Sweep:
