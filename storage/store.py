@@ -443,6 +443,9 @@ def open_store(
     path = Path(path)
     manifest: Manifest | None = None
     files: tuple[Path, ...] = (path,)
+    if not path.exists():
+        allowed = "a store, which `precompute` makes (No such file or directory)"
+        raise InputError("store", str(path), allowed)
     if is_folder(path):
         shards = tuple(sorted(path.glob(SHARD_PATTERN))) if unfinished else ()
         if shards and not (path / MANIFEST_NAME).exists():  # which is written last

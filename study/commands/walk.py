@@ -19,6 +19,7 @@ from storage.inputs.errors import InputError
 from storage.store import open_store
 from study.experiment.features import WORLDS, feature_table, front_of
 from study.experiment.gains import (
+    SPEED_TOLERANCE_MPS,
     TRIAL,
     NamedGains,
     gains_of_row,
@@ -174,6 +175,29 @@ def read(args: Namespace) -> WalkerExperiment:
         return experiment
     first = ENGINES[0] if args.engine == BOTH_ENGINES else args.engine
     return experiment.with_settings(engine=first)
+
+
+def warn_of_elsewhere(args: Namespace, experiment: WalkerExperiment) -> None:
+    """Say where a trial was made, if it walks somewhere else now: its numbers are others."""
+    named = TRIAL.fullmatch(args.trial or "")
+    if named is None:
+        return
+    made, _, run, _ = named.groups()
+    if (made, int(run)) != (experiment.name, args.run):
+        here = f"{experiment.name}, run {args.run}"
+        line = f"trial: made in {made}, run {int(run)}, and walks in {here}"
+        print(f"warning: {line} (--config, --run)", file=sys.stderr)
+
+
+def warn_of_speed(args: Namespace, result: taichi_nmm.Result) -> None:
+    """Say if a walk misses the speed that its row has in the store, whose worlds are others."""
+    speeds: list[float] = [*(args.speed or [])]
+    if len(speeds) != 1:
+        return
+    found = known_numbers(result.rows[0])["mean_speed_mps"]
+    if found is not None and abs(found - speeds[0]) > SPEED_TOLERANCE_MPS:
+        line = f"the row has {speeds[0]:g} m/s in the store, and {found:.2f} here"
+        print(f"warning: speed: {line}", file=sys.stderr)
 
 
 def simulate(
@@ -353,6 +377,7 @@ def main(args: Namespace) -> None:
         checks.number(SHORTEST_TRIAL_S, LONGEST_TRIAL_S)("duration", args.duration)
     checks.number(0.0, LONGEST_MOVIE_S)("movie-seconds", args.movie_seconds)
     experiment = read(args)
+    warn_of_elsewhere(args, experiment)
     folder = prepared_folder(gains, experiment, args)
     engines = [experiment.conditions.settings.engine]
     if args.engine == BOTH_ENGINES:
@@ -367,6 +392,7 @@ def main(args: Namespace) -> None:
         drawn = AFTER
         walks = {BEFORE: simulate(before, experiment, args.run), AFTER: after}
     result = walks[drawn]
+    warn_of_speed(args, result)
     terrain = experiment.terrain(args.run)
     mass_kg = float(experiment.body(args.run).mass_kg.sum())
     name = f"{gains.name} on {terrain.name}"

@@ -107,7 +107,7 @@ def without_a_column(folder):
 
 
 REFUSED = {
-    "no folder": (shutil.rmtree, "No such file"),
+    "no folder": (shutil.rmtree, "which `precompute` makes .No such file"),
     "no manifest": (
         lambda folder: (folder / "manifest.json").unlink(),
         "a finished store",

@@ -8,7 +8,9 @@ from xml.etree import ElementTree
 
 import imageio_ffmpeg
 import mujoco
+import optuna
 import pytest
+from optuna.distributions import FloatDistribution
 
 from storage.store import columns_of, open_store
 from storage.tables import document_hash, write_table
@@ -116,6 +118,20 @@ def walk(tmp_path, tool, simulator, monkeypatch):
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
+def test_a_trial_that_walks_elsewhere_than_it_was_made_is_told(walk, tmp_path, tool):
+    """Its cost would be taken for that of the study."""
+    url = f"sqlite:///{tmp_path}/live.db"
+    study = optuna.create_study(study_name="rough8/dog/run-002", storage=url)
+    spans = {name: FloatDistribution(-100.0, 100.0) for name in WALKS}
+    study.add_trial(optuna.create_trial(params=WALKS, distributions=spans, value=1.0))
+    of_trial = "--trial", "rough8/dog/run-002/0", "--storage", url
+    walk(*of_trial)
+    told = "warning: trial: made in rough8, run 2, and walks in flat, run 0"
+    assert told in tool.err
+    walk(*of_trial, "--config", ROUGH8, "--run", 2)
+    assert "warning" not in tool.err
+
+
 def test_a_result_is_taken_as_gains_and_low_level_gains_count(walk, tmp_path):
     first = walk("--gains", gains_file(tmp_path, FALLS | {"theta_ref": 0.2}))
     assert walk("--gains", gains_file(tmp_path, first)) == first
@@ -221,10 +237,13 @@ def test_a_store_without_the_motors_energy_says_so(walk, tool, tmp_path):
     for least, found in ((ENERGY, both), (OF_MUSCLES, muscles)):
         row = row_at_speed(store, 1.1, least)
         assert found == gains_of_row(store, row).as_document()
-    assert muscles != both and "warning" not in tool.err
+    assert muscles != both and "lacks" not in tool.err
+    assert (
+        tool.err == "warning: speed: the row has 1.1 m/s in the store, and 0.97 here\n"
+    )
     assert gains("--store", old) == muscles
     assert tool.err.startswith(f"warning: {old} lacks {ENERGY}, ")
-    assert tool.err.count("\n") == 1
+    assert tool.err.count("\n") == 2
 
 
 def test_the_front_of_a_store_is_listed(tmp_path, tool, simulator):
