@@ -14,7 +14,7 @@ from storage.commit import commit_json
 from storage.inputs import checks
 from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
-from storage.inputs.reading import is_folder, json_document, reading
+from storage.inputs.reading import is_folder, is_there, json_document, reading
 from storage.simulator import (
     PARAMETERS_KEY,
     SIMULATOR_KEY,
@@ -443,7 +443,7 @@ def open_store(
     path = Path(path)
     manifest: Manifest | None = None
     files: tuple[Path, ...] = (path,)
-    if not path.exists():
+    if not is_there(path):
         allowed = "a store, which `precompute` makes (No such file or directory)"
         raise InputError("store", str(path), allowed)
     if is_folder(path):

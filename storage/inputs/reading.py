@@ -107,6 +107,11 @@ def is_folder(path: str | Path) -> bool:
     return os.path.isdir(path)  # noqa: PTH112  (pathlib raises for such a name)
 
 
+def is_there(path: str | Path) -> bool:
+    """Whether anything has this name; of a name that no file can have, nothing does."""
+    return os.path.exists(path)  # noqa: PTH110
+
+
 def is_file(path: str | Path) -> bool:
     """Whether it is a regular file; a name that no file can have is none."""
     return os.path.isfile(path)  # noqa: PTH113
