@@ -169,7 +169,7 @@ def chosen_guess(unit: Floats, mean: Floats) -> Guess:
     return kriging if errors[0] < LARGEST_SHARE * errors[1] else nearest_mean
 
 
-def guess_error(unit: Floats, mean: Floats) -> GuessError | None:
+def error_of_guess(unit: Floats, mean: Floats) -> GuessError | None:
     """What the nearest rows' mean may be off by; None where it tells something of the best rows.
 
     Args:

@@ -44,7 +44,7 @@ that is, they are learned as one scale, from which single parameters depart wher
 ask for it.
 
 Points between the rows of a table have what rows near them cost in worlds. If these tell
-nothing of such points (`between.guess_error`), that counts as a cost of their own, which
+nothing of such points (`between.error_of_guess`), that counts as a cost of their own, which
 is 0 at a row, and which two points share that are near to each other.
 
 Parameter sets with equal features differ in cost, and no repetition would show it. Over

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.between import Guess, chosen_guess, guess_error, nearest_mean
+from study.sampler.between import Guess, chosen_guess, error_of_guess, nearest_mean
 from study.sampler.covariance import GuessError
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
@@ -307,7 +307,7 @@ class Ensemble:
         # One world falls for reasons of its own: the robot need not be as jagged there.
         if len(self.names) == 1:
             return None
-        error = guess_error(self._places, self.mean)
+        error = error_of_guess(self._places, self.mean)
         # To ask whether costs are smooth takes long.
         return None if error is None or self.is_smooth else error
 

@@ -148,7 +148,7 @@ def test_a_guess_is_doubted_where_it_is_off_by_more_than_costs_differ():
         x, place = UNIT[others], UNIT[row][None]
         errors.append(between.nearest_mean(x, alone[others, None], place) - alone[row])
         nearest.append(cdist(place, x).min())
-    found = between.guess_error(UNIT, alone)
+    found = between.error_of_guess(UNIT, alone)
     assert found is not None and found.variance > 1.0
     assert_allclose(found.variance, np.mean(np.square(errors)))
     assert_allclose(found.length, np.median(nearest) / 2.0, rtol=1e-6)
@@ -163,7 +163,7 @@ def test_a_guess_is_doubted_where_it_is_off_by_more_than_costs_differ():
     ],
 )
 def test_a_guess_that_tells_something_is_believed(mean):
-    assert between.guess_error(UNIT[: len(mean)], mean) is None
+    assert between.error_of_guess(UNIT[: len(mean)], mean) is None
 
 
 def test_the_gap_is_none_at_a_row_and_grows_with_the_distance():

@@ -17,7 +17,7 @@ from scipy.stats import multivariate_normal, norm
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import space as spaces
 from study.sampler.acquisition import FAMILIAR, FEW_SUCCESSES
-from study.sampler.between import guess_error
+from study.sampler.between import error_of_guess
 from study.sampler.covariance import DOUBTED, WITH_WORLDS, WORLD
 from study.sampler.history import OFF_TABLE, placed
 from study.sampler.policy import ROWS_TRIED, rows_fail
@@ -234,7 +234,7 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
         if number < FEW_SUCCESSES:
             assert model.posterior and model.in_table_units
             is_asked = "guess" in vars(model.ensemble)
-            assert is_asked is (guess_error(ROWS, model.ensemble.mean) is not None)
+            assert is_asked is (error_of_guess(ROWS, model.ensemble.mean) is not None)
     assert model.in_table_units is not is_hidden
     likeness, ranking, *_ = model.posterior.covariance.terms
     assert likeness.variance == (DOUBTED if is_hidden else WORLD)
