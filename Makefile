@@ -16,7 +16,7 @@ BIN := .venv/bin
 PARALLEL := --numprocesses auto --dist loadfile
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: quickstart compare sweep-limp results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
+.PHONY: quickstart compare sweep-limp sweep-exo sweep-speed results test test-fast test-campaign fuzz docs dist lint hooks store store-worlds store-stairs store-speed store-exo store-exo-hip store-exo-effort store-prosthesis
 
 quickstart: .venv/installed
 	$(BIN)/python tools/quickstart.py
@@ -45,11 +45,17 @@ compare-prosthesis-known: store-prosthesis
 sweep-limp: $(STORES)
 	$(BIN)/python tools/sweep.py --config outside-limp --over world.muscles.SOL_left=1:0:-0.1 --runs 10 --trials 30
 
+sweep-exo: store-exo
+	$(BIN)/python tools/sweep.py --config exo --over world.exoskeleton.power_w=10,25,50,100,200,400 --runs 10 --trials 15
+
+sweep-speed: store-speed
+	$(BIN)/python tools/sweep.py --config speed-12 --over objective.terms.mean_speed_mps.target=1,1.2,1.4 --runs 5 --trials 20
+
 compare: $(STORES)
 	$(BIN)/python tools/compare.py --config rough8-smooth
 	$(BIN)/python tools/report.py out/compare/rough8-smooth
 
-results: $(addprefix compare-,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) sweep-limp
+results: $(addprefix compare-,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) sweep-limp sweep-exo sweep-speed
 	$(BIN)/python tools/report.py $(addprefix out/compare/,$(PAPER) $(STAIRS) $(OUTSIDE) $(MUJOCO) $(SPEED) exo exo-hip exo-effort) --out out/results
 
 test: .venv/test-compiled
