@@ -61,7 +61,7 @@ def test_reference_gait_is_humanlike_and_its_score_the_sum_of_its_components(wal
     assert row["flight_fraction"] == 0.0
     assert np.deg2rad(4) < row["trunk_mean_rad"] < np.deg2rad(9)
     step_m = row["step_duration_mean_s"] * row["mean_speed_mps"]
-    assert step_m == pytest.approx(row["step_length_mean_m"], rel=0.15)
+    assert 0.9 * step_m < row["step_length_mean_m"] < step_m  # between ankles
     binary = row["m1_sum"] + row["m2_sum"] + row["m3_sum"] + row["m4_sum"]
     assert row["phi_printed"] == pytest.approx(binary + row["m5_sum_mps"])
     assert row["phi_corrected"] == pytest.approx(binary + row["m5_corrected_sum"])

@@ -135,6 +135,8 @@ def test_a_store_opens_with_all_its_rows(page, store):
     assert page.evaluate("named('count').text") == f"{rows} of {rows} rows"
     image = "named('cloud').renderers[0].data_source.data.image[0]"
     assert page.evaluate(f"{image}.some((pixel) => pixel !== 0)")
+    step_length = page.evaluate("named('column-4').description")
+    assert "from the other ankle to that of the foot that strikes" in step_length
 
 
 def test_a_brush_filters_the_table_and_the_histograms(page, store):
