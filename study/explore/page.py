@@ -212,5 +212,5 @@ def title_of(store: Store, path: Path) -> str:
     """Of a tab: where the rows are, how many, and of what."""
     rows = store.ROW if len(store) == 1 else f"{store.ROW}s"
     title = f"{path}: {len(store):,} {rows}"
-    of = store.path.name if isinstance(store, Trials) else store.simulator
+    of = store.study if isinstance(store, Trials) else store.simulator
     return title if of == WALKER else f"{title} of {of}"

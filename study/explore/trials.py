@@ -44,6 +44,7 @@ class Trials(Store):
 
     Attributes:
         ROW: name of the column of the trials' numbers.
+        study: its name, with which `walk --trial STUDY/NUMBER` begins.
         rows: the table, a row a trial.
         best: number of the best trial, by its first value.
         document: of the walker's experiment, and the study's "run"; empty: unknown.
@@ -54,6 +55,7 @@ class Trials(Store):
 
     ROW: ClassVar[str] = TRIAL
 
+    study: str
     rows: pa.Table
     best: int
     document: Tables
@@ -138,6 +140,7 @@ def _read(storage: optuna.storages.BaseStorage, file: Path, name: str | None) ->
             "gains": dict.fromkeys(parameters),
             "fixed_gains": fixed,
         },
+        study=name,
         rows=table,
         best=best,
         document=document,
