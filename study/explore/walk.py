@@ -57,6 +57,15 @@ NONE: Tables = {}
 CHANGED = {"body", "terrain", "world", "simulation"}  # what may be laid over a setting
 
 
+def chosen_robot(disturbance: str, world: str, own: Tables) -> Tables:
+    """The tables `body` and `world` of the page's choices, as `chosen_setting` takes them."""
+    masses = {"disturbance": DISTURBANCES.get(disturbance)}
+    return {
+        "body": own["body"] if disturbance == OWN else masses,
+        "world": own.get("world", {}) if world == OWN else WORLDS[world],
+    }
+
+
 def chosen_setting(
     *,
     ground: str,
@@ -88,11 +97,8 @@ def chosen_setting(
         "seed": seed,
         "runs": own.get("run", 0) + 1,
         "simulation": {**simulation, "duration_s": duration_s},
-        "body": own["body"]
-        if disturbance == OWN
-        else {"disturbance": DISTURBANCES[disturbance]},
         "terrain": own["ground"] if ground == OWN else {**GROUNDS, **files}[ground],
-        "world": own.get("world", {}) if world == OWN else WORLDS[world],
+        **chosen_robot(disturbance, world, own),
     }
     return experiment_of(Table(laid_over(tables, dict(changes))), NAME)
 

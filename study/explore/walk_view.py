@@ -197,6 +197,8 @@ class WalkView:
         self._refusal.tell("")
         chosen = {name: choice.value for name, choice in self._choices.items()}
         chosen["duration_s"] = float(chosen["duration_s"].removesuffix(" s"))
+        robot = chosen["disturbance"], chosen["world"], self._own
+        self._what_if.lie_on(walking.chosen_robot(*robot))
         setting = walking.chosen_setting(
             **chosen, own=self._own, files=self._files, changes=self._what_if.tables
         )

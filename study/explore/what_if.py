@@ -1,7 +1,8 @@
 """What a configuration may say of body, ground and world, as controls and as its lines.
 
 The lines are the truth: a control changes its own key, and a line that no control has
-lasts. What cannot be used is refused beside them, and the last good ones stay.
+lasts. What cannot be used is refused beside them, and the last good ones stay. Without
+a line a control shows what the page's menus say, such as the world of a study.
 """
 
 import tomllib
@@ -21,7 +22,7 @@ from bokeh.models import (
     TextAreaInput,
 )
 
-from storage.inputs.config import Table, to_toml
+from storage.inputs.config import Table, laid_over, to_toml
 from storage.inputs.errors import InputError
 from study.explore.server import Call, Message, flow
 from study.explore.words import CHOICES, Tables, in_words
@@ -52,13 +53,12 @@ def with_value(tables: Tables, path: list[str], value: Any) -> Tables:
     return {**tables, first: inner}
 
 
-def value_at(tables: Tables, path: list[str]) -> Any:
-    """What stands at a path; None: nothing."""
-    first, *rest = path
-    found = tables.get(first)
-    if not rest:
-        return found
-    return value_at(found, rest) if isinstance(found, dict) else None
+def shown_at(tables: Tables, path: str) -> Any:
+    """What a control shows of a path with dots: of a range the first end; None: nothing."""
+    found: Any = tables
+    for name in path.split("."):
+        found = found.get(name) if isinstance(found, dict) else None
+    return found[0] if isinstance(found, list) else found
 
 
 def read_lines(text: str) -> Tables:
@@ -99,6 +99,7 @@ class WhatIf:
 
     def __init__(self, changed: Call, ground: Callable[[str, Tables], None]) -> None:
         self.tables: Tables = {}
+        self._under: Tables = {}
         self._changed = changed
         self._ground = ground
         self._still = False  # while the page, not a person, moves the controls
@@ -148,13 +149,16 @@ class WhatIf:
         if self._still:
             return
         control = self._controls[path]
-        value = None if control.value == control.tags[0] else control.value
+        usual = shown_at(self._under, path)
+        if usual is None:
+            usual = control.tags[0]
+        value = None if control.value == usual else control.value
         table = path.rpartition(".")[0]
         if table in WHOLE:
             path = table
             tells = self._controls[f"{table}.{WHOLE[table]}"]
             value = None
-            if tells.value != tells.tags[0]:
+            if tells.value != tells.tags[0] or shown_at(self._under, table):
                 value = {
                     each.removeprefix(f"{table}."): other.value
                     for each, other in self._controls.items()
@@ -174,6 +178,12 @@ class WhatIf:
         self._file.clear()  # so that the same file can be read again
         self._ground(name, read_file(name, content))
 
+    def lie_on(self, under: Tables) -> None:
+        """Show what the menus say of body and world where no line says anything else."""
+        if under != self._under:
+            self._under = under
+            self._show(self._lines.value)
+
     def take(self, tables: Tables) -> None:
         """Take other tables, unless they are refused."""
         before, self.tables = self.tables, tables
@@ -187,15 +197,16 @@ class WhatIf:
             raise
 
     def _show(self, lines: str) -> None:
-        """Move the controls to what the tables have."""
+        """Move the controls to what the tables have, and what they lie on."""
         self._still = True
+        tables = laid_over(self._under, self.tables)
         for path, control in self._controls.items():
-            found = value_at(self.tables, path.split("."))
+            found = shown_at(tables, path)
             table, _, name = path.rpartition(".")
             if found is None and WHOLE.get(table, name) == name:
                 found = control.tags[0]
             if found is not None:  # else a number of a table that is not there
-                control.value = found[0] if isinstance(found, list) else found
+                control.value = found
         self._lines.value = lines
         self._still = False
 

@@ -1,6 +1,6 @@
 """A study as rows of a store: anybody's, and the walker's, whose trials walk as they did."""
 
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 
 import numpy as np
 import optuna
@@ -11,9 +11,12 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from storage.databases.studies import open_studies
+from storage.store import open_store
+from study.experiment import folder
 from study.experiment.arms import check_arms
-from study.experiment.gains import gains_at
+from study.experiment.gains import gains_at, gains_of_source
 from study.experiment.live_study import run_study
+from study.experiment.repair import repair_of
 from study.experiment.walker import read_experiment
 from study.explore.page import page_of
 from study.explore.store_view import first_columns, numeric_columns
@@ -25,6 +28,7 @@ from tests.browser import opened_page
 from tests.cases import asset
 from tests.study import fake_walker
 from tests.study.explore.serving import change, opened
+from tests.study.explore.test_walk import LEVEL
 
 PAID = ("mean_speed_mps", "m1_mean")
 
@@ -96,6 +100,36 @@ def test_a_front_of_two_goals_is_drawn_between_its_axes(tmp_path):
     assert len(front.data["x"]) == 0
     document.get_model_by_name("column-1").value = "value"
     assert np.transpose([*front.data.values()]).tolist() == [[1, 3], [2, 2], [4, 1]]
+
+
+def test_controls_show_the_world_of_a_repair(tmp_path):
+    """What was changed before it was repaired; a control that changes it has a line."""
+    weak = {"world": {"muscles": {"SOL_left": 0.5}}}
+    fake_walker.write_store(tmp_path / "store")
+    setting = chosen_setting(**LEVEL, changes=weak)
+    repair, _ = repair_of(setting, open_store(tmp_path / "store"))
+    url = f"sqlite:///{tmp_path / 'repair.db'}"
+    study = optuna.create_study(study_name="repair/dog/run-000", storage=url)
+    study.set_user_attr("experiment", folder.document(repair, ()))
+    gains = gains_of_source("published").by_name()
+    spans = {name: FloatDistribution(-999.0, 999.0) for name in gains}
+    study.add_trial(optuna.create_trial(params=gains, distributions=spans, value=1.0))
+    page = Document()
+    idle = Executor()
+    idle.submit = lambda *_: Future()
+    page_of(tmp_path / "repair.db", tmp_path)(*[idle] * 3, page)
+    page.get_model_by_name("part").active = 1  # what if
+    soleus, lines, worlds = (
+        page.get_model_by_name(name)
+        for name in ("world.muscles.SOL_left", "lines", "world")
+    )
+    assert (soleus.value, lines.value) == (0.5, "")
+    soleus.value = 1.0
+    assert lines.value == "[world.muscles]\nSOL_left = 1.0"
+    soleus.value = 0.5
+    assert lines.value == ""
+    worlds.value = "nominal"
+    assert soleus.value == 1.0
 
 
 def test_what_is_no_study_of_one_name_with_values(tmp_path):

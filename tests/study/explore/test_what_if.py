@@ -114,6 +114,22 @@ def test_a_push_and_a_slip_are_tables_once_they_are_something(page):
     assert page.what_if.tables == {}
 
 
+def test_a_foot_of_the_study_is_shown_and_changed(page):
+    foot = {"side": "right", "stiffness_nmprad": 300.0, "damping_nmsprad": 1.0}
+    world = {"friction": [0.4, 0.4], "prosthesis": foot}
+    page.what_if.lie_on({"world": world})
+    side, stiffness, friction = (
+        page.control(f"world.{name}")
+        for name in ("prosthesis.side", "prosthesis.stiffness_nmprad", "friction")
+    )
+    shown = side.value, stiffness.value, friction.value
+    assert shown == ("right", 300.0, 0.4) and page.what_if.tables == {}
+    stiffness.value, friction.value = 400.0, 0.9  # the second as without a study
+    changed = foot | {"stiffness_nmprad": 400.0, "rest_rad": 0.0}
+    tables = {"world": {"prosthesis": changed, "friction": [0.9, 0.9]}}
+    assert page.what_if.tables == tables
+
+
 def test_lines_move_the_controls_and_last(page):
     tendon = "[world.muscles]\nslack_length = { SOL = 1.05 }\nSOL_left = 0.5"
     text = f"world.friction = [0.5, 0.6]\n{tendon}"
