@@ -178,15 +178,14 @@ def read(args: Namespace) -> WalkerExperiment:
 
 
 def warn_of_elsewhere(args: Namespace, experiment: WalkerExperiment) -> None:
-    """Say where a trial was made, if it walks somewhere else now: its numbers are others."""
-    named = TRIAL.fullmatch(args.trial or "")
-    if named is None:
-        return
-    made, _, run, _ = named.groups()
-    if (made, int(run)) != (experiment.name, args.run):
-        here = f"{experiment.name}, run {args.run}"
-        line = f"trial: made in {made}, run {int(run)}, and walks in {here}"
-        print(f"warning: {line} (--config, --run)", file=sys.stderr)
+    """Say where trials were made that walk somewhere else now: their numbers are others."""
+    here = experiment.name, args.run
+    for field in ("trial", "before") if args.storage else ():
+        named = TRIAL.fullmatch(getattr(args, field) or "")
+        if named is not None and here != (made := (named[1], int(named[3]))):
+            line = "{}: made in {}, run {}, and walks in {}, run {}"
+            line = line.format(field, *made, *here)
+            print(f"warning: {line} (--config, --run)", file=sys.stderr)
 
 
 def warn_of_speed(args: Namespace, result: taichi_nmm.Result) -> None:

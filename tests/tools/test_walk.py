@@ -20,7 +20,7 @@ from study.experiment.walker import read_experiment
 from study.pictures import LARGE
 from taichi_nmm.parameters import GAIN_NAMES, PUBLISHED_GAINS
 from taichi_nmm.result import ENERGY, OF_MUSCLES
-from tests.study import fake_walker
+from tests.study import fake_walker, synthetic_gait
 from tests.study.experiment.test_front import front
 from tests.tools.running import ROOT
 
@@ -118,16 +118,21 @@ def walk(tmp_path, tool, simulator, monkeypatch):
     return partial(tool.json, "walk", "--out", tmp_path / "out")
 
 
-def test_a_trial_that_walks_elsewhere_than_it_was_made_is_told(walk, tmp_path, tool):
+def test_a_trial_that_walks_elsewhere_than_it_was_made_is_told(
+    walk, tmp_path, tool, monkeypatch
+):
     """Its cost would be taken for that of the study."""
+    monkeypatch.setattr(fake_walker, "EMPTY", synthetic_gait.walk())
     url = f"sqlite:///{tmp_path}/live.db"
     study = optuna.create_study(study_name="rough8/dog/run-002", storage=url)
     spans = {name: FloatDistribution(-100.0, 100.0) for name in WALKS}
     study.add_trial(optuna.create_trial(params=WALKS, distributions=spans, value=1.0))
     of_trial = "--trial", "rough8/dog/run-002/0", "--storage", url
+    of_trial += "--before", of_trial[1]
     walk(*of_trial)
-    told = "warning: trial: made in rough8, run 2, and walks in flat, run 0"
-    assert told in tool.err
+    told = "made in rough8, run 2, and walks in flat, run 0"
+    assert f"warning: trial: {told}" in tool.err
+    assert f"warning: before: {told}" in tool.err
     walk(*of_trial, "--config", ROUGH8, "--run", 2)
     assert "warning" not in tool.err
 
