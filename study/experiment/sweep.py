@@ -6,7 +6,7 @@ do, and each of its folders is one.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from decimal import Decimal
@@ -129,6 +129,9 @@ Read = Callable[[Mapping[str, Any]], Experiment]
 def points_of(swept: Swept, read: Read, out: Path) -> list[Point]:
     """The experiments of all values; each has all its trials, also after its first walker.
 
+    Values of earlier calls in the folder are among them, so that its report loses none;
+    the order is then from the least to the largest.
+
     Args:
         swept: the key and its values.
         read: the configuration.
@@ -138,8 +141,19 @@ def points_of(swept: Swept, read: Read, out: Path) -> list[Point]:
         InputError: an unknown key, a value that it does not allow, a key that decides
             no trial, or a folder with another experiment: it would get this report.
     """
+    base = _read(swept, swept.values[0], read).name
+    values: Collection[Number] = swept.values
+    for file in sorted(out.rglob(EXPERIMENT_NAME)):
+        name = json_document("out", file, "an experiment").get("name")
+        shown = file.parent.name
+        if name != f"{base}-{swept.label}-{shown}":
+            allowed = f"a folder of this sweep alone: {file} is of {name}"
+            raise InputError("out", str(out), allowed)
+        earlier = _plain(typed.number("out", shown))
+        if earlier not in values:
+            values = sorted([*values, earlier])
     experiments = [
-        replace(_read(swept, value, read), until_walker=False) for value in swept.values
+        replace(_read(swept, value, read), until_walker=False) for value in values
     ]
     different = {document_hash(document(each, ())) for each in experiments}
     if len(different) < len(experiments):
@@ -148,16 +162,10 @@ def points_of(swept: Swept, read: Read, out: Path) -> list[Point]:
         )
         raise InputError("over", swept.key, allowed)
     points = []
-    for value, experiment in zip(swept.values, experiments, strict=True):
+    for value, experiment in zip(values, experiments, strict=True):
         shown = str(value).replace("+", "")
-        base = experiment.name
         named = replace(experiment, name=f"{base}-{swept.label}-{shown}")
         points.append(Point(value, base, named, out / shown))
-    for file in sorted(out.rglob(EXPERIMENT_NAME)):
-        name = json_document("out", file, "an experiment").get("name")
-        if name != f"{base}-{swept.label}-{file.parent.name}":
-            allowed = f"a folder of this sweep alone: {file} is of {name}"
-            raise InputError("out", str(out), allowed)
     return points
 
 

@@ -60,7 +60,9 @@ def described(store: Store, names: list[str]) -> dict[str, Described]:
         words, last = in_words(name.removeprefix(f"{family}_") if family else name)
         group = GAIT if name in gait else OUTCOME
         meaning = CHOICES["meanings"].get(name, "")
-        meaning += "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
+        meaning += (
+            "in the base setting" if store.ROW == "row" else f"of the {store.ROW}"
+        )
         if name in gains:
             gain = gains[name]
             group, words = GAIN, f"{name} ({gain.unit})"

@@ -96,16 +96,15 @@ def test_each_value_has_all_its_trials_on_the_same_robots(toy_sweep):
 def test_a_later_call_computes_what_is_missing_and_tells_what_it_is_asked(toy_sweep):
     many = toy_sweep.run(f"{KEY}=0.1,0.2", runs=3, trials=6)
     calls = len(fake_walker.calls)
-    (few,) = toy_sweep.run(f"{KEY}=0.2", runs=2, trials=3)
-    assert len(fake_walker.calls) == calls + 1  # of the best trials alone
+    _, few = toy_sweep.run(f"{KEY}=0.2", runs=2, trials=3)
+    assert len(fake_walker.calls) == calls + 2  # of the best trials alone
     assert len(few.best) == 2 and max(few.best["trial"].to_pylist()) < 3
     assert (few.best_cost >= many[1].best_cost[:2]).all()
-    # a value more
-    assert [tuned.point.value for tuned in toy_sweep.run(f"{KEY}=0.1:0.3:0.1")] == [
-        0.1,
-        0.2,
-        0.3,
-    ]
+    # a value more: a report without those of the folder would lose them
+    more = toy_sweep.run(f"{KEY}=0.15")
+    assert [tuned.point.value for tuned in more] == [0.1, 0.15, 0.2]
+    values = [point.value for point in toy_sweep.points(f"{KEY}=0.2:0.1:-0.05")]
+    assert values == [0.2, 0.15, 0.1]  # as they are asked for
 
 
 def test_a_key_of_a_range_takes_a_number(toy_sweep):

@@ -90,7 +90,9 @@ def test_a_front_of_two_goals_is_drawn_between_its_axes(tmp_path):
         study.tell(study.ask({"gain": FloatDistribution(0, 1)}), costs)
     document = Document()
     page_of(tmp_path / "two.db", tmp_path)(*[Executor()] * 3, document)
-    assert document.title.endswith("4 trials of two/worlds/run-000")  # as `walk --trial`
+    assert document.title.endswith(
+        "4 trials of two/worlds/run-000"
+    )  # as `walk --trial`
     cloud, front = (document.get_model_by_name(name) for name in ("cloud", "front"))
     axes = [axis.axis_label.text for axis in (*cloud.below[:1], *cloud.left)]
     assert axes == ["slowness: mean_speed_mps", "energy: m1_mean"]
