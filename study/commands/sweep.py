@@ -121,7 +121,7 @@ def walks_of(tuned: Sequence[Tuned]) -> Walks:
 def text(found: Mapping[str, Any]) -> str:
     """For people: a line a value."""
     walk = f"walk, of {found['robots']}"
-    heads = [found["key"], walk, "first walker", "lower", "best cost", "upper"]
+    heads = [found["key"], walk, "after trials", "lower", "best cost", "upper"]
     wide = max(len(found["key"]), COLUMN)
     return "\n".join(
         value.ljust(wide) + "".join(cell.rjust(COLUMN + 2) for cell in cells)

@@ -190,8 +190,8 @@ class Tuned:
         point: the value.
         best: the best trial of each robot, as tables of trials have it, [r].
         best_cost: after the last trial, `Objective.best`, [r].
-        first_walker: the trial that was the first to walk, from 1; infinite where none
-            did, [r].
+        first_walker: trials to the first walker, its own among them; infinite where
+            none walked, [r].
         rows: what the simulator gives of the best trials, [r].
     """
 

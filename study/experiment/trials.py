@@ -34,7 +34,7 @@ def progress_line(
     return (
         f"{known['study']}  {known['trials']:>{len(str(trials))}}/{trials}  "
         f"{costs}  {experiment.outcome_text(trial.user_attrs):<44}  "
-        f"{best} {known['best_cost']:.4f} (trial {known['best_trial']})"
+        f"{best} {known['best_cost']:.4f} (trial number {known['best_trial']})"
     )
 
 
@@ -47,17 +47,21 @@ def study_line(experiment: Experiment, study: optuna.Study) -> str:
         f"{name} {cost:.4f}, " for name, cost in known.get("goals", {}).items()
     )
     costs += f"{'front cost' if costs else 'cost'} {known['best_cost']:.4f}"
-    first = f", the first in trial {known['first_walker']}" if known["walkers"] else ""
+    first = f", the first after {known['first_walker']}" if known["walkers"] else ""
     return (
         f"{known['study']}: {known['walkers']} of {known['trials']} trials walked{first}; "
-        f"best trial {known['best_trial']}{row}: {costs}, {experiment.outcome_text(known)}"
+        f"best: trial number {known['best_trial']}{row}: {costs}, {experiment.outcome_text(known)}"
     )
 
 
 def study_facts(experiment: Experiment, study: optuna.Study) -> dict[str, Any]:
-    """A study with a finished trial, and its best trial, as plain values."""
+    """A study with a finished trial, and its best trial, as plain values.
+
+    "best_trial" is Optuna's number, from 0; "first_walker" counts finished trials, the
+    walker's among them; None: no trial walked.
+    """
     objective, finished = experiment.objective, finished_trials(study)
-    walkers = [trial.number for trial in finished if trial.user_attrs[WALKED]]
+    walked = [trial.user_attrs[WALKED] for trial in finished]
     best = best_trial(objective, study)
     goals = (
         dict(zip(objective.metrics, best.values, strict=True))
@@ -67,8 +71,8 @@ def study_facts(experiment: Experiment, study: optuna.Study) -> dict[str, Any]:
     return {
         "study": study.study_name,
         "trials": len(finished),
-        "walkers": len(walkers),
-        "first_walker": walkers[0] if walkers else None,
+        "walkers": sum(walked),
+        "first_walker": walked.index(True) + 1 if any(walked) else None,
         "best_trial": best.number,
         "best_cost": best_cost(experiment, study),
         "row": best.user_attrs.get(ROW_ATTRIBUTE),

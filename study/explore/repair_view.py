@@ -96,7 +96,7 @@ class RepairView:
         if not self._runs:  # it was stopped meanwhile
             return
         self._refusal.tell("")
-        best = f"best: trial {found.best}, {found.words}"
+        best = f"best: trial number {found.best}, {found.words}"
         self._told.tell(f"{found.trials} of {TRIALS} trials; {best}")
         if found.best != self._best:
             self._best = found.best

@@ -47,7 +47,7 @@ def escaped(text: str) -> str:
 
 
 def count_text(value: float, trials: int) -> str:
-    """A trial; "> T" if it is later than all T trials."""
+    """A number of trials; "> T" if T were not enough."""
     return f"{value:g}" if np.isfinite(value) else f"> {trials}"
 
 
@@ -79,7 +79,7 @@ def _walkers(
         "runs",
         "runs with a walker",
         "interval of their share, %",
-        "first walker, median trial",
+        "trials to the first walker, median",
         "interval",
         *(f"within {limit}" for limit in limits),
     ]
@@ -257,7 +257,7 @@ OVERVIEW: dict[str, Callable[[ArmNumbers], str]] = {
     "Runs with a walker": lambda arm: str(arm.walkers),
     "Runs whose first trial walks": lambda arm: str(arm.within.get(1, ABSENT)),
     "Runs with a walker within 3 trials": lambda arm: str(arm.within.get(3, ABSENT)),
-    "Median trial of the first walker": lambda arm: count_text(
+    "Trials to the first walker, median": lambda arm: count_text(
         arm.first_walker.value, arm.trials
     ),
 }
@@ -301,7 +301,7 @@ def condensed_table(experiment: Numbers) -> str:
     return table(header, rows)
 
 
-HEADER = "arm                runs  with a walker  first (median)  best cost (median)  ms a trial"
+HEADER = "arm                runs  with a walker    after trials  best cost (median)  ms a trial"
 
 
 def arms_text(numbers: Numbers) -> str:

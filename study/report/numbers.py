@@ -191,7 +191,7 @@ class ArmNumbers:
         found: trials of all runs together.
         walkers: runs with a walker.
         share: the same as a proportion, 0 to 1, with Wilson's interval.
-        first_walker: median trial of the first walker, from 1; infinite where most runs
+        first_walker: median of the trials to the first walker; infinite where most runs
             have none.
         within: runs with a walker within so many trials: up to `trials`, or all of
             `WITHIN` if every run has a walker.

@@ -80,7 +80,7 @@ class ArmRuns:
 
     @cached_property
     def first_walker(self) -> NDArray[np.float64]:
-        """The trial that was the first to walk, counted from 1; infinite where none did, [r]."""
+        """Trials to the first walker, its own among them; infinite where none walked, [r]."""
         any_walks = self.walks.any(axis=1)
         return np.where(any_walks, self.walks.argmax(axis=1) + 1.0, np.inf)
 

@@ -151,7 +151,12 @@ def text(found: Mapping[str, Any], is_drawn: bool) -> str:
     """The report, in Markdown; it links the figures beside it."""
     key, robots = found["key"], found["robots"]
     costs = ["lower quartile", "best cost, median", "upper quartile"]
-    header = [f"`{key}`", f"walk, of {robots}", "first walker, median trial", *costs]
+    header = [
+        f"`{key}`",
+        f"walk, of {robots}",
+        "trials to the first walker, median",
+        *costs,
+    ]
     parts = [
         f"# {escaped(found['experiment'])} over {escaped(key)}",
         WORDS.format(**found),

@@ -55,6 +55,12 @@ def test_json_is_one_object(command):
     assert found["best_cost"] == command.study().best_value
     assert command.tool.err.count(NAME) == 4  # a line a trial
     assert f"{NAME}  4/4  cost " in command.tool.err
+    walked = [trial.user_attrs["walked"] for trial in command.study().trials]
+    trials = found["first_walker"]
+    assert trials == walked.index(True) + 1  # a count, as reports have it
+    assert command.run() == 0
+    said = f"trials walked, the first after {trials}; best: trial number "
+    assert f"{said}{found['best_trial']} " in command.tool.out
     gains = command.folder / "out" / "dog-run-000-best.json"
     assert tuple(json.loads(gains.read_text())) == GAIN_NAMES
     load_gains(str(gains))

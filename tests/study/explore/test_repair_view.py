@@ -122,7 +122,7 @@ def test_a_finished_repair_says_nothing_of_another_walker(tmp_path):
         view._told_of, view._runs = view._now, True
         gains = gains_of_source("published")
         view._tried(Repair(trials=30, best=3, gains=gains, words="walked"))
-        assert told.text == "30 of 30 trials; best: trial 3, walked"
+        assert told.text == "30 of 30 trials; best: trial number 3, walked"
         view.take(weak)  # other gains of the same walker
         assert told.text.startswith("30 of 30") and shown == [gains]
         view.take(chosen_setting(**LEVEL))
