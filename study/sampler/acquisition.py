@@ -10,7 +10,9 @@ import scipy
 from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.covariance import (
     DOUBTED,
+    FALL_NOISE,
     WORLD,
+    WORLD_NOISE,
     Constant,
     Covariance,
     GuessError,
@@ -107,6 +109,13 @@ class Model:
         """Finished trials that kept all their limits, [n]."""
         return np.asarray(~(self.limits > 0).any(axis=1))
 
+    @cached_property
+    def succeeded(self) -> Mask:
+        """Those of them that cost no more than a success, if there is one, [n]."""
+        if self.success is None:
+            return self.feasible
+        return np.asarray(self.feasible & (self.costs <= self.success))
+
     def utility(
         self, points: Points, offered: Mask, rng: np.random.Generator
     ) -> Floats:
@@ -143,6 +152,7 @@ class Model:
             y,
             standardised=self._in_costs is None,
             likeness=DOUBTED if self._is_familiar and not self._is_smooth else WORLD,
+            noise=FALL_NOISE if self._only_falls else WORLD_NOISE,
             guess_error=self._guess_error,
         )
         running = self.visible(self.running)
@@ -260,15 +270,20 @@ class Model:
             return None
         return self._in_costs.guess_error
 
+    @property
+    def _only_falls(self) -> bool:
+        """Whether all trials have failed, where some world has a success, and costs jump."""
+        worlds, success = self._in_costs, self.success
+        if success is None or worlds is None or self.succeeded.any():
+            return False
+        return worlds.reaches(success) and not self._is_smooth
+
     def _look_alike(self, worlds: Ensemble) -> bool:
         """Whether trials have succeeded whose differences the table's unit hides."""
-        succeeded = self.feasible
-        if self.success is not None:
-            succeeded = succeeded & (self.costs <= self.success)
         # A goal that is drawn anew for each trial has no trials of its own.
-        if worlds.is_drawn or succeeded.sum() < FEW_SUCCESSES:
+        if worlds.is_drawn or self.succeeded.sum() < FEW_SUCCESSES:
             return False
-        y = worlds.standard(self.costs[succeeded])
+        y = worlds.standard(self.costs[self.succeeded])
         return bool(np.median(y) - y.min() < HIDDEN)
 
     @property
@@ -283,6 +298,7 @@ class Model:
         *,
         standardised: bool = True,
         likeness: Constant = WORLD,
+        noise: Constant = WORLD_NOISE,
         guess_error: GuessError | None = None,
     ) -> Posterior:
         """The posterior of something that trials showed, y giving what some of them did."""
@@ -295,6 +311,7 @@ class Model:
             standardised=standardised,
             is_familiar=self._is_familiar,
             likeness=likeness,
+            noise=noise,
             guess_error=guess_error,
         )
         every = next(every for most, every in self.refits if len(x) <= most)
@@ -381,7 +398,7 @@ class Model:
         mean, variance = self.posterior.predict(visible)
         cost = self.cost()
         mean += self.expected(points, cost)
-        if self.success is not None and self.costs[feasible].min() > self.success:
+        if self.success is not None and not self.succeeded.any():
             (goal,) = self.standard(np.array([self.success]), self.costs)
             chance = log_chance_below_zero(mean - goal, variance) + log_chance_kept
             # Rows come first, and decide for the points off the table too.

@@ -175,6 +175,10 @@ RANKING_SD = 0.5
 FEW_WORLDS = 10
 RANKING_OF_FEW = Constant(log(0.1), 1.0, SLOPE_BOUNDS)
 WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
+# The same of trials that have all fallen: when a walker falls is chance. With less, three
+# falls of the best rows on MuJoCo's ground sent the model to rows on which worlds disagree.
+# Where it is none, as with a success that asks too much, trials lower it.
+FALL_NOISE = Constant(log(0.25), 2.0, NOISE_BOUNDS)
 GUESS_SD = 0.5  # of the logarithms of e^2 and of its L: the table tells both
 
 
@@ -361,6 +365,7 @@ def new_covariance(
     standardised: bool = True,
     is_familiar: bool = False,
     likeness: Constant = WORLD,
+    noise: Constant = WORLD_NOISE,
     guess_error: GuessError | None = None,
 ) -> Covariance:
     """The covariance of rows with these columns.
@@ -373,6 +378,7 @@ def new_covariance(
         is_familiar: whether trials tell how far costs lie apart, so that no single one
             can turn the worlds' ranking round: it is then free to fit them.
         likeness: a^2, how much the machine may be like some worlds and unlike others.
+        noise: of costs beside worlds.
         guess_error: of points between rows; None: they count as if they were rows.
     """
     if kernel.related and not kernel.of_parameters:
@@ -403,7 +409,7 @@ def new_covariance(
             scale = Constant(log(guess_error.length), GUESS_SD, PARAMETER_SCALE_BOUNDS)
             seen = range(columns.gap.start, nearby.stop)
             terms.append(Term(seen, variance, (scale,), rough=True, gapped=True))
-        return Covariance(tuple(terms), WORLD_NOISE, standardised)
+        return Covariance(tuple(terms), noise, standardised)
     if kernel.rough:
         scales = (ROUGH_SCALE,) * len(nearby)
         return Covariance((Term(nearby, SIGNAL, scales, rough=True),), ROUGH_NOISE)
@@ -411,8 +417,8 @@ def new_covariance(
         mode = sqrt(2.0) + log(d) / 2.0 - 3.0
         scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
         terms.append(Term(nearby, SIGNAL, (scale,)))
-    noise = FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
-    return Covariance(tuple(terms), noise)
+    without = FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
+    return Covariance(tuple(terms), without)
 
 
 def seen_by(term: Term, x: Floats) -> Floats:

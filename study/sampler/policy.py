@@ -276,9 +276,8 @@ def rows_fail(model: Model, rows: Whole) -> bool:
     """
     if model.success is None or not isinstance(model.ensemble, Ensemble):
         return False
-    succeeded = model.feasible & (model.costs <= model.success)
-    tried = (rows >= 0) & (np.cumsum(succeeded) > 0)
-    last = succeeded[tried][-ROWS_TRIED:]
+    tried = (rows >= 0) & (np.cumsum(model.succeeded) > 0)
+    last = model.succeeded[tried][-ROWS_TRIED:]
     return len(last) == ROWS_TRIED and not last.any()
 
 

@@ -276,6 +276,10 @@ class Ensemble:
         self.columns = np.column_stack([self.parts, shift, self.mean, gap])
         self.weights = worlds.weights
 
+    def reaches(self, cost: float) -> bool:
+        """Whether some row costs no more than this in some world."""
+        return bool(self.standard(np.array([cost]))[0] >= self.ends[0])
+
     def told(self, features: Floats) -> Floats:
         """What each world costs, [t, w], where points have these features, [t, k]."""
         worlds, mean = len(self.names), features[:, -2]

@@ -9,6 +9,8 @@ from optuna.distributions import (
     IntDistribution,
 )
 
+from study import FeatureTable
+from study.sampler import space as spaces
 from study.sampler.space import (
     Space,
     anywhere,
@@ -18,6 +20,7 @@ from study.sampler.space import (
     not_among,
     not_near,
 )
+from tests.study.sampler.studies import params_of, study_of
 
 DISTRIBUTIONS = {
     "plain": FloatDistribution(-2.0, 3.0),
@@ -156,3 +159,21 @@ def test_the_unit_cube_has_ranges_of_one_choices_one_apart_and_edges():
     rows = np.array([[5.5, 1e3, 9.0, 4.0], [0.5, 1e-2, 12.0, 5.0]])
     edges = [[1.0, 1.0, 6.5 / 7, 0.0], [0.5, 0.5, 6.5 / 7, 0.0]]
     assert_allclose(space.unit(rows), edges)
+
+
+def test_in_many_dimensions_proposals_are_those_without_a_word_of_repeats(monkeypatch):
+    rng = np.random.default_rng(0)
+    rows, places = rng.random((300, 16)), rng.random((8, 16))
+    outcomes = 0.1 + ((rows[:, None] - places) ** 2).sum(axis=2)
+    names = [f"x{place}" for place in range(16)]
+    space = dict.fromkeys(names, FloatDistribution(0.0, 1.0))
+    columns = dict(zip(names, rows.T, strict=True))
+    known = FeatureTable.from_arrays(columns, outcomes=outcomes, space=space)
+
+    def objective(trial):
+        at = np.array([trial.suggest_float(name, 0, 1) for name in names])
+        return float(0.1 + ((at - 0.4) ** 2).sum())
+
+    with_repeats = study_of(known, objective, 15)
+    monkeypatch.setattr(spaces, "REPEAT", 0.0)
+    assert params_of(study_of(known, objective, 15)) == params_of(with_repeats)

@@ -18,7 +18,13 @@ from study import FeatureKernelSampler, FeatureTable
 from study.sampler import space as spaces
 from study.sampler.acquisition import FAMILIAR, FEW_SUCCESSES
 from study.sampler.between import error_of_guess
-from study.sampler.covariance import DOUBTED, WITH_WORLDS, WORLD
+from study.sampler.covariance import (
+    DOUBTED,
+    FALL_NOISE,
+    WITH_WORLDS,
+    WORLD,
+    WORLD_NOISE,
+)
 from study.sampler.history import OFF_TABLE, placed
 from study.sampler.policy import ROWS_TRIED, rows_fail
 from study.sampler.transforms import Points
@@ -152,11 +158,12 @@ def test_a_row_has_its_own_columns_and_a_point_off_the_table_those_of_its_neighb
 def test_the_chance_of_success_is_that_of_the_posterior():
     ensemble, points, model = after_nine_trials()
     offered, rng = np.ones(60, dtype=bool), np.random.default_rng(0)
-    mean, variance = model.posterior.predict(points)
+    aiming = replace(model, success=0.15)
+    mean, variance = aiming.posterior.predict(points)
     away = ensemble.standard(np.array([0.15])) - mean - ensemble.mean
     chance = norm.logcdf(away / np.sqrt(variance))
     assert chance.max() > np.log(0.01)
-    aimed = replace(model, success=0.15).utility(points, offered, rng)
+    aimed = aiming.utility(points, offered, rng)
     assert_allclose(aimed, chance, rtol=1e-6)
     plain = model.utility(points, offered, rng)
     for success in (1e-3, float(model.costs.min())):  # out of sight, or reached
@@ -257,6 +264,24 @@ def test_where_rows_tell_nothing_of_points_between_them_these_are_unsure():
         sd[off_grid] = np.sqrt(model.posterior.predict(model.visible(seen))[1])
     assert_allclose(sd[100][0], sd[0][0], rtol=0.1)
     assert sd[100][1] > 2.0 * sd[0][1]
+
+
+FALLEN = {
+    "falls": (FALLS, 1.0, FALL_NOISE),
+    "no success": (FALLS, None, WORLD_NOISE),
+    "a success of no world": (FALLS, 0.05, WORLD_NOISE),
+    "smooth": (COSTS, 1.0, WORLD_NOISE),
+}
+
+
+@pytest.mark.parametrize(("outcomes", "success", "noise"), FALLEN.values(), ids=FALLEN)
+def test_until_a_trial_succeeds_falls_are_taken_for_chance(outcomes, success, noise):
+    study, found = study_of(table(outcomes), success=success), []
+    for (x, y), value in zip(ROWS, [50.0] * 3 + [0.04, 50.0], strict=False):
+        told(study, SPACE, {"x": x, "y": 100.0**y}, value)
+        model = study.sampler._policy.present(study).model
+        found.append(model.posterior.covariance.noise)
+    assert found == [noise] * 3 + [WORLD_NOISE] * 2
 
 
 def test_the_table_is_left_after_five_rows_that_failed_behind_a_success():
@@ -563,21 +588,3 @@ def test_no_day_is_spent_on_a_spot_that_was_tried():
     study.enqueue_trial(again)
     study.optimize(machine, n_trials=1)
     assert study.trials[-1].params == again  # a repeat that is asked for
-
-
-def test_in_many_dimensions_proposals_are_those_without_a_word_of_repeats(monkeypatch):
-    rng = np.random.default_rng(0)
-    rows, places = rng.random((300, 16)), rng.random((8, 16))
-    outcomes = 0.1 + ((rows[:, None] - places) ** 2).sum(axis=2)
-    names = [f"x{place}" for place in range(16)]
-    space = dict.fromkeys(names, FloatDistribution(0.0, 1.0))
-    columns = dict(zip(names, rows.T, strict=True))
-    known = FeatureTable.from_arrays(columns, outcomes=outcomes, space=space)
-
-    def objective(trial):
-        at = np.array([trial.suggest_float(name, 0, 1) for name in names])
-        return float(0.1 + ((at - 0.4) ** 2).sum())
-
-    with_repeats = study_of(known, objective, 15)
-    monkeypatch.setattr(spaces, "REPEAT", 0.0)
-    assert params_of(study_of(known, objective, 15)) == params_of(with_repeats)
