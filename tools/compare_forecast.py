@@ -87,7 +87,7 @@ def table(folders: list[Path]) -> Iterator[str]:
         count += 1
         yield f"| {results.name} | {' | '.join(cells)} |"
     said = ", ".join(f"{which}: {number}" for which, number in within.items())
-    yield f"\nTrials to the first success within the forecast, median of {count}: {said}"
+    yield f"\nMedian trials to the first success within the forecast, of {count}: {said}"
 
 
 def shown(value: float) -> str:
