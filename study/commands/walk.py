@@ -179,12 +179,16 @@ def read(args: Namespace) -> WalkerExperiment:
 
 def warn_of_elsewhere(args: Namespace, experiment: WalkerExperiment) -> None:
     """Say where trials were made that walk somewhere else now: their numbers are others."""
-    here = experiment.name, args.run
-    for field in ("trial", "before") if args.storage else ():
+    if not args.storage:
+        return
+    here = f"{experiment.name}, run {args.run}"
+    for field in ("trial", "before"):
         named = TRIAL.fullmatch(getattr(args, field) or "")
-        if named is not None and here != (made := (named[1], int(named[3]))):
-            line = "{}: made in {}, run {}, and walks in {}, run {}"
-            line = line.format(field, *made, *here)
+        if named is None:
+            continue
+        made = f"{named[1]}, run {int(named[3])}"
+        if made != here:
+            line = f"{field}: made in {made}, and walks in {here}"
             print(f"warning: {line} (--config, --run)", file=sys.stderr)
 
 

@@ -378,7 +378,7 @@ def new_covariance(
         is_familiar: whether trials tell how far costs lie apart, so that no single one
             can turn the worlds' ranking round: it is then free to fit them.
         likeness: a^2, how much the machine may be like some worlds and unlike others.
-        noise: of costs beside worlds.
+        noise: of costs beside worlds; other kernels have their own.
         guess_error: of points between rows; None: they count as if they were rows.
     """
     if kernel.related and not kernel.of_parameters:
@@ -417,8 +417,8 @@ def new_covariance(
         mode = sqrt(2.0) + log(d) / 2.0 - 3.0
         scale = Constant(mode, sqrt(3.0), PARAMETER_SCALE_BOUNDS)
         terms.append(Term(nearby, SIGNAL, (scale,)))
-    without = FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
-    return Covariance(tuple(terms), without)
+    own_noise = FEATURE_NOISE if kernel.of_features else PARAMETER_NOISE
+    return Covariance(tuple(terms), own_noise)
 
 
 def seen_by(term: Term, x: Floats) -> Floats:
