@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from study.bench.bench import Bench
     from study.experiment.features import world_table
     from study.sampler.forecast import Forecast, forecast
+    from study.sampler.policy import TableExhaustedError
     from study.sampler.prediction import Best, Prediction
     from study.sampler.sampler import DoGSampler, FeatureKernelSampler
     from study.sampler.table import FeatureTable
-    from study.sampler.table_policy import TableExhaustedError
 
 __all__ = [
     "Bench",
@@ -41,7 +41,7 @@ _PLACES = {
     "study.sampler.prediction": ("Best", "Prediction"),
     "study.sampler.sampler": ("DoGSampler", "FeatureKernelSampler"),
     "study.sampler.table": ("FeatureTable",),
-    "study.sampler.table_policy": ("TableExhaustedError",),
+    "study.sampler.policy": ("TableExhaustedError",),
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names}
 

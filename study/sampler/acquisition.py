@@ -29,6 +29,7 @@ from study.sampler.transforms import (
     of_log_excess,
     squarable,
 )
+from study.sampler.unlike import Unlike, unlike
 from study.sampler.worlds import Ensemble
 
 TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
@@ -75,6 +76,7 @@ class Model:
             parameters alone.
         parameters: d, their number.
         trials: the n finished ones, at least one.
+        rows: of a table that these were, OFF_TABLE off it, [n].
         costs: what these showed, lower is better, finite, [n].
         limits: c constraints of each, kept where <= 0, NaN where unknown, [n, c].
         running: trials of other workers whose parameters are known; they count with
@@ -92,6 +94,7 @@ class Model:
     kernel: Kernel
     parameters: int
     trials: Points
+    rows: Whole
     costs: Floats
     limits: Floats
     running: Points
@@ -115,6 +118,16 @@ class Model:
         if self.success is None:
             return self.feasible
         return np.asarray(self.feasible & (self.costs <= self.success))
+
+    def unlike(self, sign: float = 1.0) -> Unlike | None:
+        """What the first trials have against all worlds; costs times `sign` are values."""
+        features = self.trials.features
+        return unlike(self.ensemble, features, self.costs, self.rows, sign)
+
+    @cached_property
+    def is_lost(self) -> bool:
+        """Whether all trials have failed (`_only_falls`), on a machine like no world."""
+        return self._only_falls and self.unlike() is not None
 
     def utility(
         self, points: Points, offered: Mask, rng: np.random.Generator
@@ -147,11 +160,12 @@ class Model:
             cost = self.cost(some)
             return cost - self.expected(self.trials, cost)[some]
 
+        is_doubted = self.is_lost or (self._is_familiar and not self._is_smooth)
         posterior = self._after(
             self.trials,
             y,
             standardised=self._in_costs is None,
-            likeness=DOUBTED if self._is_familiar and not self._is_smooth else WORLD,
+            likeness=DOUBTED if is_doubted else WORLD,
             noise=FALL_NOISE if self._only_falls else WORLD_NOISE,
             guess_error=self._guess_error,
         )

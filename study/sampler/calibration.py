@@ -240,6 +240,7 @@ def _errors_of(
         replace(
             model,
             trials=model.trials.take(np.arange(number)),
+            rows=model.rows[:number],
             costs=model.costs[:number],
             limits=model.limits[:number],
             running=model.trials.take(np.arange(0)),

@@ -23,11 +23,11 @@ from optuna.study import StudyDirection
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats
+from study.sampler.policy import TableExhaustedError
 from study.sampler.risk import AllowedRisk, RiskError, allowed_risk
 from study.sampler.rows import Rows
 from study.sampler.sampler import FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from study.sampler.table_policy import TableExhaustedError
 from study.sampler.worlds import Worlds
 
 TRIALS = 10

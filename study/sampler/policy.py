@@ -24,7 +24,7 @@ from threadpoolctl import ThreadpoolController
 
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
-from study.sampler.arrays import Floats, Mask, Whole
+from study.sampler.arrays import Floats, Mask
 from study.sampler.calibration import Errors, past_errors
 from study.sampler.covariance import ADDITIVE, FEW_WORLDS, NEARNESS, Kernel
 from study.sampler.draws import Purpose, generator
@@ -51,7 +51,7 @@ RANKED = 3
 ROWS_TRIED = 5
 ENDS = 2
 RANDOM = 3
-ODD_TURN = 1  # of those that are left to the parameters where features are doubted
+ODD_TURN = 1  # of those that are left to the parameters where the rest is doubted
 REMEMBERED = 1024  # trials; some never end
 
 
@@ -101,6 +101,10 @@ class Proposal:
 
 
 NOTHING = Proposal({}, {})
+
+
+class TableExhaustedError(RuntimeError):
+    """Every row of the table has been tried."""
 
 
 class Policy:
@@ -202,6 +206,7 @@ class Policy:
             kernel=self.options.kernel,
             parameters=history.done.parameters.shape[1],
             trials=seen,
+            rows=history.done.rows,
             costs=history.cost,
             limits=limits[:n],
             running=seen.take(np.arange(0)) if running is None else running,
@@ -225,6 +230,14 @@ class Policy:
         """Whether the trial of this turn is left to the parameters."""
         kept = model.costs[model.feasible]
         return self.learns_trust and is_doubtful(kept, turn)
+
+    def leaves_worlds(self, model: Model, turn: int) -> bool:
+        """Whether the trial of this turn goes anywhere, by the parameters of all trials alone.
+
+        Of a machine that is like no world it is every other one, until one has succeeded.
+        """
+        goes_anywhere = self.options.off_grid > 0 and self.options.allowed_risk is None
+        return goes_anywhere and model.is_lost and turn % 2 == ODD_TURN
 
     def rng(self, purpose: Purpose, turn: int) -> np.random.Generator:
         """The generator of one draw of one trial."""
@@ -264,19 +277,15 @@ def ranking_goes_on(ensemble: Ensemble, options: Options, *, has_failed: bool) -
     return leaves_rows and are_few and ensemble.guess_error is not None
 
 
-def rows_fail(model: Model, rows: Whole) -> bool:
+def rows_fail(model: Model) -> bool:
     """Whether a table is left: after a success its last `ROWS_TRIED` rows have failed.
 
     A robot is then like no world, and gains by steps from its own trials. The model does
     not see it: where worlds disagree on a row, it may be good again and again.
-
-    Args:
-        model: after n trials.
-        rows: of the table that they were; below 0: off it, [n].
     """
     if model.success is None or not isinstance(model.ensemble, Ensemble):
         return False
-    tried = (rows >= 0) & (np.cumsum(model.succeeded) > 0)
+    tried = (model.rows != OFF_TABLE) & (np.cumsum(model.succeeded) > 0)
     last = model.succeeded[tried][-ROWS_TRIED:]
     return len(last) == ROWS_TRIED and not last.any()
 

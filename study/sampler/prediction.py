@@ -21,9 +21,8 @@ from study.sampler.calibration import (
 )
 from study.sampler.diagnostics import Present, trials_text
 from study.sampler.gp import misfit
-from study.sampler.history import OFF_TABLE, History, read_limits
+from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
-from study.sampler.unlike import unlike
 
 SHOWN_CANDIDATES = 10
 # How far an interval reaches beyond all that was simulated or read, in standard deviations
@@ -88,8 +87,7 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     mean, variance = _over_noise(model)
     mean += model.expected(model.trials, model.cost())
     best = _chosen(present, maximised=maximised)
-    rows = np.array([OFF_TABLE if row is None else row for row in present.rows])
-    strange = unlike(model, rows, -1.0 if maximised else 1.0)
+    strange = model.unlike(-1.0 if maximised else 1.0)
     trial = trials[best]
     value = trial.values[0]
     low = high = np.nan
@@ -240,7 +238,7 @@ def prediction_of(
     ):
         return nothing
     mean, variance = reading_of(model, points)
-    strange = unlike(model, history.done.rows, history.sign) if len(costs) else None
+    strange = model.unlike(history.sign) if len(costs) else None
     found = Calibration.before_any_trial(model)
     if len(costs):
         found = Calibration.of(errors[:, 0], COST_UNLIKE if strange else COST)

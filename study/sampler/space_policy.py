@@ -1,6 +1,7 @@
 """Proposals from a whole space: points anywhere, and near the best trials."""
 
 from collections.abc import Collection
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,16 @@ from optuna.trial import FrozenTrial
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import argmax_random_tie
 from study.sampler.arrays import Floats
+from study.sampler.covariance import EUCLIDEAN
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
+    OFF_TABLE,
     History,
     next_trial,
     not_suggested,
+    notes_of,
     read_history,
     values_of,
 )
@@ -30,6 +34,7 @@ from study.sampler.policy import (
     one_thread,
     set_attributes,
 )
+from study.sampler.rows import Rows
 from study.sampler.space import Space, anywhere, nearby, not_among
 from study.sampler.transforms import NormalScores, Points, Scale, Standard
 
@@ -243,6 +248,18 @@ class SpacePolicy(Policy):
         """The scale of features [m, k] of points anywhere."""
         scale = NormalScores if self.options.kernel.by_order else Standard
         return scale.of(features)
+
+
+def by_parameters(
+    policy: Policy, rows: Rows, history: History, own_turn: int
+) -> Proposal:
+    """A point of a table's space by the parameters of the trials, as if no row told anything."""
+    options = replace(policy.options, kernel=EUCLIDEAN, off_grid=0, success=None)
+    plain = SpacePolicy(None, options, policy.seed, policy.independent)
+    space = rows.space.pinned(history.fixed)
+    point, _ = plain._best(space, history, own_turn)
+    unknown = np.full(len(rows.feature_names), np.nan)
+    return Proposal(space.values(point), notes_of(OFF_TABLE, unknown))
 
 
 def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:

@@ -54,6 +54,7 @@ from study.sampler.policy import (
     Options,
     Policy,
     Proposal,
+    TableExhaustedError,
     call_features,
     features_of,
     one_thread,
@@ -67,16 +68,13 @@ from study.sampler.risk import Certificate, Places, all_kept, by_trials, risks_o
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
 from study.sampler.space import as_suggested, nearby, not_among, not_near
+from study.sampler.space_policy import by_parameters
 from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble
 
 CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
-
-
-class TableExhaustedError(RuntimeError):
-    """Every row of the table has been tried."""
 
 
 class TablePolicy(Policy):
@@ -401,6 +399,8 @@ class TablePolicy(Policy):
     ) -> Proposal:
         """The candidate of the largest utility after some trials; of equal ones any."""
         model = self._model(history, own_turn)
+        if self.leaves_worlds(model, own_turn):
+            return by_parameters(self, self.rows, history, own_turn)
         points, free = self._points(model.ensemble), offered[self.rows.numbers]
         utility = np.full(len(free), -np.inf)
         if free.any():
@@ -477,7 +477,7 @@ class TablePolicy(Policy):
         chosen = argmax_random_tie(utility, rng)
         notes = notes_of(OFF_TABLE, features[chosen])
         value = float(utility[chosen])
-        if value > -np.inf and rows_fail(model, history.done.rows):
+        if value > -np.inf and rows_fail(model):
             value = np.inf
         return value, Proposal(space.values(near[chosen]), notes)
 

@@ -21,9 +21,9 @@ from math import log
 
 import numpy as np
 
-from study.sampler.acquisition import Model
 from study.sampler.arrays import Floats, Whole
 from study.sampler.history import OFF_TABLE
+from study.sampler.similarity import Relation
 from study.sampler.worlds import Ensemble
 
 # Of machines like the worlds, the share that is called unlike after each of the first
@@ -66,22 +66,25 @@ class Unlike:
         )
 
 
-def unlike(model: Model, rows: Whole, sign: float) -> Unlike | None:
+def unlike(
+    ensemble: Relation | None, features: Floats, costs: Floats, rows: Whole, sign: float
+) -> Unlike | None:
     """What speaks against all worlds; None where nothing does, or worlds do not tell.
 
     Args:
-        model: after n trials.
-        rows: of the table that these were, [n]; OFF_TABLE off it.
+        ensemble: the worlds, if there are any.
+        features: of n trials, [n, k], those of the ensemble last.
+        costs: that these showed, [n].
+        rows: of the table that they were, [n]; OFF_TABLE off it.
         sign: of costs in the study's values.
     """
-    ensemble = model.ensemble
     if not isinstance(ensemble, Ensemble) or not ensemble.in_costs:
         return None
     if len(ensemble.names) < LEAST_WORLDS or ensemble.is_drawn:
         return None
-    first = slice(min(len(model.costs), len(FALSE_ALARMS)))
-    cost = ensemble.standard(model.costs[first])
-    told = ensemble.told(model.trials.features[first])  # [t, w]
+    first = slice(min(len(costs), len(FALSE_ALARMS)))
+    cost = ensemble.standard(costs[first])
+    told = ensemble.told(features[first])  # [t, w]
     doubt = READING**2 + np.where(rows[first] == OFF_TABLE, OFF_ROW**2, 0.0)
     for count, share in enumerate(FALSE_ALARMS[: len(cost)], start=1):
         some = slice(count)
@@ -93,7 +96,7 @@ def unlike(model: Model, rows: Whole, sign: float) -> Unlike | None:
         return Unlike(
             trials=count,
             worlds=len(ensemble.names),
-            reading=float(sign * model.costs[worst]),
+            reading=float(sign * costs[worst]),
             low=float(ends.min()),
             high=float(ends.max()),
         )

@@ -16,6 +16,7 @@ from optuna.trial import TrialState
 
 from study import FeatureKernelSampler
 from study.sampler.acquisition import Model
+from study.sampler.history import OFF_TABLE
 from tests.tools.running import ROOT
 
 Floats = NDArray[np.float64]
@@ -48,6 +49,7 @@ def model_after(trials, costs, kernel, ensemble=None):
         kernel=kernel,
         parameters=2,
         trials=trials,
+        rows=np.full(len(trials), OFF_TABLE),
         costs=costs,
         limits=np.empty((len(trials), 0)),
         running=trials.take(np.arange(0)),

@@ -6,9 +6,11 @@ import pytest
 from optuna.distributions import FloatDistribution
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler import prediction
+from study.sampler import acquisition
 from study.sampler.acquisition import FAMILIAR
 from study.sampler.calibration import COST, COST_UNLIKE
+from study.sampler.covariance import DOUBTED, WORLD
+from study.sampler.history import OFF_TABLE
 from study.sampler.unlike import FALSE_ALARMS, LEAST_WORLDS
 from tests.study.sampler.campaigns import machine_of
 from tests.study.sampler.studies import told
@@ -111,7 +113,80 @@ def test_what_is_recommended_on_an_unlike_machine_has_a_wider_interval(monkeypat
         told(study, SPACE, {"x": LINE[4 * place]}, value)
     found = study.sampler.best(study)
     assert found.unlike and str(found).endswith(found.unlike)
-    monkeypatch.setattr(prediction, "unlike", lambda *_: None)
+    monkeypatch.setattr(acquisition, "unlike", lambda *_: None)
     other = study.sampler.best(study)
     assert not other.unlike and not str(other).endswith(" ")
     assert found.high - found.low > 1.1 * (other.high - other.low)
+
+
+# What is proposed on such a machine.
+PLANE = {"x": FloatDistribution(0.0, 1.0), "y": FloatDistribution(0.0, 1.0)}
+TRIED = RNG.random((60, 2))
+FALLS = np.where(
+    RNG.random((60, 8)) < 0.6, RNG.uniform(30.0, 60.0, (60, 8)), RNG.random((60, 8))
+)
+FALLS[:3] = RNG.uniform(30.0, 60.0, (3, 8))
+FALLEN, LIKE = 500.0, 45.0  # costs, as in no world and as in some
+
+
+def after(value, later=(), limits=None, **options):
+    """A study after three rows of this value, and after later ones."""
+    columns = {"x": TRIED[:, 0], "y": TRIED[:, 1]}
+    table = FeatureTable.from_arrays(
+        columns, outcomes=FALLS, space=PLANE, limits=limits
+    )
+    options = {"success": 1.0, "seed": 1} | options
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, **options))
+    for (x, y), cost in zip(TRIED, [value] * 3 + [*later], strict=False):
+        told(study, PLANE, {"x": x, "y": y}, cost)
+    return study
+
+
+@pytest.mark.parametrize(
+    ("study", "is_lost"),
+    [
+        (after(FALLEN), True),
+        (after(FALLEN, [FALLEN]), True),
+        (after(LIKE), False),
+        (after(FALLEN, [0.5]), False),
+        (after(FALLEN, success=None), False),
+        (after(FALLEN, success=1e-9), False),
+    ],
+    ids=["unlike", "four falls", "like", "succeeded", "no success", "of no world"],
+)
+def test_which_world_an_unlike_machine_is_like_counts_less(study, is_lost):
+    model = study.sampler._policy.present(study).model
+    assert model.is_lost is is_lost
+    likeness, *_ = model.posterior.covariance.terms
+    assert likeness.variance == (DOUBTED if is_lost else WORLD)
+
+
+def test_every_other_of_its_trials_is_what_the_plain_process_proposes():
+    """It is told the same trials; the others are rows that may succeed."""
+    found = {}
+    for turn, later in ((3, []), (4, [400.0]), (5, [400.0, 300.0])):
+        study = after(FALLEN, later)
+        plain = optuna.create_study(
+            sampler=FeatureKernelSampler(None, seed=1, space=PLANE)
+        )
+        for trial in study.trials:
+            told(plain, PLANE, trial.params, trial.value)
+        proposed, other = study.ask(PLANE), plain.ask(PLANE)
+        assert (proposed.params == other.params) is (turn % 2 == 1)
+        found[turn] = proposed.user_attrs["row"]
+    assert found[3] == found[5] == OFF_TABLE and found[4] >= 0
+
+
+def test_no_trial_goes_anywhere_where_rows_alone_or_a_risk_are_allowed():
+    limits = {"limits": {"fall": FALLS - 61.0}}  # which no row breaks in any world
+    for options, leaves in (
+        ({}, True),
+        ({"off_grid": 0}, False),
+        (limits | {"allowed_risk": 0.5}, False),
+    ):
+        study = after(FALLEN, **options)
+        policy = study.sampler._policy
+        model = policy.present(study).model
+        assert model.is_lost and policy.leaves_worlds(model, 3) is leaves
+        assert not policy.leaves_worlds(model, 4)
+        assert leaves is (study.ask(PLANE).user_attrs["row"] == OFF_TABLE)

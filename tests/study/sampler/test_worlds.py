@@ -295,9 +295,7 @@ def test_the_table_is_left_after_five_rows_that_failed_behind_a_success():
             told(study, SPACE, {"x": x, "y": 100.0**y}, value)
             told(study, SPACE, off, 50.0)
         leaves = falls == count and not begins_anew
-        present = study.sampler._policy.present(study)
-        rows = np.array([OFF_TABLE if row is None else row for row in present.rows])
-        assert rows_fail(present.model, rows) is leaves
+        assert rows_fail(study.sampler._policy.present(study).model) is leaves
         proposed = [study.ask(SPACE).user_attrs["row"] for _ in range(4)]
         assert not leaves or proposed == [OFF_TABLE] * 4
     keeps = study_of(table(FALLS), success=1.0, off_grid=0)
