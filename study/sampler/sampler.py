@@ -111,7 +111,8 @@ class FeatureKernelSampler(BaseSampler):
         success: the value of the study from which on a trial has succeeded: at most
             this, or at least, where values are maximised. Until one has, the candidate
             that most likely succeeds comes next (with costs in worlds after the three
-            best rows by their mean), then that of the largest expected improvement.
+            best rows by their mean; on a machine like no world plain Bayesian
+            optimisation by turns with it), then that of the largest expected improvement.
             None: improvement alone counts.
         allowed: which rows of a table may be proposed, [n]; None: all. Points off it
             are not looked at then.

@@ -126,35 +126,36 @@ FALLS = np.where(
     RNG.random((60, 8)) < 0.6, RNG.uniform(30.0, 60.0, (60, 8)), RNG.random((60, 8))
 )
 FALLS[:3] = RNG.uniform(30.0, 60.0, (3, 8))
-FALLEN, LIKE = 500.0, 45.0  # costs, as in no world and as in some
+FALLEN, LIKE = [500.0] * 3, [45.0] * 3  # costs, as in no world and as in some
 
 
-def after(value, later=(), limits=None, **options):
-    """A study after three rows of this value, and after later ones."""
+def after(costs, limits=None, **options):
+    """A study after the first rows, which cost so much."""
     columns = {"x": TRIED[:, 0], "y": TRIED[:, 1]}
     table = FeatureTable.from_arrays(
         columns, outcomes=FALLS, space=PLANE, limits=limits
     )
     options = {"success": 1.0, "seed": 1} | options
     study = optuna.create_study(sampler=FeatureKernelSampler(table, **options))
-    for (x, y), cost in zip(TRIED, [value] * 3 + [*later], strict=False):
+    for (x, y), cost in zip(TRIED, costs, strict=False):
         told(study, PLANE, {"x": x, "y": y}, cost)
     return study
 
 
 @pytest.mark.parametrize(
-    ("study", "is_lost"),
+    ("costs", "success", "is_lost"),
     [
-        (after(FALLEN), True),
-        (after(FALLEN, [FALLEN]), True),
-        (after(LIKE), False),
-        (after(FALLEN, [0.5]), False),
-        (after(FALLEN, success=None), False),
-        (after(FALLEN, success=1e-9), False),
+        (FALLEN, 1.0, True),
+        (FALLEN + FALLEN, 1.0, True),
+        (LIKE, 1.0, False),
+        ([*FALLEN, 0.5], 1.0, False),
+        (FALLEN, None, False),
+        (FALLEN, 1e-9, False),
     ],
-    ids=["unlike", "four falls", "like", "succeeded", "no success", "of no world"],
+    ids=["unlike", "six falls", "like", "succeeded", "no success", "of no world"],
 )
-def test_which_world_an_unlike_machine_is_like_counts_less(study, is_lost):
+def test_which_world_an_unlike_machine_is_like_counts_less(costs, success, is_lost):
+    study = after(costs, success=success)
     model = study.sampler._policy.present(study).model
     assert model.is_lost is is_lost
     likeness, *_ = model.posterior.covariance.terms
@@ -165,7 +166,7 @@ def test_every_other_of_its_trials_is_what_the_plain_process_proposes():
     """It is told the same trials; the others are rows that may succeed."""
     found = {}
     for turn, later in ((3, []), (4, [400.0]), (5, [400.0, 300.0])):
-        study = after(FALLEN, later)
+        study = after(FALLEN + later)
         plain = optuna.create_study(
             sampler=FeatureKernelSampler(None, seed=1, space=PLANE)
         )
