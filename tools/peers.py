@@ -31,6 +31,9 @@ Rows = NDArray[np.int64]
 
 BEST, DRAWN = 10, 20  # rows of each world that a Gaussian process is told
 MOST_STUDIED = 1000  # rows of each world that MetaLearnTPE is told
+# Of a fit of MultiTaskGP's constants: without an end it takes a minute and more, for the
+# same rows or as good ones.
+FIT_ITERATIONS = 200
 HUB_PACKAGE = "samplers/meta_learn_tpe"
 
 
@@ -132,7 +135,10 @@ def multi_task(seed: int) -> Proposes:
         model = MultiTaskGP(
             x, y, task_feature=-1, output_tasks=[own], outcome_transform=by_task
         )
-        fit_gpytorch_mll(ExactMarginalLogLikelihood(model.likelihood, model))
+        fit_gpytorch_mll(
+            ExactMarginalLogLikelihood(model.likelihood, model),
+            optimizer_kwargs={"options": {"maxiter": FIT_ITERATIONS}},
+        )
         of_target = np.full(len(left), own)
         choices = torch.tensor(np.column_stack([known.points[left], of_target]))
         found, _ = optimize_acqf_discrete(
