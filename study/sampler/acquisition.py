@@ -89,6 +89,8 @@ class Model:
         limits_elsewhere: the constraints of these, [e, c]; None without them.
         refits: up to how many trials constants are learned anew after how many.
         off_grid: whether points between the rows of a table are candidates, too.
+        familiar: whether costs are in units of the trials, not of the table (see
+            `in_table_units`); None: trials and table decide.
     """
 
     kernel: Kernel
@@ -105,6 +107,7 @@ class Model:
     limits_elsewhere: Floats | None = None
     refits: Sequence[tuple[float, int]] = REFITS
     off_grid: bool = False
+    familiar: bool | None = None
     _in_sight: bool | None = field(default=None, init=False)  # a success; not yet asked
 
     @cached_property
@@ -160,7 +163,7 @@ class Model:
             cost = self.cost(some)
             return cost - self.expected(self.trials, cost)[some]
 
-        is_doubted = self.is_lost or (self._is_familiar and not self._is_smooth)
+        is_doubted = self.is_lost or (self.is_familiar and not self._is_smooth)
         posterior = self._after(
             self.trials,
             y,
@@ -261,16 +264,18 @@ class Model:
     def _in_costs(self) -> Ensemble | None:
         """Worlds in whose units the process sees costs: see `in_table_units`."""
         found = self.ensemble
-        if not isinstance(found, Ensemble) or not found.in_costs or self._is_familiar:
+        if not isinstance(found, Ensemble) or not found.in_costs or self.is_familiar:
             return None
         return found
 
     @cached_property
-    def _is_familiar(self) -> bool:
+    def is_familiar(self) -> bool:
         """Whether trials tell better than the table how far this robot's costs lie apart."""
         found = self.ensemble
         if not isinstance(found, Ensemble) or not found.in_costs:
             return False
+        if self.familiar is not None:
+            return self.familiar
         are_many = len(self.costs) >= FAMILIAR
         look_alike = self._look_alike(found)
         if not are_many and not look_alike:
@@ -323,7 +328,7 @@ class Model:
             columns,
             self.parameters,
             standardised=standardised,
-            is_familiar=self._is_familiar,
+            is_familiar=self.is_familiar,
             likeness=likeness,
             noise=noise,
             guess_error=guess_error,

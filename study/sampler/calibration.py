@@ -204,7 +204,9 @@ def past_errors(
 ) -> Floats:
     """Errors of the last trials, each predicted before it was made, [t, 1 + c].
 
-    Of the cost, and of each of the c limits; NaN where nothing was predicted.
+    Of the cost, and of each of the c limits; NaN where nothing was predicted. Errors are
+    in the unit that the model has now: how far it was off in another one does not tell
+    how sure it is in this one.
 
     Args:
         model: after the trials.
@@ -223,6 +225,7 @@ def past_errors(
 def _key(model: Model, count: int) -> str:
     """What the errors of the last of so many trials follow from."""
     digest = blake2b(digest_size=16)
+    digest.update(bytes([model.is_familiar]))
     digest.update(np.ascontiguousarray(model.trials.matrix[:count]).data)
     digest.update(model.costs[:count].tobytes())
     digest.update(model.limits[:count].tobytes())
@@ -246,6 +249,7 @@ def _errors_of(
             running=model.trials.take(np.arange(0)),
             known={},
             refits=REFITS,
+            familiar=model.is_familiar,
         ),
         number,
     )

@@ -23,6 +23,7 @@ TITLE = "Are the features worth anything?"
 WORLDS_TITLE = "Which worlds is the robot like?"
 SHOWN_WORLDS = 6  # most and least like
 BAR = 30  # characters of the longest bar
+ALIKE = 1e-9  # worlds whose values differ by less agree: the rest is rounding
 HEAD = ("feature", "rank correlation with the cost")
 LEAST_RANKED = 4  # trials with a feature, for its correlation
 NORMAL_95 = 1.959964  # 97.5 % quantile of the normal distribution
@@ -306,8 +307,10 @@ class Likeness:
         if not self.trials:
             return "No trial has told yet which worlds the robot is like."
         ordered = self._ordered()
-        most, least = ordered[0][0], ordered[-1][0]
         by = f"By {trials_text(self.trials)}"
+        (most, largest), (least, smallest) = ordered[0], ordered[-1]
+        if largest - smallest < ALIKE:
+            return f"{by}, no world is more like the robot than another: they do not differ."
         return f"{by}, the robot is most like {most}, and least like {least}."
 
     def __str__(self) -> str:

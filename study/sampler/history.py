@@ -62,6 +62,8 @@ class History:
         signs: of costs in the study's values: -1 where these are maximised, else 1,
             [k].
         tried: whether any trial has taken a row, whatever became of it, [table rows].
+        taken: parameters of all other trials that have them, whatever became of them, or
+            will have them (enqueued ones), [t, d].
         unplaced: finished trials left out, being no row of the table.
         fixed: settled values of the trial itself by name: the user's, or suggested
             already.
@@ -74,6 +76,7 @@ class History:
     costs: Floats
     signs: Floats
     tried: Mask
+    taken: Floats
     unplaced: tuple[FrozenTrial, ...]
     fixed: Mapping[str, Any]
     goals: Goals | None = None
@@ -112,6 +115,7 @@ def read_history(
     tried = np.zeros(0 if table is None else len(table), dtype=bool)
     done: list[tuple[FrozenTrial, Floats, int]] = []
     running: list[tuple[FrozenTrial, Floats, int]] = []
+    taken: list[Floats] = []
     unplaced = []
     for trial in study.get_trials(deepcopy=False):
         if trial.number == before.number:
@@ -119,6 +123,9 @@ def read_history(
         row, parameters = _looked_up(trial, space, table, known)
         if row is not None:
             tried[row] = True
+        place = space.row(values_of(trial)) if parameters is None else parameters
+        if place is not None:
+            taken.append(place)
         if trial.state not in (TrialState.COMPLETE, TrialState.RUNNING):
             continue
         is_complete = trial.state is TrialState.COMPLETE
@@ -146,6 +153,7 @@ def read_history(
         costs=costs,
         signs=np.array(signs),
         tried=tried,
+        taken=np.array(taken, dtype=np.float64).reshape(-1, len(space)),
         unplaced=tuple(unplaced),
         fixed={name: settled[name] for name in space.names if name in settled},
     )

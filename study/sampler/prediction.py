@@ -28,6 +28,7 @@ SHOWN_CANDIDATES = 10
 # How far an interval reaches beyond all that was simulated or read, in standard deviations
 # of the table: costs have a logarithm, and few trials an interval to 1e9.
 REACH = 1.5
+SAME = 1e-6  # of what is read: what the units of the model change by more, they do not have
 NOISES = np.geomspace(1e-3, 1.0, 11)  # variances, in standard units
 
 
@@ -89,9 +90,11 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     best = _chosen(present, maximised=maximised)
     strange = model.unlike(-1.0 if maximised else 1.0)
     trial = trials[best]
-    value = trial.values[0]
-    low = high = np.nan
-    if np.isfinite(value):
+    alike = [other.values[0] for other in trials if other.params == trial.params]
+    value, low, high = float(np.mean(alike)), np.nan, np.nan
+    # In the table's units there is nothing far below all of its worlds.
+    seen = model.in_units(model.cost())[best]
+    if np.isfinite(value) and np.isclose(seen, model.costs[best], rtol=SAME):
         expected = COST_UNLIKE if strange else COST
         calibration = Calibration.of(present.errors[:, 0], expected)
         away = calibration.reach * sqrt(float(variance[best]))
@@ -107,15 +110,15 @@ def best_of(present: Present, *, maximised: bool) -> Best:
         value=value,
         low=low,
         high=high,
-        trials=sum(other.params == trial.params for other in trials),
+        trials=len(alike),
         untold=tuple(sorted(limits - trial.constraints.keys())),
         unlike="" if strange is None else str(strange),
     )
 
 
 def _chosen(present: Present, *, maximised: bool) -> int:
-    """The place of the best trial."""
-    trials, cost = present.trials, present.model.cost()
+    """The place of the best trial; of trials alike by their mean value."""
+    trials, cost = present.trials, present.model.costs
     kept = np.asarray(~(read_limits(trials) > 0).any(axis=1))
     told = np.array([trial.values[0] for trial in trials])
     # To the model infinity is a number beyond the others, which noise may bring near to

@@ -120,11 +120,6 @@ class Places:
     unit: Floats
     centres: Floats | None = None
 
-    @classmethod
-    def off_table(cls, unit: Floats, centres: Floats) -> "Places":
-        """Points off the table, near some centres."""
-        return cls(np.full(len(unit), OFF_TABLE), unit, centres)
-
 
 @dataclass(frozen=True)
 class Prior:

@@ -45,6 +45,7 @@ STEP_DECADES = (-2.5, -0.3)
 # repeats it. With two knobs half of the trials were such repeats; in 16 dimensions none
 # is.
 REPEAT = 0.01
+SAME_DIGITS = 9  # of a coordinate in the unit cube: rounding changes later ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,12 +177,19 @@ def reflected(fractions: Floats) -> Floats:
 
 
 def not_among(points: Floats, taken: Floats) -> Mask:
-    """Which points [m, d] are none of the taken ones [t, d]; all, if that leaves none, [m]."""
-    known = {row.tobytes() for row in np.ascontiguousarray(taken)}
-    new = np.array(
-        [row.tobytes() not in known for row in np.ascontiguousarray(points)], dtype=bool
-    )
+    """Which points of the unit cube [m, e] are none of the taken ones [t, e], [m].
+
+    All, if that leaves none. What differs by rounding is the same: 0.1, and the step of
+    0.1 that comes out as 0.10000000000000009.
+    """
+    known = {row.tobytes() for row in _rounded(taken)}
+    new = np.array([row.tobytes() not in known for row in _rounded(points)], dtype=bool)
     return new if new.any() else np.ones(len(points), dtype=bool)
+
+
+def _rounded(unit: Floats) -> Floats:
+    """Points without what rounding makes of them; 0 in place of -0."""
+    return np.ascontiguousarray(unit.round(SAME_DIGITS) + 0.0)
 
 
 def not_near(points: Floats, taken: Floats) -> Mask:

@@ -12,7 +12,7 @@ from optuna.trial import FrozenTrial
 
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import argmax_random_tie
-from study.sampler.arrays import Floats
+from study.sampler.arrays import Floats, Mask
 from study.sampler.covariance import EUCLIDEAN
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
@@ -35,7 +35,7 @@ from study.sampler.policy import (
     set_attributes,
 )
 from study.sampler.rows import Rows
-from study.sampler.space import Space, anywhere, nearby, not_among
+from study.sampler.space import Space, anywhere, nearby, not_among, not_near
 from study.sampler.transforms import NormalScores, Points, Scale, Standard
 
 CANDIDATES = 2048  # points anywhere, a trial
@@ -178,11 +178,12 @@ class SpacePolicy(Policy):
         return points[best], features[best]
 
     def _best(
-        self, space: Space, history: History, own_turn: int
+        self, space: Space, history: History, own_turn: int, *, is_apart: bool = False
     ) -> tuple[Floats, Floats]:
         """The best of points anywhere and near the incumbents, and its features.
 
-        Without features, also of points near those, round by round.
+        Without features, also of points near those, round by round. If it is to be
+        apart, none that lies so near a trial that it repeats it.
         """
         rng = self.rng(Purpose.CANDIDATES, own_turn)
         points = self._candidates(space, history, rng)
@@ -192,9 +193,16 @@ class SpacePolicy(Policy):
         elsewhere = _placed(scale, running, space, history.running.parameters)
         model = self.model(history, seen, running=elsewhere)
         model = self.of_turn(model, own_turn)
-        taken = np.vstack([history.done.parameters, history.running.parameters])
+        taken = space.unit(history.taken)
+
+        def is_new(some: Floats) -> Mask:
+            unit = space.unit(some)
+            new = not_among(unit, taken)
+            apart = new & not_near(unit, taken) if is_apart else new
+            return apart if apart.any() else new
+
         known = np.asarray(~np.isnan(features).any(axis=1))
-        new = not_among(points, taken) & known
+        new = is_new(points) & known
         candidates = _placed(scale, features, space, points)
         utility = model.utility(candidates, new if new.any() else known, rng)
         for _ in range(REFINEMENTS if self.function is None else 0):
@@ -203,7 +211,7 @@ class SpacePolicy(Policy):
             points = np.vstack([points[best], near])
             features = np.empty((len(points), 0))
             candidates = _placed(scale, features, space, points)
-            utility = model.utility(candidates, not_among(points, taken), rng)
+            utility = model.utility(candidates, is_new(points), rng)
         best_one = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
         return points[best_one], features[best_one]
 
@@ -257,7 +265,7 @@ def by_parameters(
     options = replace(policy.options, kernel=EUCLIDEAN, off_grid=0, success=None)
     plain = SpacePolicy(None, options, policy.seed, policy.independent)
     space = rows.space.pinned(history.fixed)
-    point, _ = plain._best(space, history, own_turn)
+    point, _ = plain._best(space, history, own_turn, is_apart=True)
     unknown = np.full(len(rows.feature_names), np.nan)
     return Proposal(space.values(point), notes_of(OFF_TABLE, unknown))
 

@@ -40,12 +40,14 @@ from study.sampler.history import (
     placed,
     proves_fit,
     read_history,
+    read_limits,
     row_of,
     run_otherwise,
     shown_misfit,
     suggested_so_far,
     values_of,
 )
+from study.sampler.off_table import best_off_table, points_of
 from study.sampler.policy import (
     NOTHING,
     ODD_TURN,
@@ -55,11 +57,9 @@ from study.sampler.policy import (
     Policy,
     Proposal,
     TableExhaustedError,
-    call_features,
     features_of,
     one_thread,
     ranking_goes_on,
-    rows_fail,
     set_attributes,
     take_back,
 )
@@ -67,14 +67,11 @@ from study.sampler.prediction import Prediction, prediction_of
 from study.sampler.risk import Certificate, Places, all_kept, by_trials, risks_of
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
-from study.sampler.space import as_suggested, nearby, not_among, not_near
+from study.sampler.space import as_suggested
 from study.sampler.space_policy import by_parameters
 from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble
-
-CENTRES = 8  # best rows that points off the table are near to
-INCUMBENTS = 3  # and best trials
 
 
 class TablePolicy(Policy):
@@ -272,19 +269,22 @@ class TablePolicy(Policy):
                 f"{history.unplaced[0].number}; enqueue rows of the table instead, or give the "
                 "table outcomes in worlds, or the sampler a feature_function"
             )
-        offered = rows.offered & ~history.tried
-        offered[list(withdrawn)] = False
+        offered = rows.offered.copy()
         if self.options.allowed is not None:
             offered &= self.options.allowed
+        count = int(offered.sum())
+        offered &= ~history.tried
+        offered[list(withdrawn)] = False
         if history.fixed:
             offered &= rows.having(history.fixed)
         is_near = bool(self.options.off_grid and len(history.cost))
         if not offered.any() and not is_near:
             if not history.fixed:
-                message = f"all {len(rows)} rows of the table have been tried"
+                message = f"all {count} rows that may be proposed have been tried"
                 raise TableExhaustedError(message)
             error = no_row_has(rows, history.fixed)
-            if not self._places_all:
+            # Of values drawn at random nobody would know the risk.
+            if not self._places_all or self.options.allowed_risk is not None:
                 raise error
             self.take_over(error)  # what the user fixed is tried all the same
             return NOTHING
@@ -329,7 +329,10 @@ class TablePolicy(Policy):
             return True
         ensemble = self._ensemble(history)
         assert isinstance(ensemble, Ensemble)
-        has_failed = success is not None and history.cost.min() > history.sign * success
+        has_failed = False
+        if success is not None:
+            kept = ~(read_limits(history.done.trials) > 0).any(axis=1)
+            has_failed = not (kept & (history.cost <= history.sign * success)).any()
         return ranking_goes_on(ensemble, self.options, has_failed=has_failed)
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
@@ -407,7 +410,16 @@ class TablePolicy(Policy):
             rng = self.rng(Purpose.CANDIDATES, own_turn)
             utility = model.utility(points, free, rng)
         if self.options.off_grid:
-            value, off = self._off_table(history, utility, model, own_turn, certificate)
+            value, off = best_off_table(
+                self,
+                self.rows,
+                history,
+                model,
+                own_turn,
+                known=points,
+                utility=utility,
+                certificate=certificate,
+            )
             if not free.any() or value > utility.max():
                 return off
         return self._best_row(utility, offered, self.rng(Purpose.TIE_BREAK, own_turn))
@@ -426,61 +438,6 @@ class TablePolicy(Policy):
         )
         return self.of_turn(model, own_turn)
 
-    def _off_table(
-        self,
-        history: History,
-        utility: Floats,
-        model: Model,
-        own_turn: int,
-        certificate: Certificate | None,
-    ) -> tuple[float, Proposal]:
-        """The best of some points near the best rows and trials, and its utility or infinity.
-
-        Beside worlds no point that repeats a trial, unless nothing else is left:
-        repeats are asked for by enqueuing them.
-
-        `utility` is that of the rows that may be proposed, [m].
-        """
-        rows, space = self.rows, self.rows.space
-        order = np.lexsort((history.cost, ~model.feasible))
-        centres = history.done.parameters[order[:INCUMBENTS]]
-        if self.function is not None:
-            best = np.argsort(-utility, kind="stable")[:CENTRES]
-            best = best[np.isfinite(utility[best])]
-            centres = np.vstack([rows.parameters[rows.numbers[best]], centres])
-        rng = self.rng(Purpose.OFF_GRID, own_turn)
-        near = nearby(space.pinned(history.fixed), centres, self.options.off_grid, rng)
-        taken = np.vstack([history.done.parameters, history.running.parameters])
-        new = not_among(near, taken)
-        features = np.full((len(near), len(rows.feature_names)), np.nan)
-        unit = space.unit(near)
-        if self.function is not None:
-            features = call_features(self.function, near, features.shape[1])
-            known = np.asarray(~np.isnan(features).any(axis=1))
-            new = new & known if (new & known).any() else known
-            points = self._as_points(near, features)
-        else:
-            elsewhere = new & not_near(unit, space.unit(taken))
-            if np.isfinite(utility).any() or elsewhere.any():
-                new = elsewhere
-            own = self._points(model.ensemble).features
-            between = rows.between(model.ensemble)
-            points = Points(between.at(own, unit, space.unit(centres)), unit)
-        if certificate is not None:
-            new = new & certificate.within(
-                Places.off_table(unit, space.unit(centres)), points
-            )
-            if not new.any():
-                return -np.inf, NOTHING
-        rng = self.rng(Purpose.OFF_GRID_UTILITY, own_turn)
-        utility = model.utility(points, new, rng)
-        chosen = argmax_random_tie(utility, rng)
-        notes = notes_of(OFF_TABLE, features[chosen])
-        value = float(utility[chosen])
-        if value > -np.inf and rows_fail(model):
-            value = np.inf
-        return value, Proposal(space.values(near[chosen]), notes)
-
     def _of_row(self, row: int) -> Proposal:
         notes = notes_of(row, self.rows.features[row])
         return Proposal(self.rows.as_parameters(row), notes)
@@ -497,9 +454,9 @@ class TablePolicy(Policy):
     def _seen(self, placed: Placed, ensemble: Relation | None) -> Points:
         """Trials as points: with worlds, those off the table have what rows near them tell."""
         if ensemble is None:
-            return self._as_points(
-                placed.parameters, features_of(self.rows, placed, self.function)
-            )
+            features = features_of(self.rows, placed, self.function)
+            kernel = self.options.kernel
+            return points_of(self.rows, kernel, placed.parameters, features)
         rows, points = self.rows, self._points(ensemble)
         unit = rows.space.unit(placed.parameters)
         place = np.searchsorted(rows.numbers, placed.rows)
@@ -508,14 +465,6 @@ class TablePolicy(Policy):
         for off in np.flatnonzero(rows.numbers[place] != placed.rows).tolist():
             features[off] = rows.between_at(points, unit[off], ensemble)
         return Points(features, unit)
-
-    def _as_points(self, parameters: Floats, features: Floats) -> Points:
-        """Parameters [m, d] and features [m, k] as the kernel sees them."""
-        kernel, unit = self.options.kernel, np.empty((len(parameters), 0))
-        if kernel.of_parameters:
-            unit = self.rows.space.unit(parameters)
-        scale = self.rows.scale(by_order=kernel.by_order)
-        return Points(scale.standard(features), unit)
 
     def present(self, study: optuna.Study) -> Present:
         """See `Present`."""

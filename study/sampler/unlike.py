@@ -106,24 +106,36 @@ def unlike(
 def _is_farther(cost: Floats, told: Floats, doubt: Floats, share: float) -> bool:
     """Whether costs [t] are farther from worlds [t, w] than a world is in this share of cases."""
     count = told.shape[1]
-    others = np.array([np.delete(told, world, axis=1) for world in range(count)])
-    theirs, noise = _distance(told.T, others, doubt)
+    mean = told.mean(axis=1)
+    apart = (told - mean[:, None]).T  # [w, t]
+    squares = apart.T @ apart
+    # A world that is left out takes its own part of mean and squares along.
+    own = np.einsum("wt,wu->wtu", apart, apart)
+    grown = count / (count - 1.0)
+    theirs, noise = _distance(
+        grown * apart, (squares - grown * own) / (count - 2.0), count - 1, doubt
+    )
     theirs += noise  # which readings have, and worlds have not
-    own = _distance(cost[None], told[None], doubt)[0][0]
+    away, covariance = (cost - mean)[None], squares[None] / (count - 1.0)
+    distance = _distance(away, covariance, count, doubt)[0][0]
     farther = int(share * (count + 1))  # how many of them may be as far
     if farther:
-        return bool(own > np.sort(theirs)[-farther])
+        return bool(distance > np.sort(theirs)[-farther])
     beyond = log(1.0 / (share * (count + 1.0)))
-    return bool(own > theirs.max() + beyond * theirs.mean())
+    return bool(distance > theirs.max() + beyond * theirs.mean())
 
 
-def _distance(costs: Floats, told: Floats, doubt: Floats) -> tuple[Floats, Floats]:
-    """T of costs [k, t], each against its own worlds [k, t, w], and the share of e in it, [k]."""
-    worlds = told.shape[2]
-    mean = told.mean(axis=2)
-    apart = told - mean[:, :, None]
-    covariance = apart @ apart.transpose(0, 2, 1) / (worlds - 1.0)
+def _distance(
+    away: Floats, covariance: Floats, worlds: int, doubt: Floats
+) -> tuple[Floats, Floats]:
+    """T of costs that are away [k, t] from the mean of worlds, and the share of e in it, [k].
+
+    Args:
+        away: see above.
+        covariance: of these worlds, [k, t, t].
+        worlds: how many they are.
+        doubt: e^2 of each trial, [t].
+    """
     inverse = np.linalg.inv((1.0 + 1.0 / worlds) * covariance + np.diag(doubt))
-    away = costs - mean
     distance = np.einsum("kt,ktu,ku->k", away, inverse, away)
     return distance, np.einsum("ktt,t->k", inverse, doubt)

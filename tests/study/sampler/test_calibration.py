@@ -8,6 +8,7 @@ from optuna.distributions import FloatDistribution
 from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import FAMILIAR
 from study.sampler.calibration import COST, LARGEST_ERROR, Calibration, reading_of
 from study.sampler.history import placed
 from tests.study.sampler import campaigns
@@ -144,12 +145,58 @@ def test_the_best_reading_is_recommended_and_repeats_count_as_their_mean():
     assert study.sampler.best(study).number == 4
 
 
+def test_repeats_count_as_the_mean_of_their_values_not_of_the_units_of_the_model():
+    study = study_on(values=[101.0])
+    told(study, SPACE, {"x": LINE[0]}, 1.0)
+    told(study, SPACE, {"x": LINE[4]}, 45.0)
+    assert study.sampler.best(study).number == 2
+
+
+@pytest.mark.parametrize("value", [2e-4, -5.0])
+def test_a_reading_far_below_all_worlds_is_the_best_and_its_interval_unknown(value):
+    """The logarithm of the worlds' costs has no such number."""
+    study = study_on(values=[2.0 * value, value, value])
+    told(study, SPACE, {"x": LINE[20]}, min(0.9 * value, 1.1 * value))
+    best = study.sampler.best(study)
+    assert best.value == study.best_value and np.isnan([best.low, best.high]).all()
+
+
+def test_errors_are_counted_in_the_units_that_costs_have_now():
+    """From the eighth trial on they are those of the trials: the errors before are, too."""
+    rng = np.random.default_rng(2)
+    x = rng.random((200, 2))
+    worlds = np.column_stack(
+        [0.3 + ((x - at) ** 2).sum(axis=1) for at in rng.uniform(0.3, 0.7, (12, 2))]
+    )
+    table = FeatureTable.from_arrays({"a": x[:, 0], "b": x[:, 1]}, outcomes=worlds)
+    space = table.rows.space.as_dict()
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
+    at = [0.1, 0.8]  # beyond all worlds
+    for _ in range(FAMILIAR - 1):
+        trial = study.ask(space)
+        away = np.array([trial.params[name] for name in "ab"]) - at
+        study.tell(trial, 0.3 + (away**2).sum())
+    before = errors_of(study)[:, 0]
+    trial = study.ask(space)
+    study.tell(trial, 0.31)
+    found = study.sampler._policy.present(study)
+    assert not found.model.in_table_units
+    assert not np.allclose(found.errors[2:-1, 0], before[2:])
+    assert np.isnan(found.errors[:2, 0]).all()  # two trials tell of no scale
+
+
 def test_a_valley_that_no_other_trial_confirms_is_recommended():
     """By two standard deviations of the model trial 5 was better."""
     values = 0.31 + 0.5 * (LINE[::4] - 0.45) ** 2
     values[7] = 0.3
     study = study_on(values=values.tolist())
     assert study.sampler.best(study).number == 7
+
+
+@pytest.mark.parametrize("alike", [COSTS[:, :1], np.repeat(COSTS[:, :1], 5, axis=1)])
+def test_of_worlds_that_do_not_differ_none_is_named(alike):
+    study = study_on(alike, values=[0.4, 0.5, 0.6, 0.45])
+    assert "no world is more like the robot" in study.sampler.worth(study).verdict
 
 
 # The harness.

@@ -1,5 +1,7 @@
 """A machine that is like none of the worlds is called so by its first trials."""
 
+import tracemalloc
+
 import numpy as np
 import optuna
 import pytest
@@ -11,7 +13,7 @@ from study.sampler.acquisition import FAMILIAR
 from study.sampler.calibration import COST, COST_UNLIKE
 from study.sampler.covariance import DOUBTED, WORLD
 from study.sampler.history import OFF_TABLE
-from study.sampler.unlike import FALSE_ALARMS, LEAST_WORLDS
+from study.sampler.unlike import FALSE_ALARMS, LEAST_WORLDS, _is_farther
 from tests.study.sampler.campaigns import machine_of
 from tests.study.sampler.studies import told
 
@@ -117,6 +119,38 @@ def test_what_is_recommended_on_an_unlike_machine_has_a_wider_interval(monkeypat
     other = study.sampler.best(study)
     assert not other.unlike and not str(other).endswith(" ")
     assert found.high - found.low > 1.1 * (other.high - other.low)
+
+
+def test_thousands_of_worlds_take_no_memory_by_their_square():
+    many = 0.3 + (LINE[:, None] - np.linspace(0.3, 0.7, 4000)) ** 2
+    tracemalloc.start()
+    found = _is_farther(np.full(3, 9.0), many[:3], np.full(3, 0.04), 0.01)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found and most < 4000 * 3 * 3 * 8 * 10
+
+
+def test_a_world_that_is_left_out_is_compared_with_the_others_alone():
+    """By the definition: mean and covariance of the others, and each its own T."""
+    told = np.random.default_rng(5).normal(size=(3, 9))
+    doubt = np.array([0.04, 0.13, 0.04])
+
+    def distance(cost, others):
+        count = others.shape[1]
+        spread = (1.0 + 1.0 / count) * np.cov(others)
+        away = cost - others.mean(axis=1)
+        inverse = np.linalg.inv(spread + np.diag(doubt))
+        return away @ inverse @ away, np.trace(inverse @ np.diag(doubt))
+
+    left_out = [distance(told[:, w], np.delete(told, w, axis=1)) for w in range(9)]
+    theirs = np.array([own + noise for own, noise in left_out])
+    share = 0.05  # of ten: beyond the largest one
+    least = theirs.max() + np.log(1.0 / (share * 10.0)) * theirs.mean()
+    far = told.mean(axis=1) + np.array([1.0, -2.0, 0.5])
+    scale = np.sqrt(least / distance(far, told)[0])
+    for times, is_farther in ((0.999, False), (1.001, True)):
+        cost = told.mean(axis=1) + times * scale * (far - told.mean(axis=1))
+        assert _is_farther(cost, told, doubt, share) == is_farther
 
 
 # What is proposed on such a machine.
