@@ -21,6 +21,25 @@ def test_without_worlds_a_value_is_compared_with_the_other_trials(value, others,
     assert bool(odd_value(value, None, others)) is odd
 
 
+@pytest.mark.parametrize(
+    ("value", "simulated", "odd"),
+    [
+        (0.000276, (0.1376, 4.796), True),
+        (0.0, (0.1376, 4.796), True),
+        (0.0276, (0.1376, 4.796), False),
+        (-0.000276, (-4.796, -0.1376), True),
+        (0.000276, (-4.796, -0.1376), True),
+        (-4.0, (-4.796, -0.1376), False),
+        (0.000276, (0.0, 4.796), False),
+    ],
+)
+def test_a_value_of_another_order_than_all_worlds_is_far_from_them(
+    value, simulated, odd
+):
+    """0.000276 was typed for 0.276, and nobody said a word."""
+    assert bool(odd_value(value, simulated, ())) is odd
+
+
 def state_of(*told):
     """Trials with these values and torques; NaN: none was entered."""
     trials = {}
