@@ -20,14 +20,12 @@ from storage.commit import commit_text, require_writable
 from storage.inputs import typed
 from storage.inputs.errors import InputError, listed
 from storage.inputs.reading import json_document, toml_document
-from study.bench.advice import EXPECTED
 from study.bench.bench import Bench, Own
 from study.bench.candidates import beyond_bounds
 from study.bench.journal import Trial
 from study.bench.words import PROGRAM, clashes, number_of, shown, times
 from study.cli import ProgressBar
 from study.options import COMMANDS, require_used
-from study.sampler.unlike import UNLIKE
 
 EVERYWHERE = "0.0.0.0"
 PARAMETERS = "a JSON object of parameters by name"
@@ -181,9 +179,6 @@ def status(bench: Bench, args: Namespace) -> None:
         print(f"{line}  {marks}".rstrip())
     for entry in bench.entries:
         print(f"{entry}{' (undone)' if entry.number in state.undone else ''}")
-    asked = [trial.why for trial in state.of_context(state.context)]
-    said = [why for why in asked if EXPECTED in why][-1:]
-    warn([UNLIKE + why.partition(UNLIKE)[2] for why in said if UNLIKE in why])
     warn(bench.doubts())
 
 
