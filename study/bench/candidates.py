@@ -206,6 +206,14 @@ def of_file(
             row, column = np.argwhere(is_empty)[0].tolist()
             allowed = "what the trial costs in this world (inf: worse than all); or no such row"
             raise InputError(f"candidates.{named[column]}[{row}]", "nothing", allowed)
+    if (
+        patterns
+        and begun is None
+        and not np.isfinite(np.hstack([*outcomes.values()])).any()
+    ):
+        raise InputError(
+            "candidates.outcomes", "infinite in all rows", "a finite number"
+        )
 
     def told(field: str, patterns: tuple[str, ...]) -> ByFamily:
         families = {pattern: _named(found, pattern) for pattern in patterns}

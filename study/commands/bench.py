@@ -245,6 +245,9 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
     found = np.array([*seen.values()])
     r = RankCorrelation.of(expected, found) if simulated else None
     lines.append(f"Rank correlation of simulated and seen: {r or 'too few trials'}")
+    worlds = bench.candidates.rows.worlds
+    if worlds is not None and worlds.as_before is not None:
+        lines.append("Infinite costs count as numbers beyond all others.")
     lines += ["", bench.worth()]
     print("\n".join(lines))
     path = bench.plan.path.with_name(f"{bench.plan.name}-simulator.png")
