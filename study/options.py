@@ -106,7 +106,9 @@ class Options(argparse.ArgumentParser):
         nothing = kind(**dict.fromkeys(action.dest for action in self._actions))
         given = {
             name: self._checked(name, value)
-            for name, value in vars(super().parse_args(words, nothing)).items()
+            for name, value in vars(
+                super().parse_intermixed_args(words, nothing)
+            ).items()
             if value is not None
         }
         found = argparse.Namespace(others=others, given={})
