@@ -180,13 +180,6 @@ def test_nothing_is_recommended_before_a_trial_is_finished(bench):
     assert bench("recommend") == f"{nothing} in gravel.\n"
 
 
-def test_that_a_machine_is_unlike_all_worlds_is_said_while_it_is_true(asked):
-    asked("record 0 --value 920")
-    assert "Unlike all 6" in asked("next") and "Unlike all 6" in asked("recommend")
-    asked("correct 0 --value 0.92")
-    assert "Unlike" not in asked("status") + asked("recommend")
-
-
 def test_words_of_a_sheet(folder, bench):
     robot.write(folder, robot.FEATURES)
     bench("new walk.toml")
