@@ -23,6 +23,7 @@ from optuna.distributions import (
 from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
 from study.bench.limits import ByFamily
+from study.sampler.rows import Rows
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
 
@@ -149,6 +150,25 @@ def beyond_bounds(
                 f"beyond {low:g} to {high:g}; in a new bench, which takes an `export` of this one, "
                 "the bounds hold"
             )
+
+
+def repeated(rows: Rows) -> Iterator[str]:
+    """Rows that are passed over though they tell something else than an earlier one: a line."""
+    known = rows.features
+    if rows.worlds is not None:
+        known = np.hstack([known, rows.worlds.costs])
+    _, first, place = np.unique(
+        rows.parameters, axis=0, return_index=True, return_inverse=True
+    )
+    before = first[place.ravel()]
+    same = (known == known[before]) | (np.isnan(known) & np.isnan(known[before]))
+    others = np.flatnonzero(~same.all(axis=1))
+    if len(others):
+        row = int(others[0])
+        yield (
+            f"candidates: row {row} has the parameters of row {before[row]} and other numbers: "
+            f"the earlier one counts (such rows: {len(others)})"
+        )
 
 
 def of_file(

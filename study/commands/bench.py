@@ -21,7 +21,7 @@ from storage.inputs import typed
 from storage.inputs.errors import InputError, listed
 from storage.inputs.reading import json_document, toml_document
 from study.bench.bench import Bench, Own
-from study.bench.candidates import beyond_bounds
+from study.bench.candidates import beyond_bounds, repeated
 from study.bench.journal import Trial
 from study.bench.words import PROGRAM, clashes, number_of, shown, times
 from study.cli import ProgressBar
@@ -43,7 +43,7 @@ def main(args: Namespace) -> None:
         bench = Bench.new(path, args.operator)
         rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
-        warn([*bench.plan.cautions(), *bench.doubts()])
+        warn([*repeated(rows.rows), *bench.plan.cautions(), *bench.doubts()])
         line = [*PROGRAM, "next", "--bench", str(bench.plan.path)]
         print(f"next: {shlex.join(line)}")
         tell_forecast(bench, is_asked=False)

@@ -242,6 +242,13 @@ def test_an_infinite_cost_in_a_world_is_worse_than_all_others(tmp_path, capsys):
         read_plan(path).read_candidates()
 
 
+def test_a_row_that_is_told_twice_in_two_ways_is_named(tmp_path, capsys):
+    path = plan(tmp_path, [1, 2, 2, 3]).path
+    main(["bench", "new", str(path)])
+    said = capsys.readouterr().err
+    assert "warning: candidates: row 2 has the parameters of row 1 and other" in said
+
+
 def test_an_empty_cell_of_a_world_is_refused_by_its_row(tmp_path):
     """A row without its cost in each world would never be proposed, without a word."""
     path = plan(tmp_path, []).path
