@@ -153,18 +153,15 @@ def beyond_bounds(
 
 
 def repeated(rows: Rows) -> Iterator[str]:
-    """Rows that are passed over though they tell something else than an earlier one: a line."""
-    known = rows.features
-    if rows.worlds is not None:
-        known = np.hstack([known, rows.worlds.costs])
+    """A line, if rows are passed over though they tell something else than an earlier one."""
+    costs = [] if rows.worlds is None else [rows.worlds.costs]
+    known = np.nan_to_num(np.hstack([rows.features, *costs]))
     _, first, place = np.unique(
         rows.parameters, axis=0, return_index=True, return_inverse=True
     )
     before = first[place.ravel()]
-    same = (known == known[before]) | (np.isnan(known) & np.isnan(known[before]))
-    others = np.flatnonzero(~same.all(axis=1))
-    if len(others):
-        row = int(others[0])
+    others = np.flatnonzero((known != known[before]).any(axis=1))
+    for row in others[:1]:
         yield (
             f"candidates: row {row} has the parameters of row {before[row]} and other numbers: "
             f"the earlier one counts (such rows: {len(others)})"

@@ -332,6 +332,8 @@ def test_the_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     assert "warning" not in said.err
     for line in SAID.strip().splitlines():
         assert line in said.out
+    (promised,) = re.findall(r'"(Of 6 robots[^"]*)"', page)
+    assert " ".join(promised.split()) in said.out
     best = r"^Trial \d.*\n\{.*\}\nThe interval .*\nA repeat of trial \d"
     assert re.search(best, said.out, re.MULTILINE)
     asked = json.loads((tmp_path / "next.json").read_text())
