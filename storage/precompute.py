@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from storage.cautions import cautions
 from storage.inputs import checks
-from storage.inputs.config import Table
+from storage.inputs.config import Table, completed
 from storage.points import sobol_points
 from storage.pool import IN_PROCESS, MOST_LOCAL, Pool, cores, local_pool, own_kind
 from storage.search import evolved_points
@@ -422,7 +422,8 @@ def make_store(
     Warns:
         UserWarning: no row came to the end of the base setting, or of a family.
     """
-    specification = read_specification(Table(configuration), simulator=simulator)
+    table = Table(completed(configuration))
+    specification = read_specification(table, simulator=simulator)
     specification.simulator.require_machine()
     workers = simulator.processes(cores()) if workers is None else workers
     with local_pool(workers) as pool:

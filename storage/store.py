@@ -448,7 +448,10 @@ def open_store(
         raise InputError("store", str(path), allowed)
     if is_folder(path):
         shards = tuple(sorted(path.glob(SHARD_PATTERN))) if unfinished else ()
-        if shards and not (path / MANIFEST_NAME).exists():  # which is written last
+        if unfinished and not (path / MANIFEST_NAME).exists():  # which is written last
+            if not shards:
+                allowed = "a store of which `precompute` has finished a shard"
+                raise InputError("store", str(path), allowed)
             files = shards
         else:
             manifest = Manifest.read(path)

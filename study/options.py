@@ -31,8 +31,8 @@ MOST_WORKERS = 1024  # processes; each takes hundreds of MB
 LARGEST_SEED = 2**63 - 1  # as in configurations
 LONGEST_NAME_BYTES = 255  # NAME_MAX of Linux and of macOS
 LONGEST_PATH_BYTES = 1023  # PATH_MAX of macOS without its end; Linux has 4095
-# The begin of a number, which is no option; also of -1e5 and -0,5.
-NEGATIVE = re.compile(r"-[.,]?\d")
+# The begin of a number, which is no option; also of -1e5, -0,5 and -inf.
+NEGATIVE = re.compile(r"-([.,]?\d|inf|nan)")
 # As argparse begins a line, with all names.
 ARGUMENT = re.compile(r"\Aargument --([\w-]+)\S*: ")
 # Unicode's control characters, half characters, line ends.
@@ -106,7 +106,9 @@ class Options(argparse.ArgumentParser):
         nothing = kind(**dict.fromkeys(action.dest for action in self._actions))
         given = {
             name: self._checked(name, value)
-            for name, value in vars(super().parse_args(words, nothing)).items()
+            for name, value in vars(
+                super().parse_intermixed_args(words, nothing)
+            ).items()
             if value is not None
         }
         found = argparse.Namespace(others=others, given={})

@@ -197,7 +197,7 @@ def read_toml(path: str | Path, over: Mapping[str, Any] | None = None) -> Table:
         InputError: no such file, one that cannot be read, or no such variant.
     """
     file, name = _file_and_variant(Path(path))
-    data = _completed(toml_document("config", file, READABLE))
+    data = completed(toml_document("config", file, READABLE))
     variants = data.pop("variants", {})
     if not isinstance(variants, dict) or not all(
         isinstance(v, dict) for v in variants.values()
@@ -231,6 +231,30 @@ def to_toml(tables: dict[str, Any], name: str = "") -> str:
     return "\n".join(filter(None, ["".join(lines), *inner]))
 
 
+def completed(data: dict[str, Any]) -> dict[str, Any]:
+    """The tables, each laid over the one that it is `like`."""
+    done: dict[str, Any] = {}
+
+    def complete(key: str, asked_by: tuple[str, ...]) -> Any:
+        if key in done or not isinstance(data[key], dict):
+            return done.setdefault(key, data[key])
+        table = dict(data[key])
+        if "like" in table:
+            other, beside = (
+                table.pop("like"),
+                [name for name in data if name not in asked_by],
+            )
+            if other not in beside or not isinstance(data[other], dict):
+                raise InputError(
+                    f"{key}.like", other, "a table beside it that is not like it"
+                )
+            table = laid_over(complete(other, (*asked_by, other)), table)
+        done[key] = completed(table)
+        return done[key]
+
+    return {key: complete(key, (key,)) for key in data}
+
+
 def laid_over(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     """The keys of `over`, and those of `under` that it leaves out; of tables in both, likewise.
 
@@ -254,27 +278,3 @@ def _file_and_variant(path: Path) -> tuple[Path, str]:
             if path.stem[cut] == "-" and is_file(base):
                 return base, path.stem[cut + 1 :]
     return path, ""
-
-
-def _completed(data: dict[str, Any]) -> dict[str, Any]:
-    """The tables, each laid over the one that it is `like`."""
-    done: dict[str, Any] = {}
-
-    def complete(key: str, asked_by: tuple[str, ...]) -> Any:
-        if key in done or not isinstance(data[key], dict):
-            return done.setdefault(key, data[key])
-        table = dict(data[key])
-        if "like" in table:
-            other, beside = (
-                table.pop("like"),
-                [name for name in data if name not in asked_by],
-            )
-            if other not in beside or not isinstance(data[other], dict):
-                raise InputError(
-                    f"{key}.like", other, "a table beside it that is not like it"
-                )
-            table = laid_over(complete(other, (*asked_by, other)), table)
-        done[key] = _completed(table)
-        return done[key]
-
-    return {key: complete(key, (key,)) for key in data}

@@ -454,9 +454,14 @@ def with_before(candidates: FeatureTable, told: Any, *, maximise: bool) -> Featu
 
 
 def simulated_range(rows: Rows) -> list[float] | None:
-    """The least and the largest value that was simulated; None: in no worlds of these units."""
+    """The least and the largest finite value that was simulated; None: in no worlds of these units.
+
+    Infinity, for which two numbers stand, was not measured in any unit.
+    """
     if rows.worlds is None or rows.worlds.better is not None:
         return None
-    costs = rows.worlds.costs
+    costs, before = rows.worlds.costs, rows.worlds.as_before
+    if before is not None:
+        costs = costs[costs == before]
     finite = costs[np.isfinite(costs)]
     return [float(finite.min()), float(finite.max())] if len(finite) else None

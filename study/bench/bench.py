@@ -34,7 +34,7 @@ from study.bench.advice import (
 from study.bench.doubts import Range, doubts, odd_failures
 from study.bench.journal import Entry, Journal, State, Trial, read_state, undoable
 from study.bench.limits import require_limits
-from study.bench.own import COLUMNS, a_trial
+from study.bench.own import COLUMNS, LINE, a_trial
 from study.bench.own import Own as Own
 from study.bench.plan import Plan, read_plan, require_failures
 from study.bench.shown import require_shown, show
@@ -48,7 +48,7 @@ RESULT = {
     "value": checks.optional(checks.number()),
     "failed_s": checks.optional(checks.number()),
     "columns": checks.optional(COLUMNS),
-    "note": checks.text,
+    "note": LINE,
 }
 MOST_BATCH = 1000
 
@@ -306,7 +306,7 @@ class Bench:
                 result["failed"] = False
             self._add("correct", {"trial": number} | result)
 
-    @checks.checked(number=WHOLE, note=checks.text)
+    @checks.checked(number=WHOLE, note=LINE)
     def abort(self, number: int, note: str = "") -> None:
         """Enter that a trial was broken off: nothing is learned, and it is the next one again.
 
@@ -355,7 +355,7 @@ class Bench:
             known = list[int]()
             for row, params, result in zip(own, params_of, results, strict=True):
                 params = _as_known(params, state.trials.values())
-                context = state.context if row.context is None else row.context
+                context = state.context if row.context is None else row.context.strip()
                 same = [
                     trial.number
                     for trial in state.trials.values()
@@ -385,9 +385,10 @@ class Bench:
                 self._add("add", {"trials": trials})
         return [trial["number"] for trial in trials], known
 
-    @checks.checked("context.", name=checks.text)
+    @checks.checked("context.", name=LINE)
     def context(self, name: str) -> None:
         """Go on in another context: other ground, shoes or motors; or in one that was before."""
+        name = name.strip()
         with self._turn() as state:
             if name == state.context:
                 raise InputError("context", name, "another one than the present")

@@ -23,6 +23,7 @@ from optuna.distributions import (
 from storage.inputs.config import Table
 from storage.inputs.errors import InputError, listed
 from study.bench.limits import ByFamily
+from study.sampler.rows import Rows
 from study.sampler.table import FeatureTable
 from study.sampler.worlds import Better
 
@@ -151,6 +152,22 @@ def beyond_bounds(
             )
 
 
+def repeated(rows: Rows) -> Iterator[str]:
+    """A line, if rows are passed over though they tell something else than an earlier one."""
+    costs = [] if rows.worlds is None else [rows.worlds.costs]
+    known = np.nan_to_num(np.hstack([rows.features, *costs]))
+    _, first, place = np.unique(
+        rows.parameters, axis=0, return_index=True, return_inverse=True
+    )
+    before = first[place.ravel()]
+    others = np.flatnonzero((known != known[before]).any(axis=1))
+    for row in others[:1]:
+        yield (
+            f"candidates: row {row} has the parameters of row {before[row]} and other numbers: "
+            f"the earlier one counts (such rows: {len(others)})"
+        )
+
+
 def of_file(
     table: Table,
     begun: Mapping[str, BaseDistribution] | None,
@@ -206,6 +223,14 @@ def of_file(
             row, column = np.argwhere(is_empty)[0].tolist()
             allowed = "what the trial costs in this world (inf: worse than all); or no such row"
             raise InputError(f"candidates.{named[column]}[{row}]", "nothing", allowed)
+    if (
+        patterns
+        and begun is None
+        and not np.isfinite(np.hstack([*outcomes.values()])).any()
+    ):
+        raise InputError(
+            "candidates.outcomes", "infinite in all rows", "a finite number"
+        )
 
     def told(field: str, patterns: tuple[str, ...]) -> ByFamily:
         families = {pattern: _named(found, pattern) for pattern in patterns}

@@ -15,6 +15,9 @@ from study.bench.plan import Plan
 Range = Sequence[float]
 
 BEYOND_WORLDS = 0.5  # of their range: the machine is not quite any of them
+# Of the least one, where all have one sign: a comma moves by 10, a unit mostly by more; the
+# best row of the best world is ahead of what a machine does already.
+LEAST_OF_WORLDS = 0.1
 LEAST_KNOWN = 3  # other numbers, before one of them can be far from all
 BEYOND_FAILURES = 3.0  # of the range of worlds: who fails may be worse than all of them
 SAME_PRICE = 0.1  # relative, of a fall at once
@@ -37,7 +40,7 @@ def odd_value(value: float, simulated: Range | None, others: Sequence[float]) ->
         return f"{value:g} is no measurement: is it right?"
     if simulated is None:
         return _odd_among(value, others)
-    if not _is_far(value, simulated, BEYOND_WORLDS):
+    if not _is_far(value, simulated, BEYOND_WORLDS, LEAST_OF_WORLDS):
         return ""
     low, high = simulated
     return f"{value:g} is far from all that was simulated, {low:.4g} to {high:.4g}: is it right?"
@@ -121,9 +124,14 @@ def _odd_among(value: float, others: Sequence[float]) -> str:
     )
 
 
-def _is_far(value: float, known: Range, share: float) -> bool:
-    """Whether a value is of another sign than all known ones, or beyond a share of their range."""
+def _is_far(value: float, known: Range, share: float, least: float = 0.0) -> bool:
+    """Whether a value is beyond a share of the range of all known ones.
+
+    It is, too, if these have one sign, and it is less than `least` of the smallest: so
+    is one of another sign.
+    """
     low, high = known
     beyond = share * (high - low)
-    is_other_sign = low > 0.0 > value or high < 0.0 < value
-    return is_other_sign or not low - beyond <= value <= high + beyond
+    smallest = max(low, min(high, 0.0))
+    is_small = smallest != 0.0 and value / smallest < least
+    return is_small or not low - beyond <= value <= high + beyond

@@ -307,5 +307,5 @@ ENTRIES: dict[str, Callable[[Bench, Fields], Any]] = {
     "abort": lambda bench, given: bench.abort(trial_of(given), given.get("note", "")),
     "correct": lambda bench, given: bench.correct(trial_of(given), **result(given)),
     "undo": lambda bench, given: bench.undo(trial_of(given, "entry")),
-    "context": lambda bench, given: bench.context(given.get("name", "").strip()),
+    "context": lambda bench, given: bench.context(given.get("name", "")),
 }

@@ -1,13 +1,26 @@
 """A trial that nobody proposed, as an operator enters it."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
+from datetime import datetime
 from typing import Any
 
 from storage.inputs import checks
+from study.options import is_printable
 
-WORDS = checks.optional(checks.text)
+LINE = checks.that(
+    lambda word: isinstance(word, str) and is_printable(word),
+    "text of one line, without control characters",
+)
+WORDS = checks.optional(LINE)
 COLUMNS = checks.by_name(checks.number())
+
+
+def _is_time(word: Any) -> bool:
+    with suppress(TypeError, ValueError):
+        return not word or bool(datetime.fromisoformat(word))
+    return False
 
 
 @dataclass(frozen=True)
@@ -40,11 +53,11 @@ class Own:
             "",
             value=checks.number(),
             columns=COLUMNS,
-            note=checks.text,
+            note=LINE,
             failed=checks.flag,
             context=WORDS,
             operator=WORDS,
-            time=WORDS,
+            time=checks.that(_is_time, "a time such as 2026-05-04T16:30, ISO 8601"),
         )
 
 

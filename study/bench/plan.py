@@ -402,12 +402,11 @@ def _beside(path: Path, url: str, name: str) -> str:
 def _goal(table: Table) -> Goal:
     # All numbers are read before any is judged: then all that are wrong are named.
     success = _number(table, "success", None)
-    duration_s = _number(table, "duration_s", None)
+    duration_s = table.number("duration_s", 0.0, 0.0)
     at_once = _number(table, "failed_at_once", None)
     at_end = _number(table, "failed_at_end", None)
-    is_long = duration_s is not None and duration_s > 0.0
     failed = None
-    if at_once is not None and at_end is not None and is_long:
+    if at_once is not None and at_end is not None and duration_s > 0.0:
         failed = (at_once, at_end)
     elif at_once is not None or at_end is not None:
         allowed = (

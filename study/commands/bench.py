@@ -20,14 +20,12 @@ from storage.commit import commit_text, require_writable
 from storage.inputs import typed
 from storage.inputs.errors import InputError, listed
 from storage.inputs.reading import json_document, toml_document
-from study.bench.advice import EXPECTED
 from study.bench.bench import Bench, Own
-from study.bench.candidates import beyond_bounds
+from study.bench.candidates import beyond_bounds, repeated
 from study.bench.journal import Trial
 from study.bench.words import PROGRAM, clashes, number_of, shown, times
 from study.cli import ProgressBar
 from study.options import COMMANDS, require_used
-from study.sampler.unlike import UNLIKE
 
 EVERYWHERE = "0.0.0.0"
 PARAMETERS = "a JSON object of parameters by name"
@@ -45,7 +43,7 @@ def main(args: Namespace) -> None:
         bench = Bench.new(path, args.operator)
         rows = bench.candidates
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
-        warn([*bench.plan.cautions(), *bench.doubts()])
+        warn([*repeated(rows.rows), *bench.plan.cautions(), *bench.doubts()])
         line = [*PROGRAM, "next", "--bench", str(bench.plan.path)]
         print(f"next: {shlex.join(line)}")
         tell_forecast(bench, is_asked=False)
@@ -181,9 +179,6 @@ def status(bench: Bench, args: Namespace) -> None:
         print(f"{line}  {marks}".rstrip())
     for entry in bench.entries:
         print(f"{entry}{' (undone)' if entry.number in state.undone else ''}")
-    asked = [trial.why for trial in state.of_context(state.context)]
-    said = [why for why in asked if EXPECTED in why][-1:]
-    warn([UNLIKE + why.partition(UNLIKE)[2] for why in said if UNLIKE in why])
     warn(bench.doubts())
 
 
@@ -250,6 +245,9 @@ def compare_to_simulator(bench: Bench, args: Namespace) -> None:
     found = np.array([*seen.values()])
     r = RankCorrelation.of(expected, found) if simulated else None
     lines.append(f"Rank correlation of simulated and seen: {r or 'too few trials'}")
+    worlds = bench.candidates.rows.worlds
+    if worlds is not None and worlds.as_before is not None:
+        lines.append("Infinite costs count as numbers beyond all others.")
     lines += ["", bench.worth()]
     print("\n".join(lines))
     path = bench.plan.path.with_name(f"{bench.plan.name}-simulator.png")

@@ -141,7 +141,7 @@ def outcomes_of(store: Store, cost: Cost) -> dict[str, Floats]:
         if "after" in settings:
             before = found[settings["after"]]
             mean = before[missing].mean(axis=1)
-            if np.nanmin(before) > 0:
+            if not (before <= 0).any():  # NaN is neither
                 mean = np.exp(np.log(before[missing]).mean(axis=1))
             costs[missing] = mean[:, None]
         found[family] = costs

@@ -297,6 +297,14 @@ def test_what_is_refused_at_once(simulator, changes, match, tmp_path):
     assert not (tmp_path / "store").exists()
 
 
+def test_a_family_is_like_another_one_for_callers_too(tmp_path):
+    families = {"gale": GALE, "storm": {"like": "gale"}}
+    made = make_store(
+        robot.Cart, tmp_path, workers=1, **(CONFIGURATION | {"families": families})
+    )
+    assert made.settings_of("storm") == made.settings_of("gale")
+
+
 def hangs(point, world, seconds):
     while point["gear"] == 2:
         pass

@@ -84,7 +84,7 @@ def test_shards_of_an_unfinished_store_are_taken_where_wanted(folder, tmp_path):
         open_store(folder, unfinished=True)
     for file in folder.glob("part-*"):
         file.unlink()
-    with refused("a finished store"):
+    with refused("has finished a shard"):
         open_store(folder, unfinished=True)
 
 

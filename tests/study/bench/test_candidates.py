@@ -224,7 +224,7 @@ def test_candidates_of_which_nothing_is_known_are_refused_by_keys_of_the_file(tm
         Bench.new(path)
 
 
-def test_an_infinite_cost_in_a_world_is_worse_than_all_others(tmp_path):
+def test_an_infinite_cost_in_a_world_is_worse_than_all_others(tmp_path, capsys):
     path = plan(tmp_path, WHOLE).path
     change(path, 'features = ["known"]', 'outcomes = ["known", "other"]')
     rows = "".join(f"{dose},{dose},{dose if dose > 30 else 'inf'}\n" for dose in WHOLE)
@@ -233,6 +233,20 @@ def test_an_infinite_cost_in_a_world_is_worse_than_all_others(tmp_path):
     costs = bench.candidates.rows.worlds.costs
     assert (costs[:21, 1] > costs[21:].max()).all()
     assert bench.next()[0].params["dose"] in WHOLE
+    bench.record(0, 80.0)  # less than what stands for infinity
+    assert "80 is far from all that was simulated, 10 to 50" in bench.doubts()[0]
+    main(["bench", "compare-to-simulator", "--bench", str(path)])
+    assert "Infinite costs count as numbers beyond" in capsys.readouterr().out
+    (tmp_path / "doses.csv").write_text("dose,known,other\n1,inf,inf\n2,inf,inf\n")
+    with refused("candidates.outcomes: 'infinite in all rows' .* a finite number"):
+        read_plan(path).read_candidates()
+
+
+def test_a_row_that_is_told_twice_in_two_ways_is_named(tmp_path, capsys):
+    path = plan(tmp_path, [1, 2, 2, 3]).path
+    main(["bench", "new", str(path)])
+    said = capsys.readouterr().err
+    assert "warning: candidates: row 2 has the parameters of row 1 and other" in said
 
 
 def test_an_empty_cell_of_a_world_is_refused_by_its_row(tmp_path):

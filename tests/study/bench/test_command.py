@@ -74,6 +74,11 @@ def test_what_is_wrong_is_one_line(asked, line, said):
     assert len(Bench("walk.toml").entries) == 2
 
 
+def test_options_stand_before_a_trial_as_the_usage_line_has_them(asked):
+    said = asked("record --bench walk.toml --torque 60 0 --value -3")
+    assert "record 0: -3, torque 60" in said
+
+
 def test_a_folder_needs_one_bench_that_was_begun(folder, bench):
     assert "a bench that was begun: taichi-nmm bench new" in bench("next", 2)
     assert not (folder / "walk.db").exists() or not Bench("walk.toml").entries
@@ -327,6 +332,8 @@ def test_the_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     assert "warning" not in said.err
     for line in SAID.strip().splitlines():
         assert line in said.out
+    (promised,) = re.findall(r'"(Of 6 robots[^"]*)"', page)
+    assert " ".join(promised.split()) in said.out
     best = r"^Trial \d.*\n\{.*\}\nThe interval .*\nA repeat of trial \d"
     assert re.search(best, said.out, re.MULTILINE)
     asked = json.loads((tmp_path / "next.json").read_text())

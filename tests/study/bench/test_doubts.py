@@ -21,6 +21,16 @@ def test_without_worlds_a_value_is_compared_with_the_other_trials(value, others,
     assert bool(odd_value(value, None, others)) is odd
 
 
+@pytest.mark.parametrize(
+    ("value", "odd"), [(0.000276, True), (0.0, True), (0.0276, False)]
+)
+def test_a_value_of_another_order_than_all_worlds_is_far_from_them(value, odd):
+    """0.000276 was typed for 0.276, and nobody said a word."""
+    assert bool(odd_value(value, (0.1376, 4.796), ())) is odd
+    assert bool(odd_value(-value, (-4.796, -0.1376), ())) is odd
+    assert not odd_value(value, (0.0, 4.796), ())
+
+
 def state_of(*told):
     """Trials with these values and torques; NaN: none was entered."""
     trials = {}

@@ -121,6 +121,8 @@ def test_rows_that_did_not_run_stay_out_whatever_a_cost_makes_of_them(tmp_path):
         lambda given, _: np.ones(given["loss_j"].shape),
     ):
         assert_array_equal(world_table(path, cost).rows.offered, ran)
+    with warnings.catch_warnings(action="error"), refused("gaps in all rows"):
+        world_table(path, lambda given, _: np.nan * given["loss_j"])
 
 
 @pytest.mark.parametrize(
