@@ -8,12 +8,12 @@ is allowed is certain only by a point's own rows, so that of the chosen one is a
 again.
 """
 
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from study.sampler.acquisition import Model, argmax_random_tie
-from study.sampler.arrays import Floats
+from study.sampler.arrays import Floats, Mask
 from study.sampler.covariance import Kernel
 from study.sampler.draws import Purpose
 from study.sampler.history import OFF_TABLE, History, notes_of
@@ -58,6 +58,71 @@ def best_off_table(
         utility: of these, [m].
         certificate: of the risk that is allowed; None: any.
     """
+    near = _near(policy, rows, history, model, own_turn, known, utility)
+    new, centres = near.new, rows.space.unit(near.centres)
+    if certificate is not None:
+        everywhere = Places(np.full(len(new), OFF_TABLE), near.unit, centres)
+        new = new & certificate.within(everywhere, near.points)
+
+    def holds(place: int) -> bool:
+        # What is a row is proposed as one, or not at all.
+        if rows.find(rows.space.values(near.parameters[place])) is not None:
+            return False
+        if certificate is None:
+            return True
+        some = np.array([place])
+        point, unit = near.points.take(some), near.unit[some]
+        if policy.function is None:
+            own = rows.between_at(known, unit[0], model.ensemble)
+            point = Points(own[None], unit)
+        alone = Places(np.array([OFF_TABLE]), unit)
+        return bool(certificate.within(alone, point).all())
+
+    rng = policy.rng(Purpose.OFF_GRID_UTILITY, own_turn)
+    found = model.utility(near.points, new, rng)
+    chosen = argmax_random_tie(found, rng)
+    while found[chosen] > -np.inf and not holds(chosen):
+        found[chosen] = -np.inf
+        chosen = argmax_random_tie(found, rng)
+    value = float(found[chosen])
+    if value == -np.inf and certificate is not None:
+        return value, NOTHING
+    if value > -np.inf and rows_fail(model):
+        value = np.inf
+    notes = notes_of(OFF_TABLE, near.features[chosen])
+    return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
+
+
+class Near(NamedTuple):
+    """Points near the best rows and trials.
+
+    Attributes:
+        parameters: of k points, [k, d].
+        unit: in the unit cube, [k, e].
+        features: to be noted, [k, f]; NaN where no function computes them.
+        points: as the model sees them.
+        new: which are not taken, [k].
+        centres: that they are near to, [c, d].
+    """
+
+    parameters: Floats
+    unit: Floats
+    features: Floats
+    points: Points
+    new: Mask
+    centres: Floats
+
+
+def _near(
+    policy: Policy,
+    rows: Rows,
+    history: History,
+    model: Model,
+    own_turn: int,
+    known: Points,
+    utility: Floats,
+) -> Near:
+    """Points that may be proposed; arguments as of `best_off_table`."""
     space, function = rows.space, policy.function
     order = np.lexsort((history.cost, ~model.feasible))
     centres = history.done.parameters[order[:INCUMBENTS]]
@@ -76,51 +141,13 @@ def best_off_table(
         is_known = np.asarray(~np.isnan(features).any(axis=1))
         new = new & is_known if (new & is_known).any() else is_known
         points = points_of(rows, policy.options.kernel, near, features)
-    else:
-        elsewhere = new & not_near(unit, taken)
-        if np.isfinite(utility).any() or elsewhere.any():
-            new = elsewhere
-        between = rows.between(model.ensemble)
-        points = Points(between.at(known.features, unit, space.unit(centres)), unit)
-    if certificate is not None:
-        places = Places(np.full(len(unit), OFF_TABLE), unit, space.unit(centres))
-        new = new & certificate.within(places, points)
-        if not new.any():
-            return -np.inf, NOTHING
-    rng = policy.rng(Purpose.OFF_GRID_UTILITY, own_turn)
-    found = model.utility(points, new, rng)
-    chosen = argmax_random_tie(found, rng)
-    if certificate is not None:
-        within = partial(_is_within, certificate, rows, known, model)
-        while found[chosen] > -np.inf and not within(points, unit, chosen):
-            found[chosen] = -np.inf
-            chosen = argmax_random_tie(found, rng)
-        if found[chosen] == -np.inf:
-            return -np.inf, NOTHING
-    value = float(found[chosen])
-    if value > -np.inf and rows_fail(model):
-        value = np.inf
-    notes = notes_of(OFF_TABLE, features[chosen])
-    return value, Proposal(space.values(near[chosen]), notes)
-
-
-def _is_within(
-    certificate: Certificate,
-    rows: Rows,
-    known: Points,
-    model: Model,
-    points: Points,
-    unit: Floats,
-    chosen: int,
-) -> bool:
-    """Whether a point's risk is allowed by what the rows nearest to itself tell of it."""
-    some = np.array([chosen])
-    point = points.take(some)
-    if model.ensemble is not None:
-        own = rows.between_at(known, unit[chosen], model.ensemble)
-        point = Points(own[None], unit[some])
-    places = Places(np.array([OFF_TABLE]), unit[some])
-    return bool(certificate.within(places, point).all())
+        return Near(near, unit, features, points, new, centres)
+    elsewhere = new & not_near(unit, taken)
+    if np.isfinite(utility).any() or elsewhere.any():
+        new = elsewhere
+    between = rows.between(model.ensemble)
+    points = Points(between.at(known.features, unit, space.unit(centres)), unit)
+    return Near(near, unit, features, points, new, centres)
 
 
 def points_of(

@@ -67,6 +67,15 @@ def test_what_waits_in_the_queue_is_not_proposed_before_its_turn():
     assert (asked.suggest_int("x", 0, 5), asked.suggest_int("y", 0, 5)) != (3, 2)
 
 
+def test_a_row_that_is_not_offered_is_not_proposed_as_a_point_either():
+    worlds = np.where(AWAY[:, None] == 0.0, np.nan, WORLDS)  # (3, 2) is not known
+    table = grid_table(outcomes=worlds)
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, seed=1))
+    study.optimize(lambda trial: at_work(trial, None), n_trials=14)
+    assert {"x": 3, "y": 2} not in [trial.params for trial in study.trials]
+    assert OFF_TABLE not in rows_of(study)  # all points of this space are rows
+
+
 def test_a_step_that_is_another_by_rounding_is_the_same():
     """Optuna's steps end in 0.30000000000000004, a person writes 0.3."""
     steps = np.linspace(0.0, 1.0, 11).round(1)
