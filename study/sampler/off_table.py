@@ -141,13 +141,20 @@ def _near(
         is_known = np.asarray(~np.isnan(features).any(axis=1))
         new = new & is_known if (new & is_known).any() else is_known
         points = points_of(rows, policy.options.kernel, near, features)
-        return Near(near, unit, features, points, new, centres)
-    elsewhere = new & not_near(unit, taken)
-    if np.isfinite(utility).any() or elsewhere.any():
-        new = elsewhere
-    between = rows.between(model.ensemble)
-    points = Points(between.at(known.features, unit, space.unit(centres)), unit)
-    return Near(near, unit, features, points, new, centres)
+    else:
+        elsewhere = new & not_near(unit, taken)
+        if np.isfinite(utility).any() or elsewhere.any():
+            new = elsewhere
+        between = rows.between(model.ensemble)
+        points = Points(between.at(known.features, unit, space.unit(centres)), unit)
+    return Near(
+        parameters=near,
+        unit=unit,
+        features=features,
+        points=points,
+        new=new,
+        centres=centres,
+    )
 
 
 def points_of(
