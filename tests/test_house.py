@@ -24,8 +24,8 @@ COMMANDS = ("tools", "study.commands")
 # No measure may be larger. A node is one of the syntax tree: neither width nor
 # docstrings nor comments change their number.
 BOUNDS = {
-    "nodes of the product": 315_338,
-    "nodes of the tests": 293_282,
+    "nodes of the product": 316_390,
+    "nodes of the tests": 296_407,
     "characters a line of the product": 46.5,
     "characters a line of the tests": 48.0,
     "lines of 90 and more columns, %": 7.0,
