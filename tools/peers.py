@@ -31,8 +31,7 @@ Rows = NDArray[np.int64]
 
 BEST, DRAWN = 10, 20  # rows of each world that a Gaussian process is told
 MOST_STUDIED = 1000  # rows of each world that MetaLearnTPE is told
-# Of a fit of MultiTaskGP's constants: without an end it takes a minute and more, for the
-# same rows or as good ones.
+# Of a fit of MultiTaskGP's constants: without an end it takes a minute and more.
 FIT_ITERATIONS = 200
 HUB_PACKAGE = "samplers/meta_learn_tpe"
 

@@ -25,8 +25,8 @@ from study.sampler.policy import (
     rows_fail,
 )
 from study.sampler.risk import Certificate, Places
-from study.sampler.rows import Rows
-from study.sampler.space import nearby, not_among, not_near
+from study.sampler.rows import Rows, once
+from study.sampler.space import keys, nearby, not_among, not_near
 from study.sampler.transforms import Points
 
 CENTRES = 8  # best rows that points off the table are near to
@@ -65,9 +65,6 @@ def best_off_table(
         new = new & certificate.within(everywhere, near.points)
 
     def holds(place: int) -> bool:
-        # What is a row is proposed as one, or not at all.
-        if rows.find(rows.space.values(near.parameters[place])) is not None:
-            return False
         if certificate is None:
             return True
         some = np.array([place])
@@ -134,17 +131,18 @@ def _near(
     count = policy.options.off_grid
     near = nearby(space.pinned(history.fixed), centres, count, rng)
     unit, taken = space.unit(near), space.unit(history.taken)
-    new = not_among(unit, taken)
+    new = not_among(unit, taken) & ~_are_rows(rows, unit)
     features = np.full((len(near), len(rows.feature_names)), np.nan)
+    are_rows_left = bool(np.isfinite(utility).any())
     if function is not None:
         features = call_features(function, near, features.shape[1])
         is_known = np.asarray(~np.isnan(features).any(axis=1))
-        new = new & is_known if (new & is_known).any() else is_known
+        known_and_new = new & is_known
+        new = known_and_new if known_and_new.any() or are_rows_left else is_known
         points = points_of(rows, policy.options.kernel, near, features)
     else:
         elsewhere = new & not_near(unit, taken)
-        if np.isfinite(utility).any() or elsewhere.any():
-            new = elsewhere
+        new = elsewhere if elsewhere.any() or are_rows_left else new
         between = rows.between(model.ensemble)
         points = Points(between.at(known.features, unit, space.unit(centres)), unit)
     return Near(
@@ -155,6 +153,12 @@ def _near(
         new=new,
         centres=centres,
     )
+
+
+def _are_rows(rows: Rows, unit: Floats) -> Mask:
+    """Which points are rows, [k]: these are proposed as such, or not at all."""
+    known = once(rows, "keys", lambda: set(keys(rows.space.unit(rows.parameters))))
+    return np.array([key in known for key in keys(unit)], dtype=bool)
 
 
 def points_of(

@@ -182,14 +182,15 @@ def not_among(points: Floats, taken: Floats) -> Mask:
     All, if that leaves none. What differs by rounding is the same: 0.1, and the step of
     0.1 that comes out as 0.10000000000000009.
     """
-    known = {row.tobytes() for row in _rounded(taken)}
-    new = np.array([row.tobytes() not in known for row in _rounded(points)], dtype=bool)
+    known = set(keys(taken))
+    new = np.array([key not in known for key in keys(points)], dtype=bool)
     return new if new.any() else np.ones(len(points), dtype=bool)
 
 
-def _rounded(unit: Floats) -> Floats:
-    """Points without what rounding makes of them; 0 in place of -0."""
-    return np.ascontiguousarray(unit.round(SAME_DIGITS) + 0.0)
+def keys(unit: Floats) -> list[bytes]:
+    """By which points of the unit cube [m, e] are known, whatever rounding made of them, [m]."""
+    rounded = unit.round(SAME_DIGITS) + 0.0  # 0 in place of -0
+    return [row.tobytes() for row in np.ascontiguousarray(rounded)]
 
 
 def not_near(points: Floats, taken: Floats) -> Mask:
