@@ -14,7 +14,6 @@ import numpy as np
 
 from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
-from study.sampler.covariance import Kernel
 from study.sampler.draws import Purpose
 from study.sampler.history import OFF_TABLE, History, notes_of
 from study.sampler.policy import (
@@ -22,6 +21,7 @@ from study.sampler.policy import (
     Policy,
     Proposal,
     call_features,
+    points_of,
     rows_fail,
 )
 from study.sampler.risk import Certificate, Places
@@ -159,14 +159,3 @@ def _are_rows(rows: Rows, unit: Floats) -> Mask:
     """Which points are rows, [k]: these are proposed as such, or not at all."""
     known = once(rows, "keys", lambda: set(keys(rows.space.unit(rows.parameters))))
     return np.array([key in known for key in keys(unit)], dtype=bool)
-
-
-def points_of(
-    rows: Rows, kernel: Kernel, parameters: Floats, features: Floats
-) -> Points:
-    """Parameters [m, d] and features [m, k] as the kernel sees them, on the scale of the rows."""
-    unit = np.empty((len(parameters), 0))
-    if kernel.of_parameters:
-        unit = rows.space.unit(parameters)
-    scale = rows.scale(by_order=kernel.by_order)
-    return Points(scale.standard(features), unit)

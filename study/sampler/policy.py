@@ -343,6 +343,17 @@ def features_of(rows: Rows, placed: Placed, function: Features | None) -> Floats
     return features
 
 
+def points_of(
+    rows: Rows, kernel: Kernel, parameters: Floats, features: Floats
+) -> Points:
+    """Parameters [m, d] and features [m, k] as the kernel sees them, on the scale of the rows."""
+    unit = np.empty((len(parameters), 0))
+    if kernel.of_parameters:
+        unit = rows.space.unit(parameters)
+    scale = rows.scale(by_order=kernel.by_order)
+    return Points(scale.standard(features), unit)
+
+
 def one_thread() -> AbstractContextManager[Any]:
     """BLAS on one thread: on these sizes more are slower, and workers are parallel already."""
     return _thread_pools().limit(limits=1, user_api="blas")  # type: ignore[no-any-return]

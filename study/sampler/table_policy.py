@@ -47,7 +47,7 @@ from study.sampler.history import (
     suggested_so_far,
     values_of,
 )
-from study.sampler.off_table import best_off_table, points_of
+from study.sampler.off_table import best_off_table
 from study.sampler.policy import (
     NOTHING,
     ODD_TURN,
@@ -59,6 +59,7 @@ from study.sampler.policy import (
     TableExhaustedError,
     features_of,
     one_thread,
+    points_of,
     ranking_goes_on,
     set_attributes,
     take_back,
