@@ -8,6 +8,7 @@ is allowed is certain only by a point's own rows, so that of the chosen one is a
 again.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -33,63 +34,6 @@ CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
 
 
-def best_off_table(
-    policy: Policy,
-    rows: Rows,
-    history: History,
-    model: Model,
-    own_turn: int,
-    known: Points,
-    utility: Floats,
-    certificate: Certificate | None,
-) -> tuple[float, Proposal]:
-    """The best of some points near the best rows and trials, and its utility or infinity.
-
-    Beside worlds no point that repeats a trial, unless nothing else is left: repeats are
-    asked for by enqueuing them.
-
-    Args:
-        policy: whose proposal it is.
-        rows: of the table, as the study suggests them.
-        history: of the study.
-        model: after its trials.
-        own_turn: of the trial.
-        known: rows that may be proposed, m of them.
-        utility: of these, [m].
-        certificate: of the risk that is allowed; None: any.
-    """
-    near = _near(policy, rows, history, model, own_turn, known, utility)
-    new, centres = near.new, rows.space.unit(near.centres)
-    if certificate is not None:
-        everywhere = Places(np.full(len(new), OFF_TABLE), near.unit, centres)
-        new = new & certificate.within(everywhere, near.points)
-
-    def holds(place: int) -> bool:
-        if certificate is None:
-            return True
-        some = np.array([place])
-        point, unit = near.points.take(some), near.unit[some]
-        if policy.function is None:
-            own = rows.between_at(known, unit[0], model.ensemble)
-            point = Points(own[None], unit)
-        alone = Places(np.array([OFF_TABLE]), unit)
-        return bool(certificate.within(alone, point).all())
-
-    rng = policy.rng(Purpose.OFF_GRID_UTILITY, own_turn)
-    found = model.utility(near.points, new, rng)
-    chosen = argmax_random_tie(found, rng)
-    while found[chosen] > -np.inf and not holds(chosen):
-        found[chosen] = -np.inf
-        chosen = argmax_random_tie(found, rng)
-    value = float(found[chosen])
-    if value == -np.inf and certificate is not None:
-        return value, NOTHING
-    if value > -np.inf and rows_fail(model):
-        value = np.inf
-    notes = notes_of(OFF_TABLE, near.features[chosen])
-    return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
-
-
 class Near(NamedTuple):
     """Points near the best rows and trials.
 
@@ -99,7 +43,7 @@ class Near(NamedTuple):
         features: to be noted, [k, f]; NaN where no function computes them.
         points: as the model sees them.
         new: which are not taken, [k].
-        centres: that they are near to, [c, d].
+        centres: that they are near to, in the unit cube, [c, e].
     """
 
     parameters: Floats
@@ -110,49 +54,106 @@ class Near(NamedTuple):
     centres: Floats
 
 
-def _near(
-    policy: Policy,
-    rows: Rows,
-    history: History,
-    model: Model,
-    own_turn: int,
-    known: Points,
-    utility: Floats,
-) -> Near:
-    """Points that may be proposed; arguments as of `best_off_table`."""
-    space, function = rows.space, policy.function
-    order = np.lexsort((history.cost, ~model.feasible))
-    centres = history.done.parameters[order[:INCUMBENTS]]
-    if function is not None:
-        best = np.argsort(-utility, kind="stable")[:CENTRES]
-        best = best[np.isfinite(utility[best])]
-        centres = np.vstack([rows.parameters[rows.numbers[best]], centres])
-    rng = policy.rng(Purpose.OFF_GRID, own_turn)
-    count = policy.options.off_grid
-    near = nearby(space.pinned(history.fixed), centres, count, rng)
-    unit, taken = space.unit(near), space.unit(history.taken)
-    new = not_among(unit, taken) & ~_are_rows(rows, unit)
-    features = np.full((len(near), len(rows.feature_names)), np.nan)
-    are_rows_left = bool(np.isfinite(utility).any())
-    if function is not None:
-        features = call_features(function, near, features.shape[1])
-        is_known = np.asarray(~np.isnan(features).any(axis=1))
-        known_and_new = new & is_known
-        new = known_and_new if known_and_new.any() or are_rows_left else is_known
-        points = points_of(rows, policy.options.kernel, near, features)
-    else:
-        elsewhere = new & not_near(unit, taken)
-        new = elsewhere if elsewhere.any() or are_rows_left else new
-        between = rows.between(model.ensemble)
-        points = Points(between.at(known.features, unit, space.unit(centres)), unit)
-    return Near(
-        parameters=near,
-        unit=unit,
-        features=features,
-        points=points,
-        new=new,
-        centres=centres,
-    )
+@dataclass(frozen=True, eq=False)
+class OffTable:
+    """The search for a point off a table.
+
+    Attributes:
+        policy: whose proposal it is.
+        rows: of the table, as the study suggests them.
+        history: of the study.
+        model: after its trials.
+        own_turn: of the trial.
+        known: rows that may be proposed, m of them.
+        utility: of these, [m].
+    """
+
+    policy: Policy
+    rows: Rows
+    history: History
+    model: Model
+    own_turn: int
+    known: Points
+    utility: Floats
+
+    def best(self, certificate: Certificate | None) -> tuple[float, Proposal]:
+        """The best of some points near the best rows and trials, and its utility or infinity.
+
+        Beside worlds no point that repeats a trial, unless nothing else is left: repeats
+        are asked for by enqueuing them. A certificate is of the risk that is allowed;
+        None: any.
+        """
+        near, rows, policy = self._near(), self.rows, self.policy
+        new = near.new
+        if certificate is not None:
+            everywhere = Places(np.full(len(new), OFF_TABLE), near.unit, near.centres)
+            new = new & certificate.within(everywhere, near.points)
+
+        def holds(place: int) -> bool:
+            if certificate is None:
+                return True
+            some = np.array([place])
+            point, unit = near.points.take(some), near.unit[some]
+            if policy.function is None:
+                own = rows.between_at(self.known, unit[0], self.model.ensemble)
+                point = Points(own[None], unit)
+            alone = Places(np.array([OFF_TABLE]), unit)
+            return bool(certificate.within(alone, point).all())
+
+        rng = policy.rng(Purpose.OFF_GRID_UTILITY, self.own_turn)
+        found = self.model.utility(near.points, new, rng)
+        chosen = argmax_random_tie(found, rng)
+        while found[chosen] > -np.inf and not holds(chosen):
+            found[chosen] = -np.inf
+            chosen = argmax_random_tie(found, rng)
+        value = float(found[chosen])
+        if value == -np.inf:
+            if certificate is not None:
+                return value, NOTHING
+        elif rows_fail(self.model):
+            value = np.inf
+        notes = notes_of(OFF_TABLE, near.features[chosen])
+        return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
+
+    def _near(self) -> Near:
+        """Points that may be proposed."""
+        rows, policy, history = self.rows, self.policy, self.history
+        space, function = rows.space, policy.function
+        order = np.lexsort((history.cost, ~self.model.feasible))
+        centres = history.done.parameters[order[:INCUMBENTS]]
+        if function is not None:
+            best = np.argsort(-self.utility, kind="stable")[:CENTRES]
+            best = best[np.isfinite(self.utility[best])]
+            centres = np.vstack([rows.parameters[rows.numbers[best]], centres])
+        rng = policy.rng(Purpose.OFF_GRID, self.own_turn)
+        count = policy.options.off_grid
+        near = nearby(space.pinned(history.fixed), centres, count, rng)
+        unit, taken = space.unit(near), space.unit(history.taken)
+        centres = space.unit(centres)
+        new = not_among(unit, taken) & ~_are_rows(rows, unit)
+        if function is not None:
+            features = call_features(function, near, len(rows.feature_names))
+            may_be = np.asarray(~np.isnan(features).any(axis=1))
+            points = points_of(rows, policy.options.kernel, near, features)
+        else:
+            features = np.full((len(near), len(rows.feature_names)), np.nan)
+            may_be = not_near(unit, taken)
+            between = rows.between(self.model.ensemble)
+            points = Points(between.at(self.known.features, unit, centres), unit)
+        if (new & may_be).any() or np.isfinite(self.utility).any():
+            new = new & may_be
+        elif (
+            function is not None
+        ):  # nothing new is left: a point whose features are known
+            new = may_be
+        return Near(
+            parameters=near,
+            unit=unit,
+            features=features,
+            points=points,
+            new=new,
+            centres=centres,
+        )
 
 
 def _are_rows(rows: Rows, unit: Floats) -> Mask:

@@ -40,14 +40,13 @@ from study.sampler.history import (
     placed,
     proves_fit,
     read_history,
-    read_limits,
     row_of,
     run_otherwise,
     shown_misfit,
     suggested_so_far,
     values_of,
 )
-from study.sampler.off_table import best_off_table
+from study.sampler.off_table import OffTable
 from study.sampler.policy import (
     NOTHING,
     ODD_TURN,
@@ -330,10 +329,8 @@ class TablePolicy(Policy):
             return True
         ensemble = self._ensemble(history)
         assert isinstance(ensemble, Ensemble)
-        has_failed = False
-        if success is not None:
-            kept = ~(read_limits(history.done.trials) > 0).any(axis=1)
-            has_failed = not (kept & (history.cost <= history.sign * success)).any()
+        succeeded = self._model(history, count).succeeded
+        has_failed = success is not None and not succeeded.any()
         return ranking_goes_on(ensemble, self.options, has_failed=has_failed)
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
@@ -411,16 +408,16 @@ class TablePolicy(Policy):
             rng = self.rng(Purpose.CANDIDATES, own_turn)
             utility = model.utility(points, free, rng)
         if self.options.off_grid:
-            value, off = best_off_table(
-                self,
-                self.rows,
-                history,
-                model,
-                own_turn,
+            search = OffTable(
+                policy=self,
+                rows=self.rows,
+                history=history,
+                model=model,
+                own_turn=own_turn,
                 known=points,
                 utility=utility,
-                certificate=certificate,
             )
+            value, off = search.best(certificate)
             if not free.any() or value > utility.max():
                 return off
         return self._best_row(utility, offered, self.rng(Purpose.TIE_BREAK, own_turn))
