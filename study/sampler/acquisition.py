@@ -58,9 +58,9 @@ FEW_SUCCESSES = 4
 # table. It is 0.03 to 0.15 of walkers that cost nearly the same, where the table's unit
 # hides all differences, and 0.3 to 1.3 where it tells them apart.
 HIDDEN = 0.2
-# Trials that all failed, from which on a table is doubted whose rows tell nothing of points
-# between them: of 180 Ants 173 in place of 162 then walked within 15 trials. On a walker's
-# table, whose rows tell something, it did harm (20 walkers within 12 trials became 13).
+# Trials that all failed, from which on a table that tells little is doubted: of 180 Ants 173
+# in place of 162 then walked within 15 trials. On a walker's table, which tells something,
+# it did harm (20 walkers within 12 trials became 13).
 HOPELESS = 6
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
@@ -133,14 +133,18 @@ class Model:
 
     @cached_property
     def is_lost(self) -> bool:
-        """Whether all trials have failed (`_only_falls`), on a machine like no world.
+        """Whether all trials have failed (`only_falls`), on a machine like no world.
 
-        Where rows tell nothing of points between them, so many of them need no other sign.
+        Where the table tells little (`Ensemble.tells_little`), and its rows can be left, so
+        many of them need no other sign.
         """
-        if not self._only_falls:
+        if not self.only_falls:
             return False
-        are_many = len(self.costs) >= HOPELESS and self._guess_error is not None
-        return are_many or self.unlike() is not None
+        worlds, are_many = self._in_costs, len(self.costs) >= HOPELESS
+        assert worlds is not None
+        if are_many and self.off_grid and worlds.tells_little:
+            return True
+        return self.unlike() is not None
 
     def utility(
         self, points: Points, offered: Mask, rng: np.random.Generator
@@ -179,7 +183,7 @@ class Model:
             y,
             standardised=self._in_costs is None,
             likeness=DOUBTED if is_doubted else WORLD,
-            noise=FALL_NOISE if self._only_falls else WORLD_NOISE,
+            noise=FALL_NOISE if self.only_falls else WORLD_NOISE,
             guess_error=self._guess_error,
         )
         running = self.visible(self.running)
@@ -300,7 +304,7 @@ class Model:
         return self._in_costs.guess_error
 
     @property
-    def _only_falls(self) -> bool:
+    def only_falls(self) -> bool:
         """Whether all trials have failed, where some world has a success, and costs jump."""
         worlds, success = self._in_costs, self.success
         if success is None or worlds is None or self.succeeded.any():

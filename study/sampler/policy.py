@@ -23,7 +23,7 @@ from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from storage.inputs.errors import InputError
-from study.sampler.acquisition import Learned, Model
+from study.sampler.acquisition import HOPELESS, Learned, Model
 from study.sampler.arrays import Floats, Mask
 from study.sampler.calibration import Errors, past_errors
 from study.sampler.covariance import ADDITIVE, FEW_WORLDS, NEARNESS, Kernel
@@ -261,20 +261,26 @@ class Policy:
             warnings.warn(message, UserWarning, stacklevel=2)
 
 
-def ranking_goes_on(ensemble: Ensemble, options: Options, *, has_failed: bool) -> bool:
-    """Whether the second and third trials still follow the ranking by mean costs in worlds.
+def ranking_goes_on(model: Model) -> bool:
+    """Whether the trial after some still follows the ranking by mean costs in worlds.
 
-    Of smooth costs, or of one world, they do: they tell how far the robot is from all
-    worlds. Of others the first trial tells enough. But if it failed where a success is
-    to be had, they do, too: two falls do not yet tell which worlds a robot is like.
-    And where few worlds tell nothing of points between the rows, a success is no reason
-    to leave the rows for these.
+    Of smooth costs, or of one world, the first `RANKED` do: they tell how far the robot is
+    from all worlds. Of others the first trial tells enough. But if it failed where a
+    success is to be had, they do, too: two falls do not yet tell which worlds a robot is
+    like. And where few worlds tell nothing of points between the rows, a success is no
+    reason to leave the rows for these. One world's ranking is all that it tells: until a
+    trial succeeds it goes on, up to `HOPELESS` ones.
     """
-    if has_failed or len(ensemble.names) == 1 or ensemble.is_smooth:
+    worlds, count = model.ensemble, len(model.costs)
+    assert isinstance(worlds, Ensemble)
+    is_alone = len(worlds.names) == 1
+    if count >= RANKED:
+        return is_alone and model.only_falls and count < HOPELESS
+    has_failed = model.success is not None and not model.succeeded.any()
+    if has_failed or is_alone or worlds.is_smooth:
         return True
-    are_few = len(ensemble.names) < FEW_WORLDS
-    leaves_rows = options.off_grid > 0
-    return leaves_rows and are_few and ensemble.guess_error is not None
+    are_few = len(worlds.names) < FEW_WORLDS
+    return model.off_grid and are_few and worlds.guess_error is not None
 
 
 def rows_fail(model: Model) -> bool:

@@ -17,7 +17,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.inputs.errors import InputError
-from study.sampler.acquisition import Model, argmax_random_tie
+from study.sampler.acquisition import HOPELESS, Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
 from study.sampler.covariance import WITH_WORLDS
 from study.sampler.diagnostics import Present
@@ -71,7 +71,6 @@ from study.sampler.space import as_suggested
 from study.sampler.space_policy import by_parameters
 from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
-from study.sampler.worlds import Ensemble
 
 
 class TablePolicy(Policy):
@@ -322,16 +321,10 @@ class TablePolicy(Policy):
 
     def _begins(self, history: History) -> bool:
         """Whether this trial comes before the model."""
-        count, success = len(history.cost), self.options.success
-        if count >= self.first_trials:
-            return False
+        count = len(history.cost)
         if not self._in_costs or count == 0:
-            return True
-        ensemble = self._ensemble(history)
-        assert isinstance(ensemble, Ensemble)
-        succeeded = self._model(history, count).succeeded
-        has_failed = success is not None and not succeeded.any()
-        return ranking_goes_on(ensemble, self.options, has_failed=has_failed)
+            return count < self.first_trials
+        return count < HOPELESS and ranking_goes_on(self._model(history, count))
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows, compared = self.rows, self.compared(study)

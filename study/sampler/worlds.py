@@ -33,7 +33,13 @@ from numpy.typing import ArrayLike
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats, Mask, Whole
-from study.sampler.between import Guess, chosen_guess, error_of_guess, nearest_mean
+from study.sampler.between import (
+    BEST_ROWS,
+    Guess,
+    chosen_guess,
+    error_of_guess,
+    nearest_mean,
+)
 from study.sampler.covariance import GuessError
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
@@ -266,6 +272,11 @@ class Ensemble:
         spread = float(own.std())
         self.varies = spread > 1e-12 * float(np.abs(own).max())
         self._middle, self._unit = float(own.mean()), spread if self.varies else 1.0
+        if self.in_costs and len(self.names) == 1:
+            # 1 + s multiplies what a row costs above zero. With zero at its best row, a fall
+            # there says that all rows may be worse, not that the one world's order is wrong:
+            # a line through three falls sent the model to the worst rows of the table.
+            self._middle = float(own.min())
         own = self.standard(costs)
         # The least and the largest cost of all rows in all worlds.
         self.ends = float(own.min()), float(own.max())
@@ -316,6 +327,12 @@ class Ensemble:
         return None if error is None or self.is_smooth else error
 
     @property
+    def tells_little(self) -> bool:
+        """Whether it is soon doubted: one world, few rows, or rows that tell of no other point."""
+        are_few = len(self.names) == 1 or len(self.mean) < BEST_ROWS
+        return are_few or self.guess_error is not None
+
+    @property
     def is_smooth(self) -> bool:
         """Whether the mean cost is a smooth function of the parameters near the best rows."""
         return self.guess is not nearest_mean
@@ -323,6 +340,7 @@ class Ensemble:
     def standard(self, costs: Floats) -> Floats:
         """Costs in the model's units, standard deviations over the table from its mean.
 
+        Of one world they are from its best row.
         Of positive ones that is after y = log(1 + (c - c_0) / s c_0), with c_0 the
         least cost in the table: a logarithm under which costs near the least do not
         look alike. Below c_0, y = log(c / c_0).
