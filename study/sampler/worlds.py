@@ -272,15 +272,17 @@ class Ensemble:
         spread = float(own.std())
         self.varies = spread > 1e-12 * float(np.abs(own).max())
         self._middle, self._unit = float(own.mean()), spread if self.varies else 1.0
-        if self.in_costs and len(self.names) == 1:
+        own = self.standard(costs)
+        self.mean = own @ worlds.weights  # m, [m]
+        if self._is_from_best_row:
             # 1 + s multiplies what a row costs above zero. With zero at its best row, a fall
             # there says that all rows may be worse, not that the one world's order is wrong:
             # a line through three falls sent the model to the worst rows of the table.
-            self._middle = float(own.min())
-        own = self.standard(costs)
+            self._middle += self._unit * float(own.min())
+            own = self.standard(costs)
+            self.mean = own @ worlds.weights
         # The least and the largest cost of all rows in all worlds.
         self.ends = float(own.min()), float(own.max())
-        self.mean = own @ worlds.weights  # m, [m]
         self.parts = (own - self.mean[:, None]) * np.sqrt(worlds.weights)  # d, [m, w]
         # As `transforms.Columns` has them.
         shift, gap = np.ones(len(own)), np.zeros(len(own))
@@ -333,6 +335,12 @@ class Ensemble:
         return are_few or self.guess_error is not None
 
     @property
+    def _is_from_best_row(self) -> bool:
+        """Whether costs are from the best row, not from the table's mean: see `standard`."""
+        is_alone = self.in_costs and len(self.names) == 1 and not self.is_drawn
+        return is_alone and self.varies and not self.is_smooth
+
+    @property
     def is_smooth(self) -> bool:
         """Whether the mean cost is a smooth function of the parameters near the best rows."""
         return self.guess is not nearest_mean
@@ -340,7 +348,7 @@ class Ensemble:
     def standard(self, costs: Floats) -> Floats:
         """Costs in the model's units, standard deviations over the table from its mean.
 
-        Of one world they are from its best row.
+        Where one world's costs jump, they are from its best row.
         Of positive ones that is after y = log(1 + (c - c_0) / s c_0), with c_0 the
         least cost in the table: a logarithm under which costs near the least do not
         look alike. Below c_0, y = log(c / c_0).

@@ -3,18 +3,15 @@
 from functools import partial
 
 import numpy as np
-import optuna
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.distance import cdist
 
-from study import FeatureKernelSampler, FeatureTable
+from study import FeatureTable
 from study.sampler import between, gp
-from study.sampler.acquisition import HOPELESS
 from study.sampler.covariance import EUCLIDEAN, GuessError, fall, new_covariance
 from study.sampler.transforms import new_columns
 from study.sampler.worlds import Ensemble
-from tests.study.sampler.studies import told
 
 D = 3
 RNG = np.random.default_rng(0)
@@ -200,22 +197,3 @@ def test_only_a_table_of_costs_doubts_its_guess_and_a_row_is_as_it_was():
     assert Ensemble(table.rows.worlds, outcomes).guess_error is None  # drawn goals
     single = FeatureTable.from_arrays(parameters, outcomes=outcomes[:, :1])
     assert single.rows.ensemble(np.ones(1)).guess_error is None
-
-
-@pytest.mark.parametrize("off_grid", [64, 0])
-def test_where_a_guess_tells_nothing_many_failures_are_enough_to_doubt_the_table(
-    off_grid,
-):
-    """They cost what failures cost in the worlds."""
-    names = [f"x{column}" for column in range(D)]
-    columns = dict(zip(names, UNIT.T, strict=True))
-    outcomes = 5.0 + np.column_stack([ALONE, ALONE])
-    table = FeatureTable.from_arrays(columns, outcomes=outcomes)
-    sampler = FeatureKernelSampler(table, seed=1, success=1.5, off_grid=off_grid)
-    study = optuna.create_study(sampler=sampler)
-    for count in range(1, HOPELESS + 1):
-        place = dict(zip(names, UNIT[count].tolist(), strict=True))
-        told(study, table.rows.space.as_dict(), place, 6.0)
-        model = sampler._policy.present(study).model
-        assert model.unlike() is None
-        assert model.is_lost is (count == HOPELESS and off_grid > 0)

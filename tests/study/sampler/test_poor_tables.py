@@ -1,0 +1,156 @@
+"""Tables that tell little: one world, few rows, or rows that tell nothing of other points.
+
+A walker's costs in one world: a row walks or falls there for reasons of its own.
+"""
+
+import numpy as np
+import optuna
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import HOPELESS
+from study.sampler.between import BEST_ROWS
+from study.sampler.policy import RANKED, ranking_goes_on
+from study.sampler.worlds import Ensemble, Worlds
+from tests.study.sampler.studies import rows_of, told
+
+D = 3
+RNG = np.random.default_rng(0)
+UNIT = RNG.random((400, D))
+BOWL = 1.0 + ((UNIT - 0.45) ** 2).sum(axis=1)
+WALKS = RNG.random(400) < 0.2
+JUMPY = np.where(WALKS, BOWL, 30.0 + 30.0 * RNG.random(400))
+ORDER = np.argsort(JUMPY, kind="stable")
+NAMES = [f"x{column}" for column in range(D)]
+FALL, SUCCESS = 50.0, 2.0
+
+
+def table_of(outcomes, count=400, better=None):
+    """Of the first rows."""
+    columns = dict(zip(NAMES, UNIT[:count].T, strict=True))
+    return FeatureTable.from_arrays(columns, outcomes=outcomes[:count], better=better)
+
+
+def ensemble_of(outcomes, count=400, better=None):
+    return table_of(outcomes, count, better).rows.ensemble(np.ones(1))
+
+
+def study_of(table, **options):
+    options = {"seed": 1, "success": SUCCESS} | options
+    return optuna.create_study(sampler=FeatureKernelSampler(table, **options))
+
+
+def tell(study, table, row, cost):
+    place = dict(zip(NAMES, UNIT[row].tolist(), strict=True))
+    told(study, table.rows.space.as_dict(), place, cost)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "better", "is_from_best"),
+    [
+        (JUMPY, None, True),
+        (BOWL, None, False),
+        (np.column_stack([JUMPY, JUMPY]), None, False),
+        (JUMPY, "lower", False),
+        (np.full(400, 3.0), None, False),
+    ],
+    ids=["one world", "smooth", "two worlds", "a ranking", "equal"],
+)
+def test_costs_of_one_world_are_from_its_best_row_where_they_jump(
+    outcomes, better, is_from_best
+):
+    ensemble = ensemble_of(outcomes, better=better)
+    assert ensemble.ends[0] == ensemble.mean.min()
+    if is_from_best:
+        assert ensemble.mean.min() == pytest.approx(0.0, abs=1e-12)
+    else:
+        assert ensemble.mean.mean() == pytest.approx(0.0, abs=1e-12)
+    if better is None:
+        own = outcomes.reshape(400, -1)[:, 0]
+        assert_allclose(ensemble.costs(ensemble.standard(own)), own, rtol=1e-9)
+        assert ensemble.reaches(float(own.min()))
+        assert not ensemble.reaches(float(own.min()) - 1e-6)
+
+
+def test_costs_of_goals_that_are_drawn_are_from_the_mean():
+    worlds = Worlds.of(JUMPY)
+    assert Ensemble(worlds, worlds.costs).mean.mean() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_falls_of_the_best_rows_do_not_turn_one_worlds_order_round():
+    """Five of the rows that walk there; before, those that fall there came next."""
+    table = table_of(JUMPY)
+    study = study_of(table)
+    fallen = ORDER[:50:10]
+    for row in fallen:
+        tell(study, table, row, FALL)
+    model = study.sampler._policy.present(study).model
+    points = table.rows.points(by_order=True, coordinates=True, ensemble=model.ensemble)
+    utility = model.utility(points, np.ones(400, bool), np.random.default_rng(1))
+    utility[fallen] = -np.inf
+    assert WALKS[np.argsort(-utility)[:30]].all()
+    assert model.only_falls and not model.is_lost
+
+
+def test_one_worlds_ranking_goes_on_until_a_trial_succeeds_or_six_have_failed():
+    table = table_of(JUMPY)
+    space = table.rows.space.as_dict()
+    study = study_of(table)
+    for _ in range(HOPELESS):
+        study.tell(study.ask(space), FALL)
+    assert_array_equal(rows_of(study), ORDER[:HOPELESS])
+    assert study.sampler._policy.present(study).model.is_lost
+    succeeded = study_of(table)
+    for cost in (FALL, FALL, FALL, 1.5):
+        succeeded.tell(succeeded.ask(space), cost)
+    assert_array_equal(rows_of(succeeded), ORDER[:4])
+    assert succeeded.ask(space).user_attrs["row"] != ORDER[4]
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "success"),
+    [(np.column_stack([JUMPY, JUMPY]), SUCCESS), (JUMPY, None), (JUMPY, 0.5)],
+    ids=["two worlds", "no success", "a success of no world"],
+)
+def test_else_the_ranking_ends_after_three_trials(outcomes, success):
+    table = table_of(outcomes)
+    study = study_of(table, success=success)
+    for count, row in enumerate(ORDER[:RANKED], start=1):
+        tell(study, table, row, FALL)
+        model = study.sampler._policy.present(study).model
+        assert ranking_goes_on(model) is (count < RANKED)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "count", "tells_little"),
+    [
+        (JUMPY, 400, True),
+        (np.column_stack([BOWL, BOWL]), 400, False),
+        (np.column_stack([BOWL, BOWL]), BEST_ROWS, False),
+        (np.column_stack([BOWL, BOWL]), BEST_ROWS - 1, True),
+        (np.column_stack([JUMPY, JUMPY]), 400, True),
+    ],
+    ids=["one world", "smooth", "enough rows", "few rows", "rows that tell nothing"],
+)
+def test_which_tables_tell_little(outcomes, count, tells_little):
+    assert ensemble_of(outcomes, count).tells_little is tells_little
+
+
+@pytest.mark.parametrize("off_grid", [64, 0])
+@pytest.mark.parametrize(
+    ("outcomes", "count"),
+    [(JUMPY, 400), (np.column_stack([JUMPY, JUMPY]), 400), (JUMPY, 50)],
+    ids=["one world", "rows that tell nothing", "few rows"],
+)
+def test_a_table_that_tells_little_is_doubted_after_many_failures(
+    outcomes, count, off_grid
+):
+    """They cost what failures cost in the worlds."""
+    table = table_of(outcomes, count)
+    study = study_of(table, off_grid=off_grid)
+    for row in range(HOPELESS):
+        tell(study, table, row, FALL)
+        model = study.sampler._policy.present(study).model
+        assert model.unlike() is None
+        assert model.is_lost is (row == HOPELESS - 1 and off_grid > 0)
