@@ -269,13 +269,16 @@ def ranking_goes_on(model: Model) -> bool:
     success is to be had, they do, too: two falls do not yet tell which worlds a robot is
     like. And where few worlds tell nothing of points between the rows, a success is no
     reason to leave the rows for these. One world's ranking is all that it tells: until a
-    trial succeeds it goes on, up to `HOPELESS` ones.
+    trial succeeds, or breaks a limit, it goes on, up to `HOPELESS` ones.
     """
     worlds, count = model.ensemble, len(model.costs)
     assert isinstance(worlds, Ensemble)
     is_alone = len(worlds.names) == 1
     if count >= RANKED:
-        return is_alone and model.only_falls and count < HOPELESS
+        has_broken = bool(
+            (model.told_limits > 0).any()
+        )  # limits, which no ranking minds
+        return is_alone and model.only_falls and count < HOPELESS and not has_broken
     has_failed = model.success is not None and not model.succeeded.any()
     if has_failed or is_alone or worlds.is_smooth:
         return True

@@ -41,9 +41,9 @@ def study_of(table, **options):
     return optuna.create_study(sampler=FeatureKernelSampler(table, **options))
 
 
-def tell(study, table, row, cost):
+def tell(study, table, row, cost, **limits):
     place = dict(zip(NAMES, UNIT[row].tolist(), strict=True))
-    told(study, table.rows.space.as_dict(), place, cost)
+    told(study, table.rows.space.as_dict(), place, cost, **limits)
 
 
 @pytest.mark.parametrize(
@@ -120,6 +120,16 @@ def test_else_the_ranking_ends_after_three_trials(outcomes, success):
         tell(study, table, row, FALL)
         model = study.sampler._policy.present(study).model
         assert ranking_goes_on(model) is (count < RANKED)
+
+
+@pytest.mark.parametrize("heat", [1.0, -1.0])
+def test_nor_does_it_go_on_once_a_limit_is_broken(heat):
+    """Which the model minds."""
+    table = table_of(JUMPY)
+    study = study_of(table)
+    for row in ORDER[:RANKED]:
+        tell(study, table, row, FALL, heat=heat)
+    assert ranking_goes_on(study.sampler._policy.present(study).model) is (heat < 0.0)
 
 
 @pytest.mark.parametrize(
