@@ -142,9 +142,8 @@ class OffTable:
             points = Points(between.at(self.known.features, unit, centres), unit)
         if (new & may_be).any() or np.isfinite(self.utility).any():
             new = new & may_be
-        elif (
-            function is not None
-        ):  # nothing new is left: a point whose features are known
+        elif function is not None:
+            # Nothing new is left: a point whose features are known.
             new = may_be
         return Near(
             parameters=near,

@@ -1,9 +1,10 @@
 """The common part of proposals from a table and from a space.
 
 The first trials come before there is a model. With worlds they are the best rows by
-their mean, `RANKED` of them or fewer (`ranking_goes_on`). With features they are the
-`ENDS` of their first principal component, where candidates are extreme by most of them
-at once, so that one end is good where several predict the cost; else `RANDOM` ones.
+their mean, `RANKED` of them or fewer, of one world up to `HOPELESS` (`ranking_goes_on`).
+With features they are the `ENDS` of their first principal component, where candidates
+are extreme by most of them at once, so that one end is good where several predict the
+cost; else `RANDOM` ones.
 """
 
 import warnings
@@ -275,9 +276,8 @@ def ranking_goes_on(model: Model) -> bool:
     assert isinstance(worlds, Ensemble)
     is_alone = len(worlds.names) == 1
     if count >= RANKED:
-        has_broken = bool(
-            (model.told_limits > 0).any()
-        )  # limits, which no ranking minds
+        # No ranking minds limits.
+        has_broken = bool((model.told_limits > 0).any())
         return is_alone and model.only_falls and count < HOPELESS and not has_broken
     has_failed = model.success is not None and not model.succeeded.any()
     if has_failed or is_alone or worlds.is_smooth:

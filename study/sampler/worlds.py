@@ -348,10 +348,10 @@ class Ensemble:
     def standard(self, costs: Floats) -> Floats:
         """Costs in the model's units, standard deviations over the table from its mean.
 
-        Where one world's costs jump, they are from its best row.
         Of positive ones that is after y = log(1 + (c - c_0) / s c_0), with c_0 the
         least cost in the table: a logarithm under which costs near the least do not
-        look alike. Below c_0, y = log(c / c_0).
+        look alike. Below c_0, y = log(c / c_0). Where one world's costs jump, its best row
+        takes the place of the mean.
         """
         standard = (self._spread(costs) - self._middle) / self._unit
         return np.clip(standard, -FARTHEST, FARTHEST)
