@@ -1,7 +1,7 @@
 """The common part of proposals from a table and from a space.
 
 The first trials come before there is a model. With worlds they are the best rows by
-their mean, `RANKED` of them or fewer, of one world up to `HOPELESS` (`ranking_goes_on`).
+their mean, `RANKED` of them or fewer, of one world up to `RANKED_OF_ONE` (`ranking_goes_on`).
 With features they are the `ENDS` of their first principal component, where candidates
 are extreme by most of them at once, so that one end is good where several predict the
 cost; else `RANDOM` ones.
@@ -24,7 +24,7 @@ from optuna.trial import FrozenTrial
 from threadpoolctl import ThreadpoolController
 
 from storage.inputs.errors import InputError
-from study.sampler.acquisition import HOPELESS, Learned, Model
+from study.sampler.acquisition import Learned, Model
 from study.sampler.arrays import Floats, Mask
 from study.sampler.calibration import Errors, past_errors
 from study.sampler.covariance import ADDITIVE, FEW_WORLDS, NEARNESS, Kernel
@@ -47,6 +47,8 @@ Features = Callable[[Floats], Floats]
 """Features [n, k] of points [n, d], by a function of the user's."""
 
 RANKED = 3
+# Of one world, while all of them fail: its ranking is all that it tells.
+RANKED_OF_ONE = 6
 # Rows without success, after one: who is like no world leaves the table. With three of them
 # a robot on ramps down left it too early.
 ROWS_TRIED = 5
@@ -270,7 +272,7 @@ def ranking_goes_on(model: Model) -> bool:
     success is to be had, they do, too: two falls do not yet tell which worlds a robot is
     like. And where few worlds tell nothing of points between the rows, a success is no
     reason to leave the rows for these. One world's ranking is all that it tells: until a
-    trial succeeds, or breaks a limit, it goes on, up to `HOPELESS` ones.
+    trial succeeds, or breaks a limit, it goes on, up to `RANKED_OF_ONE` ones.
     """
     worlds, count = model.ensemble, len(model.costs)
     assert isinstance(worlds, Ensemble)
@@ -278,7 +280,8 @@ def ranking_goes_on(model: Model) -> bool:
     if count >= RANKED:
         # No ranking minds limits.
         has_broken = bool((model.told_limits > 0).any())
-        return is_alone and model.only_falls and count < HOPELESS and not has_broken
+        goes_on = is_alone and count < RANKED_OF_ONE and not has_broken
+        return goes_on and model.only_falls
     has_failed = model.success is not None and not model.succeeded.any()
     if has_failed or is_alone or worlds.is_smooth:
         return True

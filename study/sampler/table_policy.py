@@ -17,7 +17,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.inputs.errors import InputError
-from study.sampler.acquisition import HOPELESS, Model, argmax_random_tie
+from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
 from study.sampler.covariance import WITH_WORLDS
 from study.sampler.diagnostics import Present
@@ -51,6 +51,7 @@ from study.sampler.policy import (
     NOTHING,
     ODD_TURN,
     RANKED,
+    RANKED_OF_ONE,
     Features,
     Options,
     Policy,
@@ -324,7 +325,7 @@ class TablePolicy(Policy):
         count = len(history.cost)
         if not self._in_costs or count == 0:
             return count < self.first_trials
-        return count < HOPELESS and ranking_goes_on(self._model(history, count))
+        return count < RANKED_OF_ONE and ranking_goes_on(self._model(history, count))
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows, compared = self.rows, self.compared(study)

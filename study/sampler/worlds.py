@@ -40,7 +40,7 @@ from study.sampler.between import (
     error_of_guess,
     nearest_mean,
 )
-from study.sampler.covariance import GuessError
+from study.sampler.covariance import FEW_WORLDS, GuessError
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
     MOST,
@@ -330,8 +330,11 @@ class Ensemble:
 
     @property
     def tells_little(self) -> bool:
-        """Whether it is soon doubted: one world, few rows, or rows that tell of no other point."""
-        are_few = len(self.names) == 1 or len(self.mean) < BEST_ROWS
+        """Whether it has few worlds or rows, or rows that tell nothing of points between them.
+
+        Trials that failed then soon doubt it, and those that succeeded tell more.
+        """
+        are_few = len(self.names) < FEW_WORLDS or len(self.mean) < BEST_ROWS
         return are_few or self.guess_error is not None
 
     @property

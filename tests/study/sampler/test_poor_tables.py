@@ -1,4 +1,4 @@
-"""Tables that tell little: one world, few rows, or rows that tell nothing of other points.
+"""Tables that tell little: few worlds, few rows, or rows that tell nothing of other points.
 
 A walker's costs in one world: a row walks or falls there for reasons of its own.
 """
@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import HOPELESS
 from study.sampler.between import BEST_ROWS
-from study.sampler.policy import RANKED, ranking_goes_on
+from study.sampler.covariance import FEW_WORLDS
+from study.sampler.policy import RANKED, RANKED_OF_ONE, ranking_goes_on
 from study.sampler.worlds import Ensemble, Worlds
 from tests.study.sampler.studies import rows_of, told
 
@@ -90,16 +91,16 @@ def test_falls_of_the_best_rows_do_not_turn_one_worlds_order_round():
     utility = model.utility(points, np.ones(400, bool), np.random.default_rng(1))
     utility[fallen] = -np.inf
     assert WALKS[np.argsort(-utility)[:30]].all()
-    assert model.only_falls and not model.is_lost
+    assert model.only_falls
 
 
 def test_one_worlds_ranking_goes_on_until_a_trial_succeeds_or_six_have_failed():
     table = table_of(JUMPY)
     space = table.rows.space.as_dict()
     study = study_of(table)
-    for _ in range(HOPELESS):
+    for _ in range(RANKED_OF_ONE):
         study.tell(study.ask(space), FALL)
-    assert_array_equal(rows_of(study), ORDER[:HOPELESS])
+    assert_array_equal(rows_of(study), ORDER[:RANKED_OF_ONE])
     assert study.sampler._policy.present(study).model.is_lost
     succeeded = study_of(table)
     for cost in (FALL, FALL, FALL, 1.5):
@@ -136,12 +137,20 @@ def test_nor_does_it_go_on_once_a_limit_is_broken(heat):
     ("outcomes", "count", "tells_little"),
     [
         (JUMPY, 400, True),
-        (np.column_stack([BOWL, BOWL]), 400, False),
-        (np.column_stack([BOWL, BOWL]), BEST_ROWS, False),
-        (np.column_stack([BOWL, BOWL]), BEST_ROWS - 1, True),
-        (np.column_stack([JUMPY, JUMPY]), 400, True),
+        (np.column_stack([BOWL] * FEW_WORLDS), 400, False),
+        (np.column_stack([BOWL] * (FEW_WORLDS - 1)), 400, True),
+        (np.column_stack([BOWL] * FEW_WORLDS), BEST_ROWS, False),
+        (np.column_stack([BOWL] * FEW_WORLDS), BEST_ROWS - 1, True),
+        (np.column_stack([JUMPY] * FEW_WORLDS), 400, True),
     ],
-    ids=["one world", "smooth", "enough rows", "few rows", "rows that tell nothing"],
+    ids=[
+        "one world",
+        "smooth",
+        "nine worlds",
+        "enough rows",
+        "few rows",
+        "rows that tell nothing",
+    ],
 )
 def test_which_tables_tell_little(outcomes, count, tells_little):
     assert ensemble_of(outcomes, count).tells_little is tells_little
@@ -150,10 +159,15 @@ def test_which_tables_tell_little(outcomes, count, tells_little):
 @pytest.mark.parametrize("off_grid", [64, 0])
 @pytest.mark.parametrize(
     ("outcomes", "count"),
-    [(JUMPY, 400), (np.column_stack([JUMPY, JUMPY]), 400), (JUMPY, 50)],
-    ids=["one world", "rows that tell nothing", "few rows"],
+    [
+        (JUMPY, 400),
+        (np.column_stack([JUMPY] * FEW_WORLDS), 400),
+        (np.column_stack([JUMPY, JUMPY]), 400),
+        (JUMPY, 50),
+    ],
+    ids=["one world", "rows that tell nothing", "two worlds", "few rows"],
 )
-def test_a_table_that_tells_little_is_doubted_after_many_failures(
+def test_a_table_that_tells_little_is_doubted_after_some_failures(
     outcomes, count, off_grid
 ):
     """They cost what failures cost in the worlds."""

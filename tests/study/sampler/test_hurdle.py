@@ -1,0 +1,113 @@
+"""Where costs jump, a candidate's chance to succeed counts, and what it costs if it does."""
+
+import numpy as np
+import optuna
+import pytest
+import scipy
+from numpy.testing import assert_allclose, assert_array_equal
+
+from study import FeatureKernelSampler, FeatureTable
+from tests.study.sampler.studies import told
+
+D, ROWS, WORLDS = 3, 300, 12
+RNG = np.random.default_rng(4)
+UNIT = RNG.random((ROWS, D))
+BOWL = 1.0 + ((UNIT - 0.45) ** 2).sum(axis=1)
+COSTS = BOWL[:, None] * np.exp(0.05 * RNG.standard_normal(WORLDS))
+JUMPY = np.where(RNG.random((ROWS, WORLDS)) < 0.6, COSTS, 30.0 + 30.0 * COSTS)
+NAMES = [f"x{column}" for column in range(D)]
+FALL, SUCCESS = 50.0, 10.0
+
+
+def study_of(outcomes, costs, limits=(), **options):
+    """A study of the first rows, which cost this."""
+    columns = dict(zip(NAMES, UNIT.T, strict=True))
+    table = FeatureTable.from_arrays(columns, outcomes=outcomes)
+    options = {"seed": 1, "success": SUCCESS} | options
+    study = optuna.create_study(sampler=FeatureKernelSampler(table, **options))
+    for row, cost in enumerate(costs):
+        place = dict(zip(NAMES, UNIT[row].tolist(), strict=True))
+        heat = {"heat": limits[row]} if len(limits) else {}
+        told(study, table.rows.space.as_dict(), place, cost, **heat)
+    return study, table
+
+
+def model_of(study):
+    return study.sampler._policy.present(study).model
+
+
+def points_of(table, model):
+    return table.rows.points(by_order=True, coordinates=True, ensemble=model.ensemble)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "costs", "options", "is_asked"),
+    [
+        (JUMPY, [FALL, 3.0, 2.0], {}, True),
+        (JUMPY, [3.0, 2.0], {}, True),
+        (JUMPY, [FALL, FALL], {}, False),
+        (JUMPY, [FALL, 3.0, 2.0], {"success": None}, False),
+        (JUMPY, [FALL, 3.0, 2.0], {"off_grid": 0}, False),
+        (COSTS, [FALL, 3.0, 2.0], {}, False),
+        (JUMPY, [FALL, 1.5, 1.501, 1.502, 1.503], {}, False),
+    ],
+    ids=[
+        "a success",
+        "no failure",
+        "no success yet",
+        "none is told",
+        "rows alone",
+        "smooth",
+        "in units of the trials",
+    ],
+)
+def test_when_trials_that_succeeded_have_a_model_of_their_own(
+    outcomes, costs, options, is_asked
+):
+    study, _ = study_of(outcomes, costs, **options)
+    successes = model_of(study).of_successes
+    assert (successes is not None) is is_asked
+    if successes is not None:
+        assert_array_equal(successes.costs, [cost for cost in costs if cost < FALL])
+        assert not successes.in_table_units
+        assert successes.of_successes is None
+
+
+def test_a_trial_that_breaks_a_limit_is_no_success():
+    study, _ = study_of(JUMPY, [FALL, 3.0, 2.0], limits=[-1.0, -1.0, 1.0])
+    assert_array_equal(model_of(study).of_successes.costs, [3.0])
+
+
+def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes():
+    """By SciPy's normal distribution, from the means and variances of both models."""
+    study, table = study_of(JUMPY, [FALL, 3.0, 40.0, 2.0, 2.5])
+    model = model_of(study)
+    points = points_of(table, model)
+    utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
+
+    def costs_by(one):
+        mean, variance = one.posterior.predict(one.visible(points))
+        return mean + one.expected(points, one.cost()), np.sqrt(variance)
+
+    mean, sd = costs_by(model)
+    (goal,) = model.ensemble.standard(np.array([SUCCESS]))
+    chance = scipy.stats.norm.cdf(goal, mean, sd)
+    mean, sd = costs_by(model.of_successes)
+    best = model.of_successes.cost().min()
+    z = (best - mean) / sd
+    improvement = (best - mean) * scipy.stats.norm.cdf(z) + sd * scipy.stats.norm.pdf(z)
+    likely = (chance > 1e-6) & (improvement > 1e-9)
+    assert likely.sum() > ROWS / 2
+    found = np.exp(utility[likely])
+    assert_allclose(found, (chance * improvement)[likely], rtol=1e-3)
+
+
+def test_failures_do_not_say_what_successes_cost():
+    """However much they cost: only where they were counts."""
+    found = []
+    for fall in (FALL, 45.0):
+        study, table = study_of(JUMPY, [fall, 3.0, fall, 2.0, 2.5])
+        successes = model_of(study).of_successes
+        points = points_of(table, successes)
+        found.append(successes.posterior.predict(successes.visible(points)))
+    assert_array_equal(found[0], found[1])
