@@ -7,6 +7,8 @@ import scipy
 from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
+from study.sampler.acquisition import FEW_SUCCESSES
+from study.sampler.covariance import FEW_WORLDS
 from tests.study.sampler.studies import told
 
 D, ROWS, WORLDS = 3, 300, 12
@@ -16,7 +18,10 @@ BOWL = 1.0 + ((UNIT - 0.45) ** 2).sum(axis=1)
 COSTS = BOWL[:, None] * np.exp(0.05 * RNG.standard_normal(WORLDS))
 JUMPY = np.where(RNG.random((ROWS, WORLDS)) < 0.6, COSTS, 30.0 + 30.0 * COSTS)
 NAMES = [f"x{column}" for column in range(D)]
+FEW = JUMPY[:, : FEW_WORLDS - 1]
 FALL, SUCCESS = 50.0, 10.0
+APART = np.linspace(1.5, 6.0, FEW_SUCCESSES).tolist()
+ALIKE = np.linspace(1.5, 1.51, FEW_SUCCESSES).tolist()
 
 
 def study_of(outcomes, costs, limits=(), **options):
@@ -43,18 +48,22 @@ def points_of(table, model):
 @pytest.mark.parametrize(
     ("outcomes", "costs", "options", "is_asked"),
     [
-        (JUMPY, [FALL, 3.0, 2.0], {}, True),
-        (JUMPY, [3.0, 2.0], {}, True),
-        (JUMPY, [FALL, FALL], {}, False),
-        (JUMPY, [FALL, 3.0, 2.0], {"success": None}, False),
-        (JUMPY, [FALL, 3.0, 2.0], {"off_grid": 0}, False),
-        (COSTS, [FALL, 3.0, 2.0], {}, False),
-        (JUMPY, [FALL, 1.5, 1.501, 1.502, 1.503], {}, False),
+        (JUMPY, [FALL, *APART], {}, True),
+        (JUMPY, APART, {}, True),
+        (JUMPY, [FALL, *APART[1:]], {}, False),
+        (FEW, [FALL, 3.0], {}, True),
+        (FEW, [FALL, FALL], {}, False),
+        (FEW, [FALL, 3.0], {"success": None}, False),
+        (FEW, [FALL, 3.0], {"off_grid": 0}, False),
+        (COSTS, [FALL, *APART], {}, False),
+        (JUMPY, [FALL, *ALIKE], {}, False),
     ],
     ids=[
-        "a success",
+        "four successes",
         "no failure",
-        "no success yet",
+        "three of many worlds",
+        "one of few worlds",
+        "none yet",
         "none is told",
         "rows alone",
         "smooth",
@@ -74,13 +83,13 @@ def test_when_trials_that_succeeded_have_a_model_of_their_own(
 
 
 def test_a_trial_that_breaks_a_limit_is_no_success():
-    study, _ = study_of(JUMPY, [FALL, 3.0, 2.0], limits=[-1.0, -1.0, 1.0])
+    study, _ = study_of(FEW, [FALL, 3.0, 2.0], limits=[-1.0, -1.0, 1.0])
     assert_array_equal(model_of(study).of_successes.costs, [3.0])
 
 
 def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes():
     """By SciPy's normal distribution, from the means and variances of both models."""
-    study, table = study_of(JUMPY, [FALL, 3.0, 40.0, 2.0, 2.5])
+    study, table = study_of(FEW, [FALL, 3.0, 40.0, 2.0, 2.5])
     model = model_of(study)
     points = points_of(table, model)
     utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
@@ -106,7 +115,7 @@ def test_failures_do_not_say_what_successes_cost():
     """However much they cost: only where they were counts."""
     found = []
     for fall in (FALL, 45.0):
-        study, table = study_of(JUMPY, [fall, 3.0, fall, 2.0, 2.5])
+        study, table = study_of(FEW, [fall, 3.0, fall, 2.0, 2.5])
         successes = model_of(study).of_successes
         points = points_of(table, successes)
         found.append(successes.posterior.predict(successes.visible(points)))
