@@ -48,7 +48,7 @@ WORK = 1e10
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
-CACHED_CONSTANTS = 8
+CACHED_CONSTANTS = 16
 # Trials, from which on smooth costs are in units of the trials. From 3 on, a robot like
 # the worlds lost what they tell of it; from 8 on none did, and others gained as much.
 FAMILIAR = 8
@@ -59,9 +59,9 @@ FEW_SUCCESSES = 4
 # hides all differences, and 0.3 to 1.3 where it tells them apart.
 HIDDEN = 0.2
 # Trials that all failed, from which on a table that tells little is doubted: of 50 Walker2d
-# in four worlds 32 in place of 25 then walked within ten trials; with six of them 173 of 180
-# Ants in place of 162 within 15, and with three no fewer. On a walker's table, which tells
-# something, it did harm (20 walkers within 12 trials became 13).
+# in four worlds 32 in place of 25 then walked within ten trials. Of six trials, measured
+# before: 173 of 180 Ants in place of 162 within 15, and harm on a walker's table, which tells
+# something (20 walkers within 12 trials became 13).
 HOPELESS = 3
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
@@ -193,15 +193,16 @@ class Model:
 
     @cached_property
     def of_successes(self) -> "Model | None":
-        """The model of the trials that succeeded, in units of their own; None: none is needed.
+        """The model of the trials that cost no more than a success, in their own units, or None.
 
         Where costs jump, a failure lies so far above all successes that one process
         through both expects one a short step from any success, and steps stay too small
         to gain by. So a candidate counts by the chance that it succeeds times the
         improvement if it does (a hurdle model: Cragg 1971). It takes `FEW_SUCCESSES`:
-        with fewer, what rows cost in worlds tells more, unless the table tells little.
-        Rows alone have no steps. Once costs of all trials are in units of their own
-        (`is_familiar`), these tell successes apart.
+        with fewer, what rows cost in worlds tells more, unless the table tells little. A
+        trial that broke a limit is no success, but tells what success costs. Rows alone
+        have no steps. While costs of all trials are in units of their own (`is_familiar`),
+        these tell successes apart.
         """
         worlds = self._in_costs
         if self.success is None or not self.off_grid or worlds is None:
@@ -209,16 +210,13 @@ class Model:
         needed = 1 if worlds.tells_little else FEW_SUCCESSES
         if self.succeeded.sum() < needed or self._is_smooth:
             return None
-        own = self.succeeded
+        own = self.costs <= self.success
         return replace(
             self,
             trials=self.trials.take(own),
             rows=self.rows[own],
             costs=self.costs[own],
             limits=self.limits[own],
-            success=None,
-            elsewhere=None,
-            limits_elsewhere=None,
             familiar=True,
         )
 
@@ -461,36 +459,36 @@ class Model:
         feasible = self.feasible
         if not feasible.any():
             return log_chance_kept  # nothing to improve on: first find a candidate that holds
+        mean, variance = self._costs_at(points)
         if self.of_successes is not None:
-            log_improvement = self.of_successes._log_improvement(points)
-            log_chance = self._log_chance_of_success(points)
-            return log_chance + log_improvement + log_chance_kept
+            log_chance = self._log_chance_of_success(mean, variance) + log_chance_kept
+            mean, variance = self.of_successes._costs_at(points)
+            return log_chance + self.of_successes._log_improvement(mean, variance)
         if self.success is not None and not self.succeeded.any():
-            chance = self._log_chance_of_success(points) + log_chance_kept
+            log_chance = self._log_chance_of_success(mean, variance) + log_chance_kept
             # Rows come first, and decide for the points off the table too.
             if self._in_sight is None:
-                self._in_sight = bool(chance.max() >= LEAST_LOG_CHANCE)
+                self._in_sight = bool(log_chance.max() >= LEAST_LOG_CHANCE)
             if self._in_sight:
-                return chance
-        return self._log_improvement(points) + log_chance_kept
-
-    def _log_chance_of_success(self, points: Points) -> Floats:
-        """log P(cost <= success), [m]."""
-        mean, variance = self._costs_at(points)
-        (goal,) = self.standard(np.array([self.success]), self.costs)
-        return log_chance_below_zero(mean - goal, variance)
-
-    def _log_improvement(self, points: Points) -> Floats:
-        """The log of the expected improvement on the best trial that kept its limits, [m]."""
-        mean, variance = self._costs_at(points)
-        best = float(self.cost()[self.feasible].min())
-        return log_expected_improvement(mean, np.sqrt(variance), best)
+                return log_chance
+        return self._log_improvement(mean, variance) + log_chance_kept
 
     def _costs_at(self, points: Points) -> tuple[Floats, Floats]:
         """Mean and variance of the cost at points, as the process sees it, [m]."""
         mean, variance = self.posterior.predict(self.visible(points))
         mean += self.expected(points, self.cost())
         return mean, variance
+
+    def _log_chance_of_success(self, mean: Floats, variance: Floats) -> Floats:
+        """log P(cost <= success) of costs ~ N(mean, variance), [m]."""
+        assert self.success is not None
+        (goal,) = self.standard(np.array([self.success]), self.costs)
+        return log_chance_below_zero(mean - goal, variance)
+
+    def _log_improvement(self, mean: Floats, variance: Floats) -> Floats:
+        """Their log expected improvement on the best trial that kept its limits, [m]."""
+        best = float(self.cost()[self.feasible].min())
+        return log_expected_improvement(mean, np.sqrt(variance), best)
 
 
 def along_feature(

@@ -82,14 +82,21 @@ def test_when_trials_that_succeeded_have_a_model_of_their_own(
         assert successes.of_successes is None
 
 
-def test_a_trial_that_breaks_a_limit_is_no_success():
+def test_a_trial_that_breaks_a_limit_is_no_success_but_tells_what_one_costs():
     study, _ = study_of(FEW, [FALL, 3.0, 2.0], limits=[-1.0, -1.0, 1.0])
-    assert_array_equal(model_of(study).of_successes.costs, [3.0])
+    assert_array_equal(model_of(study).of_successes.costs, [3.0, 2.0])
+    assert_array_equal(model_of(study).of_successes.feasible, [True, False])
+    study, _ = study_of(FEW, [FALL, 3.0, 2.0], limits=[-1.0, 1.0, 1.0])
+    assert model_of(study).of_successes is None
 
 
-def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes():
-    """By SciPy's normal distribution, from the means and variances of both models."""
-    study, table = study_of(FEW, [FALL, 3.0, 40.0, 2.0, 2.5])
+@pytest.mark.parametrize("limits", [(), [-1.0, -0.5, 1.0, 2.0, -0.2]])
+def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limits):
+    """By SciPy's normal distribution, from the means and variances of both models.
+
+    And times the chance that limits are kept; one of the trials that cost little broke one.
+    """
+    study, table = study_of(FEW, [FALL, 3.0, 40.0, 2.0, 2.5], limits=limits)
     model = model_of(study)
     points = points_of(table, model)
     utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
@@ -101,8 +108,13 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes():
     mean, sd = costs_by(model)
     (goal,) = model.ensemble.standard(np.array([SUCCESS]))
     chance = scipy.stats.norm.cdf(goal, mean, sd)
+    assert len(model.limit_posteriors) == (1 if limits else 0)
+    for posterior in model.limit_posteriors.values():
+        limit, variance = posterior.predict(model.visible(points))
+        chance = chance * scipy.stats.norm.cdf(0.0, limit, np.sqrt(variance))
     mean, sd = costs_by(model.of_successes)
-    best = model.of_successes.cost().min()
+    kept = [3.0, 2.5] if limits else [3.0, 2.0, 2.5]
+    best = model.of_successes.standard(np.array([min(kept)]), np.array([3.0, 2.0, 2.5]))
     z = (best - mean) / sd
     improvement = (best - mean) * scipy.stats.norm.cdf(z) + sd * scipy.stats.norm.pdf(z)
     likely = (chance > 1e-6) & (improvement > 1e-9)
