@@ -11,6 +11,7 @@ from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.covariance import (
     DOUBTED,
     FALL_NOISE,
+    FEW_WORLDS,
     WORLD,
     WORLD_NOISE,
     Constant,
@@ -199,15 +200,17 @@ class Model:
         through both expects one a short step from any success, and steps stay too small
         to gain by. So a candidate counts by the chance that it succeeds times the
         improvement if it does (a hurdle model: Cragg 1971). It takes `FEW_SUCCESSES`:
-        with fewer, what rows cost in worlds tells more, unless the table tells little. A
-        trial that broke a limit is no success, but tells what success costs. Rows alone
-        have no steps. While costs of all trials are in units of their own (`is_familiar`),
-        these tell successes apart.
+        with fewer, what rows cost in worlds tells more, unless many worlds tell nothing of
+        points between rows. A trial that broke a limit is no success, but tells what
+        success costs. Rows alone have no steps. While costs of all trials are in units of
+        their own (`is_familiar`), these tell successes apart.
         """
         worlds = self._in_costs
         if self.success is None or not self.off_grid or worlds is None:
             return None
-        needed = 1 if worlds.tells_little else FEW_SUCCESSES
+        are_many = len(worlds.names) >= FEW_WORLDS
+        tells_nothing = are_many and worlds.guess_error is not None
+        needed = 1 if tells_nothing else FEW_SUCCESSES
         if self.succeeded.sum() < needed or self._is_smooth:
             return None
         own = self.costs <= self.success

@@ -330,10 +330,7 @@ class Ensemble:
 
     @property
     def tells_little(self) -> bool:
-        """Whether it has few worlds or rows, or rows that tell nothing of points between them.
-
-        Trials that failed then soon doubt it, and those that succeeded tell more.
-        """
+        """Whether it is soon doubted: few worlds or rows, or rows that tell of no other point."""
         are_few = len(self.names) < FEW_WORLDS or len(self.mean) < BEST_ROWS
         return are_few or self.guess_error is not None
 
