@@ -53,11 +53,12 @@ CACHED_CONSTANTS = 16
 # Trials, from which on smooth costs are in units of the trials. From 3 on, a robot like
 # the worlds lost what they tell of it; from 8 on none did, and others gained as much.
 FAMILIAR = 8
-# Of costs that are not smooth: so many successes, ...
+# Successes, from which on they tell of costs that are not smooth: how far these lie apart,
+# if the table's unit hides it, and what a success costs (`Model.of_successes`).
 FEW_SUCCESSES = 4
-# ... and how far above the best one their median may lie, in standard deviations of the
-# table. It is 0.03 to 0.15 of walkers that cost nearly the same, where the table's unit
-# hides all differences, and 0.3 to 1.3 where it tells them apart.
+# How far above the best of them their median may lie, if the table's unit hides it, in
+# standard deviations of the table. It is 0.03 to 0.15 of walkers that cost nearly the
+# same, and 0.3 to 1.3 where the table tells them apart.
 HIDDEN = 0.2
 # Trials that all failed, from which on a table that tells little is doubted: of 50 Walker2d
 # in four worlds 32 in place of 25 then walked within ten trials. Of six trials, measured

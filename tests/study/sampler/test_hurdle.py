@@ -127,7 +127,7 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
 
 
 def test_failures_do_not_say_what_successes_cost():
-    """However much they cost: only where they were counts."""
+    """The second process does not see them, however much they cost."""
     found = []
     for fall in (FALL, 45.0):
         study, table = study_of(LONELY, [fall, 3.0, fall, 2.0, 2.5])
