@@ -60,6 +60,10 @@ FEW_SUCCESSES = 4
 # standard deviations of the table. It is 0.03 to 0.15 of walkers that cost nearly the
 # same, and 0.3 to 1.3 where the table tells them apart.
 HIDDEN = 0.2
+# What is likelier to fail than to succeed is the last that a hurdle takes. Without this
+# half of its proposals for walkers that limp had a chance below 0.05, and gained nothing.
+LOG_EVEN = np.log(0.5)
+LOG_NO_GAIN = -1e3  # below that of any candidate that is worth a trial
 # Trials that all failed, from which on a table that tells little is doubted: of 50 Walker2d
 # in four worlds 32 in place of 25 then walked within ten trials. Of six trials, measured
 # before: 173 of 180 Ants in place of 162 within 15, and harm on a walker's table, which tells
@@ -200,7 +204,8 @@ class Model:
         Where costs jump, a failure lies so far above all successes that one process
         through both expects one a short step from any success, and steps stay too small
         to gain by. So a candidate counts by the chance that it succeeds times the
-        improvement if it does (a hurdle model: Cragg 1971). It takes `FEW_SUCCESSES`:
+        improvement if it does (a hurdle model: Cragg 1971), and what is likelier to fail
+        than not by its chance alone, after all others. It takes `FEW_SUCCESSES`:
         with fewer, what rows cost in worlds tells more, unless many worlds tell nothing of
         points between rows. A trial that broke a limit is no success, but tells what
         success costs. Rows alone have no steps. While costs of all trials are in units of
@@ -465,9 +470,11 @@ class Model:
             return log_chance_kept  # nothing to improve on: first find a candidate that holds
         mean, variance = self._costs_at(points)
         if self.of_successes is not None:
-            log_chance = self._log_chance_of_success(mean, variance) + log_chance_kept
+            log_chance = self._log_chance_of_success(mean, variance)
             mean, variance = self.of_successes._costs_at(points)
-            return log_chance + self.of_successes._log_improvement(mean, variance)
+            log_gain = self.of_successes._log_improvement(mean, variance)
+            log_gain[log_chance < LOG_EVEN] = LOG_NO_GAIN
+            return log_chance + log_gain + log_chance_kept
         if self.success is not None and not self.succeeded.any():
             log_chance = self._log_chance_of_success(mean, variance) + log_chance_kept
             # Rows come first, and decide for the points off the table too.

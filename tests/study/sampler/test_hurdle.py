@@ -7,7 +7,7 @@ import scipy
 from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import FEW_SUCCESSES
+from study.sampler.acquisition import FEW_SUCCESSES, LOG_NO_GAIN
 from study.sampler.covariance import FEW_WORLDS
 from tests.study.sampler.studies import told
 
@@ -98,6 +98,7 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
     """By SciPy's normal distribution, from the means and variances of both models.
 
     And times the chance that limits are kept; one of the trials that cost little broke one.
+    Of what is likelier to fail than not the improvement does not count.
     """
     study, table = study_of(LONELY, [FALL, 3.0, 40.0, 2.0, 2.5], limits=limits)
     model = model_of(study)
@@ -110,20 +111,30 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
 
     mean, sd = costs_by(model)
     (goal,) = model.ensemble.standard(np.array([SUCCESS]))
-    chance = scipy.stats.norm.cdf(goal, mean, sd)
+    success = scipy.stats.norm.cdf(goal, mean, sd)
+    kept = np.ones(ROWS)
     assert len(model.limit_posteriors) == (1 if limits else 0)
     for posterior in model.limit_posteriors.values():
         limit, variance = posterior.predict(model.visible(points))
-        chance = chance * scipy.stats.norm.cdf(0.0, limit, np.sqrt(variance))
+        kept *= scipy.stats.norm.cdf(0.0, limit, np.sqrt(variance))
     mean, sd = costs_by(model.of_successes)
-    kept = [3.0, 2.5] if limits else [3.0, 2.0, 2.5]
-    best = model.of_successes.standard(np.array([min(kept)]), np.array([3.0, 2.0, 2.5]))
+    costs = [3.0, 2.5] if limits else [3.0, 2.0, 2.5]
+    best = model.of_successes.standard(
+        np.array([min(costs)]), np.array([3.0, 2.0, 2.5])
+    )
     z = (best - mean) / sd
     improvement = (best - mean) * scipy.stats.norm.cdf(z) + sd * scipy.stats.norm.pdf(z)
-    likely = (chance > 1e-6) & (improvement > 1e-9)
-    assert likely.sum() > ROWS / 2
-    found = np.exp(utility[likely])
-    assert_allclose(found, (chance * improvement)[likely], rtol=1e-3)
+    likely = success >= 0.5
+    seen = likely & (success * kept > 1e-6) & (improvement > 1e-9)
+    assert seen.sum() > ROWS / 10
+    found = np.exp(utility[seen])
+    assert_allclose(found, (success * kept * improvement)[seen], rtol=1e-3)
+    # What is likelier to fail comes after all others, by its chance alone.
+    unlikely = ~likely & (success * kept > 1e-6)
+    assert unlikely.sum() > ROWS / 10
+    assert utility[unlikely].max() < utility[seen].min()
+    chances = np.log(success * kept)[unlikely]
+    assert_allclose(utility[unlikely] - chances, LOG_NO_GAIN, rtol=1e-6)
 
 
 def test_failures_do_not_say_what_successes_cost():
