@@ -137,7 +137,7 @@ def _parameter_column(
     if column.ndim != 1 or not len(column):
         raise InputError(f"table.{name}.shape", column.shape, "[n], n at least 1")
     if len(column) != length:
-        allowed = f"({length},), as the features"
+        allowed = f"({length},), as features or outcomes have rows"
         raise InputError(f"table.{name}.shape", column.shape, allowed)
     if column.dtype.kind == "O" and given is None:
         column = _without_decimals(column)

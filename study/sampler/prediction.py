@@ -40,6 +40,7 @@ class Best:
         number: of the trial, the first of these parameters.
         params: its parameters.
         row: of the table; None off it, or without one.
+        reading: the mean of its trials' values.
         value: as likely too high as too low; infinite where the best one is.
         low: end of the interval that holds its value, without noise, with 95 %; NaN
             where nothing tells how far the value may be off: an infinite one, or all
@@ -53,6 +54,7 @@ class Best:
     number: int
     params: Mapping[str, Any]
     row: int | None
+    reading: float
     value: float
     low: float
     high: float
@@ -68,7 +70,8 @@ class Best:
             else ""
         )
         return (
-            f"Trial {self.number}{row}: {self.value:.4g} ({_interval_text(self.low, self.high)}), "
+            f"Trial {self.number}{row}: read {self.reading:.4g}; expected "
+            f"{self.value:.4g} ({_interval_text(self.low, self.high)}), "
             f"by {trials_text(self.trials)} of it and what the others tell.{limits} {self.unlike}"
         ).strip()
 
@@ -91,7 +94,8 @@ def best_of(present: Present, *, maximised: bool) -> Best:
     strange = model.unlike(-1.0 if maximised else 1.0)
     trial = trials[best]
     alike = [other.values[0] for other in trials if other.params == trial.params]
-    value, low, high = float(np.mean(alike)), np.nan, np.nan
+    reading = float(np.mean(alike))
+    value, low, high = reading, np.nan, np.nan
     # In the table's units there is nothing far below all of its worlds.
     seen = model.in_units(model.cost())[best]
     if np.isfinite(value) and np.isclose(seen, model.costs[best], rtol=SAME):
@@ -107,6 +111,7 @@ def best_of(present: Present, *, maximised: bool) -> Best:
         number=trial.number,
         params=dict(trial.params),
         row=present.rows[best],
+        reading=reading,
         value=value,
         low=low,
         high=high,

@@ -7,6 +7,7 @@ number and takes another row; if both write before either reads, both do. Nobody
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -481,6 +482,8 @@ class TablePolicy(Policy):
         self._adopt(study)
         history = self._history(study, next_trial(study))
         model = self._model(history, len(history.cost))
+        # What runs has told nothing; only proposals believe that it costs what is expected.
+        model = replace(model, running=model.running.take(np.arange(0)))
         if params is None:
             places = Places(self.rows.numbers, self.rows.unit)
             points = self._points(model.ensemble)

@@ -3,7 +3,7 @@
 import numpy as np
 import optuna
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from optuna.distributions import FloatDistribution
 from scipy.stats import t as student
 
@@ -150,6 +150,27 @@ def test_repeats_count_as_the_mean_of_their_values_not_of_the_units_of_the_model
     told(study, SPACE, {"x": LINE[0]}, 1.0)
     told(study, SPACE, {"x": LINE[4]}, 45.0)
     assert study.sampler.best(study).number == 2
+
+
+def test_the_best_reading_is_told_beside_what_is_expected():
+    study = study_on(values=[0.42, 0.36, 0.33, 0.9])
+    for value in (0.29, 0.31):
+        told(study, SPACE, {"x": LINE[9]}, value)
+    best = study.sampler.best(study)
+    assert best.reading == pytest.approx(0.3) and best.value != best.reading
+    assert f"read 0.3; expected {best.value:.4g} (" in str(best)
+
+
+def test_a_trial_that_runs_tells_nothing_of_what_to_expect():
+    study = study_on(values=[0.42, 0.36, 0.33])
+    before = study.sampler.predict(study)
+    trial = study.ask()
+    running = {"x": trial.suggest_float("x", 0.0, 1.0)}
+    found = study.sampler.predict(study)
+    assert_array_equal([found.low, found.high], [before.low, before.high])
+    (alone,) = study.sampler.predict(study, [running]).high
+    study.tell(trial, state=optuna.trial.TrialState.FAIL)
+    assert alone == study.sampler.predict(study, [running]).high
 
 
 @pytest.mark.parametrize("value", [2e-4, -5.0])

@@ -64,7 +64,7 @@ def run(sampler, objective=both, trials=5):
 
 # Messages of a column a, and of options of the table.
 COLUMNS = {
-    "table.….shape: … allowed: …, as the features": ([1.0, 2.0], {}),
+    "table.….shape: … allowed: …, as features or outcomes have rows": ([1.0, 2.0], {}),
     "table.…: nan cannot be used; allowed: a finite number": ([1.0, np.nan, 3.0], {}),
     "table.feature_names: … allowed: … names": (
         LINE[:3],
