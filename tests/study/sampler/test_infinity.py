@@ -88,8 +88,8 @@ def test_infinite_values_are_the_worst_and_the_best_in_any_database(
     tell(160, -INF, -INF)
     best, shown = sampler.best(study), f"{-sign * INF:g} (interval unknown), by 1 trial"
     assert best.number == 4 and best.value == -sign * INF
-    told = f"Trial 4, row 160: read {-sign * INF:g}; expected {shown}"
-    assert str(best).startswith(told)
+    wanted = f"Trial 4, row 160: read {-sign * INF:g}; expected {shown}"
+    assert str(best).startswith(wanted)
     value = sign * sampler.predict(study).value
     assert value[160] < value[100] < min(value[[20, 60]])
     assert sampler.worth(study).trials == 5
