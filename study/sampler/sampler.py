@@ -296,6 +296,8 @@ class FeatureKernelSampler(BaseSampler):
     ) -> Prediction:
         """What to expect of rows of the table that may be proposed, or of given parameters.
 
+        Trials that run tell nothing, as those that failed.
+
         Args:
             study: of these parameters; it is not changed, and need not have a trial.
             params: parameters by name, m times; None: the rows.
