@@ -12,6 +12,7 @@ from study.sampler.covariance import (
     DOUBTED,
     FALL_NOISE,
     FEW_WORLDS,
+    SUCCESS_NOISE,
     WORLD,
     WORLD_NOISE,
     Constant,
@@ -192,11 +193,21 @@ class Model:
             y,
             standardised=self._in_costs is None,
             likeness=DOUBTED if is_doubted else WORLD,
-            noise=FALL_NOISE if self.only_falls else WORLD_NOISE,
+            noise=self._noise,
             guess_error=self._guess_error,
         )
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
+
+    @property
+    def _noise(self) -> Constant:
+        """Of costs beside worlds; where these jump, a success among falls is none."""
+        if self.only_falls:
+            return FALL_NOISE
+        may_leave_rows = self.success is not None and self.off_grid
+        if not may_leave_rows or self._in_costs is None or not self.succeeded.any():
+            return WORLD_NOISE
+        return WORLD_NOISE if self._is_smooth else SUCCESS_NOISE
 
     @cached_property
     def of_successes(self) -> "Model | None":

@@ -180,6 +180,9 @@ WORLD_NOISE = Constant(log(0.0025), 1.0, NOISE_BOUNDS)
 # falls of the best rows on MuJoCo's ground sent the model to rows on which worlds disagree.
 # Where it is none, as with a success that asks too much, trials lower it.
 FALL_NOISE = Constant(log(0.25), 2.0, NOISE_BOUNDS)
+# And where one has succeeded: that is no luck. With more, a success among falls was taken
+# for noise, and its surroundings were left for good.
+SUCCESS_NOISE = replace(WORLD_NOISE, bounds=(NOISE_BOUNDS[0], 0.1))
 GUESS_SD = 0.5  # of the logarithms of e^2 and of its L: the table tells both
 
 

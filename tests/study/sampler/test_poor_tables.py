@@ -178,3 +178,29 @@ def test_a_table_that_tells_little_is_doubted_after_some_failures(
         model = study.sampler._policy.present(study).model
         assert model.unlike() is None
         assert model.is_lost is (row == HOPELESS - 1 and off_grid > 0)
+
+
+def test_a_success_among_falls_is_no_luck_and_its_surroundings_are_not_left():
+    """Two falls lay 0.1 from it; falls alone are smooth, so that it looked like noise."""
+    rng = np.random.default_rng(5)
+    unit, at = rng.random((400, 5)), np.full(5, 0.55)
+    names = [f"x{column}" for column in range(5)]
+
+    def fell(points, centre):
+        return 50.0 + 40.0 * np.sqrt(((points - centre) ** 2).sum(axis=-1))
+
+    centre = 0.45 + 0.1 * rng.standard_normal(5)
+    away = np.sqrt(((unit - centre) ** 2).sum(axis=1))
+    world = np.where(away < 0.4, 1.0 + 4.0 * away, fell(unit, centre))
+    columns = dict(zip(names, unit.T, strict=True))
+    table = FeatureTable.from_arrays(columns, outcomes=world)
+    study = study_of(table, success=10.0)
+    step = np.array([0.05, -0.05, 0.05, 0.05, -0.05])
+    falls = [at + step, at - step, *(at + 0.2 * rng.standard_normal((7, 5)))]
+    for place in [at, *np.clip(falls, 0.05, 0.95)]:
+        cost = 3.0 if place is at else float(fell(place, at))
+        params = dict(zip(names, place.tolist(), strict=True))
+        told(study, table.rows.space.as_dict(), params, cost)
+    near = at + 0.03 * rng.standard_normal((20, 5))
+    asked = [dict(zip(names, place.tolist(), strict=True)) for place in near]
+    assert study.sampler.predict(study, asked).success.mean() > 0.5
