@@ -204,10 +204,15 @@ class Model:
         """Of costs beside worlds; where these jump, a success among falls is none."""
         if self.only_falls:
             return FALL_NOISE
-        may_leave_rows = self.success is not None and self.off_grid
-        if not may_leave_rows or self._in_costs is None or not self.succeeded.any():
-            return WORLD_NOISE
-        return WORLD_NOISE if self._is_smooth else SUCCESS_NOISE
+        return SUCCESS_NOISE if self._sees_success else WORLD_NOISE
+
+    @property
+    def _sees_success(self) -> bool:
+        """Whether one is among costs that jump, in the table's units, and rows can be left."""
+        if self.success is None or self._in_costs is None or not self.off_grid:
+            return False
+        # To ask whether costs are smooth takes long.
+        return bool(self.succeeded.any()) and not self._is_smooth
 
     @cached_property
     def of_successes(self) -> "Model | None":
@@ -224,12 +229,11 @@ class Model:
         their own (`is_familiar`), these tell successes apart.
         """
         worlds = self._in_costs
-        if self.success is None or not self.off_grid or worlds is None:
+        if worlds is None or self.success is None or not self._sees_success:
             return None
         are_many = len(worlds.names) >= FEW_WORLDS
         tells_nothing = are_many and worlds.guess_error is not None
-        needed = 1 if tells_nothing else FEW_SUCCESSES
-        if self.succeeded.sum() < needed or self._is_smooth:
+        if self.succeeded.sum() < FEW_SUCCESSES and not tells_nothing:
             return None
         own = self.costs <= self.success
         return replace(
