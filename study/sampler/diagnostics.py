@@ -216,7 +216,7 @@ class Present:
         features: of the n trials, in units of their own, [n, k]; NaN where unknown.
         model: the sampler's, for trials that follow the features.
         is_doubted: whether every other trial is left to the parameters at present.
-        errors: of the last trials, each predicted before it was made, [t, 1 + c].
+        errors: of the last trials, each predicted before it was made, [t, 2 + c].
     """
 
     trials: tuple[FrozenTrial, ...]

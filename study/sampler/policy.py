@@ -226,7 +226,7 @@ class Policy:
         return replace(model, kernel=NEARNESS) if self.doubts(model, turn) else model
 
     def errors(self, model: Model) -> Floats:
-        """Errors of the last trials, each predicted before it was made, [t, 1 + c]."""
+        """Errors of the last trials, each predicted before it was made, [t, 2 + c]."""
         return past_errors(model, self.of_turn, self.past_errors)
 
     def doubts(self, model: Model, turn: int) -> bool:

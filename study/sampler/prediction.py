@@ -16,6 +16,7 @@ from study.sampler.calibration import (
     Calibration,
     chance_in_worlds,
     ends_of,
+    odds_of,
     reading_of,
     tells_scale,
 )
@@ -224,7 +225,7 @@ def prediction_of(
         points: m of them.
         rows: of the table, [m]; -1 off it.
         history: of the study.
-        errors: of past trials, each predicted before it was made, [t, 1 + c].
+        errors: of past trials, each predicted before it was made, [t, 2 + c].
         risks: of limits, by their names, [m].
         kept: the chance that all are kept, [m].
     """
@@ -247,9 +248,10 @@ def prediction_of(
         return nothing
     mean, variance = reading_of(model, points)
     strange = model.unlike(history.sign) if len(costs) else None
+    expected = COST_UNLIKE if strange else COST
     found = Calibration.before_any_trial(model)
     if len(costs):
-        found = Calibration.of(errors[:, 0], COST_UNLIKE if strange else COST)
+        found = Calibration.of(errors[:, 0], expected)
     is_known = tells_scale(model, points)
     least, most = ends_of(model)
     low, high = (
@@ -259,11 +261,14 @@ def prediction_of(
     success = unknown
     if model.success is not None:
         (goal,) = model.standard(np.array([model.success]), costs)
-        chance = (
-            found.chance_below(goal, mean, variance)
-            if len(costs)
-            else chance_in_worlds(model, points, goal)
-        )
+        if not len(costs):
+            chance = chance_in_worlds(model, points, goal)
+        else:
+            chance = found.chance_below(goal, mean, variance)
+            if model.costs_jump:
+                last = costs[len(costs) - len(errors) :]
+                odds = odds_of(errors, last <= model.success, expected)
+                chance = odds.chance(chance)
         success = np.where(is_known, chance, np.nan)
     return replace(
         nothing,

@@ -352,7 +352,7 @@ def by_trials(
     """The chance of k candidates to break each limit that trials told of, by its name, [k].
 
     It is Laplace's rule of succession, and with more and more trials the model, as its
-    past errors [t, 1 + c] have it. Where all trials gave the same (a flag), nothing is known of a
+    past errors [t, 2 + c] have it. Where all trials gave the same (a flag), nothing is known of a
     scale, and the rule alone counts. NaN while fewer than three have told, none of which
     broke it.
     """
@@ -398,7 +398,7 @@ def all_kept(
         risks: to break each limit, by its name, one at least, [k].
         by_worlds: names of the limits of which worlds tell.
         trials: of the study.
-        errors: of past trials, each predicted before it was made, [t, 1 + c].
+        errors: of past trials, each predicted before it was made, [t, 2 + c].
     """
     chances = {name: 1.0 - risk for name, risk in risks.items()}
     names = [name for name in chances if name not in by_worlds]

@@ -5,11 +5,23 @@ import optuna
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from optuna.distributions import FloatDistribution
+from scipy.optimize import minimize
+from scipy.special import expit, logit
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import FAMILIAR
-from study.sampler.calibration import COST, LARGEST_ERROR, Calibration, reading_of
+from study.sampler.calibration import (
+    COST,
+    GOAL,
+    LARGEST_ERROR,
+    ODDS_MODES,
+    ODDS_SDS,
+    Calibration,
+    Odds,
+    reading_of,
+)
 from study.sampler.history import placed
 from tests.study.sampler import campaigns
 from tests.study.sampler.studies import told
@@ -64,6 +76,75 @@ def test_one_error_widens_and_none_is_endless():
     assert Calibration.of(np.array([np.nan, 2.0])).reach == wider
 
 
+# Odds of a success.
+def test_odds_are_the_likeliest_under_their_prior():
+    rng = np.random.default_rng(2)
+    said = rng.uniform(0.01, 0.99, 30)
+    happened = rng.uniform(size=30) < said**2
+
+    def misfit(theta):
+        chance = expit(theta[0] + theta[1] * logit(said))
+        log_prior = norm.logpdf(theta, ODDS_MODES, ODDS_SDS).sum()
+        return -np.log(np.where(happened, chance, 1.0 - chance)).sum() - log_prior
+
+    found = Odds.of(said, happened)
+    wanted = minimize(misfit, ODDS_MODES, tol=1e-10).x
+    assert_allclose([found.shift, found.slope], wanted, atol=1e-5)
+    assert_allclose(found.chance(said), expit(wanted[0] + wanted[1] * logit(said)))
+
+
+def test_what_fails_more_often_than_was_said_becomes_less_likely():
+    said = np.full(12, 0.9)
+    chances = [
+        Odds.of(said, np.arange(12) < successes).chance(np.array([0.9]))[0]
+        for successes in (0, 6, 12)
+    ]
+    assert chances[0] < 0.25 < 0.4 < chances[1] < 0.7 < 0.85 < chances[2]
+
+
+@pytest.mark.parametrize("happened", [False, True])
+def test_no_run_of_luck_makes_a_chance_certain_or_turns_the_order_round(happened):
+    said = np.linspace(0.0, 1.0, 32)
+    found = Odds.of(said, (said < 0.5) == happened)
+    chances = found.chance(np.array([0.0, 0.2, 0.8, 1.0]))
+    assert (np.diff(chances) > 0).all()
+    assert chances[0] > 0.0 and chances[-1] < 1.0
+
+
+JAGGED = np.random.default_rng(5).uniform(0.3, 6.0, (40, 4))  # nothing between rows
+
+
+def test_where_costs_jump_a_chance_follows_what_became_of_those_before():
+    """The model's t of its errors first; then what successes and failures made of it."""
+    study = study_on(JAGGED, values=[6.0, 0.5, 6.0, 6.0, 0.4, 6.0], success=1.0)
+    found, plain = study.sampler.predict(study), errors_of(study)
+    t = Calibration.of(plain[:, 0])
+    said = [
+        Calibration.of(plain[:n, 0]).chance_of(plain[n, [GOAL]])[0] for n in range(6)
+    ]
+    odds = Odds.of(np.array(said), np.array([0, 1, 0, 0, 1, 0]) > 0)
+    policy = study.sampler._policy
+    history = policy._history(study, optuna.trial.create_trial(value=0.0))
+    model = policy._model(history, 6)
+    mean, variance = reading_of(model, policy._points(model.ensemble))
+    (goal,) = model.standard(np.array([1.0]), model.costs)
+    assert model.costs_jump
+    assert_allclose(found.success, odds.chance(t.chance_below(goal, mean, variance)))
+
+
+def test_smooth_costs_keep_the_chance_of_their_t():
+    study = study_on(values=[0.35, 0.6, 0.31, 0.5], success=0.33)
+    policy = study.sampler._policy
+    history = policy._history(study, optuna.trial.create_trial(value=0.0))
+    model = policy._model(history, 4)
+    mean, variance = reading_of(model, policy._points(model.ensemble))
+    (goal,) = model.standard(np.array([0.33]), model.costs)
+    t = Calibration.of(errors_of(study)[:, 0])
+    assert not model.costs_jump
+    wanted = t.chance_below(goal, mean, variance)
+    assert_allclose(study.sampler.predict(study).success, wanted)
+
+
 # Errors of past trials.
 @pytest.mark.parametrize("features", [None, np.column_stack([LINE, LINE**2])])
 def test_each_trial_is_predicted_by_those_before_it(features):
@@ -71,7 +152,7 @@ def test_each_trial_is_predicted_by_those_before_it(features):
     values = [0.35, 0.6, 0.31, 0.5, 0.9, 0.4]
     limits = [-1.0, -0.5, -2.0, 0.3, 0.1, -0.7]
     found = errors_of(study_on(outcomes, values, limits, features))
-    assert found.shape == (6, 2)
+    assert found.shape == (6, 3)
     for number in range(6):
         before = study_on(outcomes, values[:number], limits[:number], features)
         policy = before.sampler._policy
