@@ -97,7 +97,8 @@ class Model:
         known: constants that were learned so far; new ones are added.
         ensemble: simulated worlds, whose mean cost is expected, or the likeness of a
             pool; None: neither.
-        success: cost up to which a trial has succeeded; None: there is no such cost.
+        success: cost up to which a trial has succeeded, or what parts the costs of all
+            worlds (`Ensemble.parting`); None: there is no such cost.
         elsewhere: e trials of other studies, whose limits alone count; None: none.
         limits_elsewhere: the constraints of these, [e, c]; None without them.
         refits: up to how many trials constants are learned anew after how many.

@@ -203,7 +203,7 @@ class Policy:
             running: where trials are that run elsewhere; None: there are none.
             elsewhere: where the trials of `limits_of` were; None: there are none.
         """
-        success, n = self.options.success, len(history.cost)
+        n = len(history.cost)
         limits = read_limits([*history.done.trials, *self.options.limits_of])
         return Model(
             kernel=self.options.kernel,
@@ -215,11 +215,17 @@ class Policy:
             running=seen.take(np.arange(0)) if running is None else running,
             known=self.known,
             ensemble=ensemble,
-            success=None if success is None else history.sign * success,
+            success=self._success(history, ensemble),
             elsewhere=elsewhere,
             limits_elsewhere=None if elsewhere is None else limits[n:],
             off_grid=bool(self.options.off_grid),
         )
+
+    def _success(self, history: History, ensemble: Relation | None) -> float | None:
+        """The cost of a success; if nobody says it, what parts the costs of all worlds."""
+        if self.options.success is not None:
+            return history.sign * self.options.success
+        return ensemble.parting if isinstance(ensemble, Ensemble) else None
 
     def of_turn(self, model: Model, turn: int) -> Model:
         """The model of one trial: of the parameters alone, where features are doubted."""

@@ -211,6 +211,8 @@ def prediction_of(
     points: Points,
     rows: Whole,
     history: History,
+    *,
+    success_is_told: bool,
     errors: Floats,
     risks: Mapping[str, Floats],
     kept: Floats,
@@ -225,6 +227,8 @@ def prediction_of(
         points: m of them.
         rows: of the table, [m]; -1 off it.
         history: of the study.
+        success_is_told: whether somebody has said what a success is, and not the table's
+            costs alone.
         errors: of past trials, each predicted before it was made, [t, 2 + c].
         risks: of limits, by their names, [m].
         kept: the chance that all are kept, [m].
@@ -259,7 +263,8 @@ def prediction_of(
         for end in np.clip(found.ends(mean, variance), least - REACH, most + REACH)
     )
     success = unknown
-    if model.success is not None:
+    if success_is_told:
+        assert model.success is not None
         (goal,) = model.standard(np.array([model.success]), costs)
         if not len(costs):
             chance = chance_in_worlds(model, points, goal)

@@ -493,9 +493,17 @@ class TablePolicy(Policy):
             points = self._seen(asked, model.ensemble)
         risks = self._risks(history, model, places, points)
         trials = [*self.options.limits_of, *history.done.trials]
-        told = self.errors(model), risks
-        kept = all_kept(risks, self.rows.limits, trials, told[0])
-        return prediction_of(model, points, places.rows, history, *told, kept)
+        errors = self.errors(model)
+        return prediction_of(
+            model,
+            points,
+            places.rows,
+            history,
+            success_is_told=self.options.success is not None,
+            errors=errors,
+            risks=risks,
+            kept=all_kept(risks, self.rows.limits, trials, errors),
+        )
 
     def before(self, study: optuna.Study, trial: FrozenTrial) -> None:
         """Note the row of a trial that was enqueued with all parameters of one.

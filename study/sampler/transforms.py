@@ -366,3 +366,23 @@ def is_doubtful(cost: Floats, turn: int) -> bool:
         return False
     age = len(cost) - 1 - int(np.argmin(cost))
     return turn % 2 == 1 and age >= PATIENCE
+
+
+def two_groups(values: Floats) -> tuple[float, float]:
+    """Where m values fall apart, and how far: a share of their variance (Otsu 1979, eq. 14).
+
+    It is the middle between two neighbours of which the variance within those below and
+    within those above is least. The share that this explains is 0.75 of values that are
+    spread evenly, 0.64 of normal ones, and 1 of two values. It is 0 of equal ones.
+    """
+    ordered = np.sort(values)
+    total = float(((ordered - ordered.mean()) ** 2).sum())
+    if total <= 0.0:
+        return float(ordered[0]), 0.0
+    below, sums = np.arange(1, len(ordered)), ordered.cumsum()
+    above = len(ordered) - below
+    apart = sums[:-1] / below - (sums[-1] - sums[:-1]) / above
+    explained = below * above / len(ordered) * apart**2
+    last = int(explained.argmax())
+    middle = 0.5 * float(ordered[last] + ordered[last + 1])
+    return middle, float(explained[last]) / total
