@@ -20,6 +20,8 @@ JUMPY = np.where(RNG.random((ROWS, WORLDS)) < 0.6, COSTS, 30.0 + 30.0 * COSTS)
 NAMES = [f"x{column}" for column in range(D)]
 # Rows walk in all worlds or in none: they tell nothing of points between them.
 LONELY = np.where(RNG.random((ROWS, 1)) < 0.2, COSTS, 30.0 + 30.0 * COSTS)
+# Costs jump from row to row, and are one group.
+JAGGED = np.exp(RNG.uniform(0.0, 4.0, (ROWS, 1)) * np.ones(WORLDS))
 FALL, SUCCESS = 50.0, 10.0
 APART = np.linspace(1.5, 6.0, FEW_SUCCESSES).tolist()
 ALIKE = np.linspace(1.5, 1.51, FEW_SUCCESSES).tolist()
@@ -55,7 +57,8 @@ def points_of(table, model):
         (LONELY, [FALL, 3.0], {}, True),
         (LONELY[:, : FEW_WORLDS - 1], [FALL, 3.0], {}, False),
         (LONELY, [FALL, FALL], {}, False),
-        (LONELY, [FALL, 3.0], {"success": None}, False),
+        (LONELY, [FALL, 3.0], {"success": None}, True),
+        (JAGGED, [FALL, 3.0], {"success": None}, False),
         (LONELY, [FALL, 3.0], {"off_grid": 0}, False),
         (COSTS, [FALL, *APART], {}, False),
         (JUMPY, [FALL, *ALIKE], {}, False),
@@ -67,7 +70,8 @@ def points_of(table, model):
         "one where rows tell nothing",
         "and worlds are few",
         "none yet",
-        "none is told",
+        "no success is told, and costs are two groups",
+        "no success is told, and costs are one group",
         "rows alone",
         "smooth",
         "in units of the trials",
@@ -83,6 +87,31 @@ def test_when_trials_that_succeeded_have_a_model_of_their_own(
         assert_array_equal(successes.costs, [cost for cost in costs if cost < FALL])
         assert not successes.in_table_units
         assert successes.of_successes is None
+
+
+def test_without_a_success_the_costs_of_all_worlds_are_parted():
+    """Every trial is as with any success between the groups, but no chance is told."""
+    for outcomes in (JUMPY, LONELY):
+        given, table = study_of(outcomes, [FALL, *APART])
+        parted, _ = study_of(outcomes, [FALL, *APART], success=None)
+        ensemble = model_of(parted).ensemble
+        below = outcomes[outcomes < ensemble.parting]
+        assert below.max() < 3.0 < ensemble.parting < outcomes[outcomes > 3.0].min()
+        space = table.rows.space.as_dict()
+        assert parted.ask(space).params == given.ask(space).params
+        found, wanted = (study.sampler.predict(study) for study in (parted, given))
+        assert np.isnan(found.success).all() and np.isfinite(wanted.success).all()
+        assert_allclose(found.value, wanted.value)
+
+
+@pytest.mark.parametrize(
+    "outcomes",
+    [COSTS, JAGGED, np.where(UNIT[:, :1] < 0.5, COSTS, 1.1 * COSTS), 0.0 * COSTS + 1.0],
+    ids=["smooth", "jagged", "groups that hardly differ", "equal"],
+)
+def test_costs_that_do_not_jump_between_two_groups_are_not_parted(outcomes):
+    study, _ = study_of(outcomes, [2.0], success=None)
+    assert model_of(study).ensemble.parting is None
 
 
 def test_a_trial_that_breaks_a_limit_is_no_success_but_tells_what_one_costs():

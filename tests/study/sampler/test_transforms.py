@@ -175,3 +175,27 @@ def test_an_increasing_change_of_all_features_changes_no_proposal(change):
     for before, after in zip(FEATURES.T, changed.T, strict=True):
         assert np.all(np.diff(after[np.argsort(before)]) > 0)  # or it is no test
     assert proposed(changed) == proposed(FEATURES)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_groups_differ_as_much_as_any_two(seed):
+    """Against the variance within both groups, for each way to part them."""
+    rng = np.random.default_rng(seed)
+    values = np.concatenate([rng.normal(size=20), 4.0 + 0.5 * rng.normal(size=9)])
+    ordered = np.sort(values)
+    within = [
+        ordered[:n].var() * n + ordered[n:].var() * (29 - n) for n in range(1, 29)
+    ]
+    best = int(np.argmin(within))
+    middle, apart = transforms.two_groups(values)
+    assert middle == pytest.approx(ordered[best : best + 2].mean())
+    assert apart == pytest.approx(1.0 - within[best] / (29 * values.var()))
+
+
+def test_how_far_known_spreads_fall_apart():
+    assert transforms.two_groups(np.array([3.0, 3.0, 5.0])) == (4.0, pytest.approx(1.0))
+    assert transforms.two_groups(np.full(5, 2.0)) == (2.0, 0.0)
+    evenly = np.linspace(0.0, 1.0, 2001)
+    assert transforms.two_groups(evenly)[1] == pytest.approx(0.75, abs=0.001)
+    normal = norm.ppf((np.arange(2000) + 0.5) / 2000)
+    assert transforms.two_groups(normal)[1] == pytest.approx(2.0 / np.pi, abs=0.005)
