@@ -222,10 +222,15 @@ class Policy:
         )
 
     def _success(self, history: History, ensemble: Relation | None) -> float | None:
-        """The cost of a success; if nobody says it, what parts the costs of all worlds."""
+        """The cost of a success; if nobody says it, what parts the costs of all worlds.
+
+        Of rows alone nothing does: they have no steps that fall.
+        """
         if self.options.success is not None:
             return history.sign * self.options.success
-        return ensemble.parting if isinstance(ensemble, Ensemble) else None
+        if not self.options.off_grid or not isinstance(ensemble, Ensemble):
+            return None
+        return ensemble.parting
 
     def of_turn(self, model: Model, turn: int) -> Model:
         """The model of one trial: of the parameters alone, where features are doubted."""

@@ -60,6 +60,7 @@ def points_of(table, model):
         (LONELY, [FALL, 3.0], {"success": None}, True),
         (JAGGED, [FALL, 3.0], {"success": None}, False),
         (LONELY, [FALL, 3.0], {"off_grid": 0}, False),
+        (LONELY, [FALL, 3.0], {"off_grid": 0, "success": None}, False),
         (COSTS, [FALL, *APART], {}, False),
         (JUMPY, [FALL, *ALIKE], {}, False),
     ],
@@ -73,6 +74,7 @@ def points_of(table, model):
         "no success is told, and costs are two groups",
         "no success is told, and costs are one group",
         "rows alone",
+        "rows alone, and no success is told",
         "smooth",
         "in units of the trials",
     ],
@@ -112,6 +114,12 @@ def test_without_a_success_the_costs_of_all_worlds_are_parted():
 def test_costs_that_do_not_jump_between_two_groups_are_not_parted(outcomes):
     study, _ = study_of(outcomes, [2.0], success=None)
     assert model_of(study).ensemble.parting is None
+
+
+def test_of_rows_alone_no_cost_is_parted():
+    study, _ = study_of(JUMPY, [FALL, *APART], success=None, off_grid=0)
+    assert model_of(study).success is None
+    assert model_of(study).ensemble.parting is not None
 
 
 def test_a_trial_that_breaks_a_limit_is_no_success_but_tells_what_one_costs():
