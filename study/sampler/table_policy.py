@@ -73,6 +73,7 @@ from study.sampler.space import as_suggested
 from study.sampler.space_policy import by_parameters
 from study.sampler.table import FeatureTable
 from study.sampler.transforms import Points
+from study.sampler.worlds import Ensemble
 
 
 class TablePolicy(Policy):
@@ -270,6 +271,7 @@ class TablePolicy(Policy):
                 f"{history.unplaced[0].number}; enqueue rows of the table instead, or give the "
                 "table outcomes in worlds, or the sampler a feature_function"
             )
+        self._warn_of_success(history)
         offered = rows.offered.copy()
         if self.options.allowed is not None:
             offered &= self.options.allowed
@@ -319,6 +321,19 @@ class TablePolicy(Policy):
             self.options.limits_of,
             places,
             partial(by_trials, model, points, partial(self.errors, model)),
+        )
+
+    def _warn_of_success(self, history: History) -> None:
+        """Warn where no world has a success: it may be in another unit, or of another sign."""
+        worlds, success = self._ensemble(history), self.options.success
+        if success is None or not isinstance(worlds, Ensemble) or not worlds.in_costs:
+            return
+        if worlds.reaches(history.sign * success):
+            return
+        (best,) = history.sign * worlds.costs(np.array([worlds.ends[0]]))
+        self.warn(
+            f"success: {success:g} is better than all that any world has, {best:.4g} at best;"
+            " is it in the unit of the outcomes, and good where they are?"
         )
 
     def _begins(self, history: History) -> bool:

@@ -169,6 +169,11 @@ TRIALS = {
         both,
     ),
     "… the independent sampler takes over": (TABLE, {"strict": False}, both),
+    "success: … is better than all that any world has, …": (
+        FeatureTable.from_arrays(PARAMETERS, outcomes=[3.0, 1.0, 2.0]),
+        {"success": 0.9},
+        both,
+    ),
 }
 TWO_GOALS = {
     "success: … allowed: none in a study of … goals": (TABLE, {"success": 1.0}),
@@ -268,6 +273,23 @@ def test_nothing_is_said_of_what_fits_and_strictness_changes_nothing(table):
         FeatureTable.from_arrays(PARAMETERS, FEATURES)
         study = study_of(table, bowl, 6, strict=False)
         assert rows_of(study) == rows_of(study_of(table, bowl, 6))
+
+
+@pytest.mark.parametrize(
+    ("direction", "success"), [("minimize", 1.0), ("maximize", 3.0)]
+)
+def test_nothing_is_said_of_a_success_that_a_world_has(direction, success):
+    table = FeatureTable.from_arrays(PARAMETERS, outcomes=[3.0, 1.0, 2.0])
+    for beyond in (0.0, 0.01 if direction == "maximize" else -0.01):
+        sampler = FeatureKernelSampler(table, success=success + beyond)
+        study = optuna.create_study(sampler=sampler, direction=direction)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            study.optimize(both, n_trials=2)
+        said = [str(w.message) for w in caught if w.category is UserWarning]
+        assert [line.split(",")[1] for line in said] == (
+            [f" {success:g} at best; is it in the unit of the outcomes"] * bool(beyond)
+        )
 
 
 BOX = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
