@@ -377,13 +377,6 @@ class Model:
         return bool(np.median(y) - y.min() < HIDDEN)
 
     @property
-    def costs_jump(self) -> bool:
-        """Whether there are costs in worlds, and these jump from one point to the next."""
-        found = self.ensemble
-        is_told = isinstance(found, Ensemble) and found.in_costs
-        return is_told and not self._is_smooth
-
-    @property
     def _is_smooth(self) -> bool:
         """Whether the worlds' costs are a smooth function of the parameters."""
         return isinstance(self.ensemble, Ensemble) and self.ensemble.is_smooth

@@ -85,9 +85,8 @@ LIMIT = Expected(bias=0.0, bias_trials=16.0, scale=1.0, scale_trials=12.0, freed
 # jump; those for Walker2d, not looked at before, gained as much.
 ODDS_MODES = np.array([-0.5, 0.7])
 ODDS_SDS = np.array([1.0, 0.25])
-MOST_LOG_ODDS = 6.0
-LEAST_SLOPE = 0.1  # what was said to be likelier is likelier
-NEWTON_STEPS = 8
+LEAST_SLOPE = 0.1
+MOST_LOG_ODDS = 6.0  # that are learned from
 LEAST_TOLD = 3  # trials that have told of a limit, for a chance that it is kept
 
 
@@ -166,31 +165,35 @@ class Odds:
 
     @classmethod
     def of(cls, said: Floats, happened: Mask) -> "Odds":
-        """The likeliest a and b after n trials, by Newton's method.
+        """The likeliest a and b after n trials; what is said to be likelier stays likelier.
 
         Args:
             said: the chance of success that was said before each, [n].
             happened: whether it came, [n].
         """
-        x = np.column_stack([np.ones(len(said)), log_odds(said)])
-        theta, precision = ODDS_MODES.copy(), np.diag(1.0 / ODDS_SDS**2)
-        for _ in range(NEWTON_STEPS):
-            p = scipy.special.expit(x @ theta)
-            slope = x.T @ (happened - p) - precision @ (theta - ODDS_MODES)
-            curvature = (x.T * (p * (1.0 - p))) @ x + precision
-            theta = theta + np.linalg.solve(curvature, slope)
-        return cls(float(theta[0]), float(max(theta[1], LEAST_SLOPE)))
+        most = MOST_LOG_ODDS
+        x = np.clip(scipy.special.logit(said), -most, most)
+
+        def misfit(theta: Floats) -> tuple[float, Floats]:
+            log_odds, away = theta[0] + theta[1] * x, (theta - ODDS_MODES) / ODDS_SDS
+            value = np.logaddexp(0.0, log_odds).sum() - log_odds[happened].sum()
+            wrong = scipy.special.expit(log_odds) - happened
+            slope = np.array([wrong.sum(), wrong @ x]) + away / ODDS_SDS
+            return float(value + 0.5 * away @ away), slope
+
+        found = scipy.optimize.minimize(
+            misfit,
+            ODDS_MODES,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[(None, None), (LEAST_SLOPE, None)],
+        )
+        return cls(*found.x.tolist())
 
     def chance(self, said: Floats) -> Floats:
         """How often what was said to be so likely happens, [m]."""
-        return np.asarray(scipy.special.expit(self.shift + self.slope * log_odds(said)))
-
-
-def log_odds(chance: Floats) -> Floats:
-    """log(p / (1 - p)) of chances, none beyond `MOST_LOG_ODDS`, [m]."""
-    return np.asarray(
-        np.clip(scipy.special.logit(chance), -MOST_LOG_ODDS, MOST_LOG_ODDS)
-    )
+        log_odds = self.shift + self.slope * scipy.special.logit(said)
+        return np.asarray(scipy.special.expit(log_odds))
 
 
 def odds_of(errors: Floats, succeeded: Mask, expected: Expected) -> Odds:

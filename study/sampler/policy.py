@@ -71,8 +71,8 @@ class Options:
         extra_parameters: names that the study suggests and the table does not have.
         strict: whether what does not fit is an error; if not, the independent sampler
             takes over.
-        success: value of the study from which on a trial has succeeded; None:
-            improvement alone counts.
+        success: value of the study from which on a trial has succeeded; None: nobody
+            says it.
         allowed: rows of the table that may be proposed, [n]; None: all.
         limits_of: trials of other studies, whose constraints alone are learned.
         allowed_risk: of breaking limits; None: any.

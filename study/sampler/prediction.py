@@ -24,6 +24,7 @@ from study.sampler.diagnostics import Present, trials_text
 from study.sampler.gp import misfit
 from study.sampler.history import History, read_limits
 from study.sampler.transforms import Points
+from study.sampler.worlds import Ensemble
 
 SHOWN_CANDIDATES = 10
 # How far an interval reaches beyond all that was simulated or read, in standard deviations
@@ -270,7 +271,7 @@ def prediction_of(
             chance = chance_in_worlds(model, points, goal)
         else:
             chance = found.chance_below(goal, mean, variance)
-            if model.costs_jump:
+            if isinstance(model.ensemble, Ensemble) and model.ensemble.jumps:
                 last = costs[len(costs) - len(errors) :]
                 odds = odds_of(errors, last <= model.success, expected)
                 chance = odds.chance(chance)

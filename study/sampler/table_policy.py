@@ -324,9 +324,15 @@ class TablePolicy(Policy):
         )
 
     def _warn_of_success(self, history: History) -> None:
-        """Warn where no world has a success: it may be in another unit, or of another sign."""
+        """Warn where no world has a success: it may be in another unit, or of another sign.
+
+        Not beside infinite outcomes, for which numbers stand in.
+        """
         worlds, success = self._ensemble(history), self.options.success
         if success is None or not isinstance(worlds, Ensemble) or not worlds.in_costs:
+            return
+        given = self.rows.worlds
+        if given is None or given.as_before is not None:
             return
         if worlds.reaches(history.sign * success):
             return

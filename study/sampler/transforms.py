@@ -376,9 +376,9 @@ def two_groups(values: Floats) -> tuple[float, float]:
     spread evenly, 0.64 of normal ones, and 1 of two values. It is 0 of equal ones.
     """
     ordered = np.sort(values)
-    total = float(((ordered - ordered.mean()) ** 2).sum())
-    if total <= 0.0:
+    if ordered[0] == ordered[-1]:
         return float(ordered[0]), 0.0
+    total = float(((ordered - ordered.mean()) ** 2).sum())
     below, sums = np.arange(1, len(ordered)), ordered.cumsum()
     above = len(ordered) - below
     apart = sums[:-1] / below - (sums[-1] - sums[:-1]) / above

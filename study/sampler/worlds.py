@@ -35,6 +35,7 @@ from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.between import (
     BEST_ROWS,
+    LEAST_TAUGHT,
     Guess,
     chosen_guess,
     error_of_guess,
@@ -303,13 +304,20 @@ class Ensemble:
 
         It takes the place of a success where nobody says what one is.
         """
-        if not self.in_costs or self.is_drawn or len(self.mean) < BEST_ROWS:
+        if not self.in_costs or self.is_drawn:
             return None
         middle, apart = two_groups(self.told(self.columns).ravel())
         # To ask whether costs are smooth takes long.
-        if apart < LEAST_APART or self.is_smooth:
+        if apart < LEAST_APART or not self.jumps:
             return None
         return float(self.costs(np.array([middle]))[0])
+
+    @property
+    def jumps(self) -> bool:
+        """Whether costs jump from one point to the next; few rows do not tell."""
+        if not self.in_costs or len(self.mean) < LEAST_TAUGHT:
+            return False
+        return not self.is_smooth
 
     def told(self, features: Floats) -> Floats:
         """What each world costs, [t, w], where points have these features, [t, k]."""

@@ -116,6 +116,16 @@ def test_costs_that_do_not_jump_between_two_groups_are_not_parted(outcomes):
     assert model_of(study).ensemble.parting is None
 
 
+def test_of_few_rows_nobody_knows_whether_costs_jump():
+    few = FeatureTable.from_arrays(
+        {"x0": UNIT[:24, 0]}, outcomes=1.0 + (UNIT[:24, :1] - 0.4) ** 2 + np.zeros(4)
+    )
+    study = optuna.create_study(sampler=FeatureKernelSampler(few, seed=1))
+    told(study, few.rows.space.as_dict(), {"x0": float(UNIT[0, 0])}, 1.1)
+    assert not model_of(study).ensemble.is_smooth
+    assert not model_of(study).ensemble.jumps
+
+
 def test_of_rows_alone_no_cost_is_parted():
     study, _ = study_of(JUMPY, [FALL, *APART], success=None, off_grid=0)
     assert model_of(study).success is None

@@ -292,6 +292,13 @@ def test_nothing_is_said_of_a_success_that_a_world_has(direction, success):
         )
 
 
+def test_nor_of_one_that_is_beyond_a_stand_in_for_infinity():
+    table = FeatureTable.from_arrays(PARAMETERS, outcomes=[3.0, -np.inf, 2.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        run(FeatureKernelSampler(table, success=-1e6), trials=2)
+
+
 BOX = {"a": FloatDistribution(-1, 1), "b": FloatDistribution(0, 5)}
 
 

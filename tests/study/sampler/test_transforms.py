@@ -194,7 +194,7 @@ def test_two_groups_differ_as_much_as_any_two(seed):
 
 def test_how_far_known_spreads_fall_apart():
     assert transforms.two_groups(np.array([3.0, 3.0, 5.0])) == (4.0, pytest.approx(1.0))
-    assert transforms.two_groups(np.full(5, 2.0)) == (2.0, 0.0)
+    assert transforms.two_groups(np.full(7, 0.1)) == (0.1, 0.0)  # whose mean is another
     evenly = np.linspace(0.0, 1.0, 2001)
     assert transforms.two_groups(evenly)[1] == pytest.approx(0.75, abs=0.001)
     normal = norm.ppf((np.arange(2000) + 0.5) / 2000)
