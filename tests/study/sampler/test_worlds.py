@@ -281,7 +281,7 @@ def test_where_rows_tell_nothing_of_points_between_them_these_are_unsure():
 
 FALLEN = {
     "falls": (FALLS, 1.0, (FALL_NOISE, SUCCESS_NOISE)),
-    "no success": (FALLS, None, (WORLD_NOISE, WORLD_NOISE)),
+    "no success is told": (FALLS, None, (FALL_NOISE, SUCCESS_NOISE)),
     "a success of no world": (FALLS, 0.05, (WORLD_NOISE, SUCCESS_NOISE)),
     "smooth": (COSTS, 1.0, (WORLD_NOISE, WORLD_NOISE)),
 }
