@@ -1,5 +1,7 @@
 """Intervals and chances rest on how far off earlier predictions were."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import optuna
 import pytest
@@ -25,6 +27,7 @@ from study.sampler.calibration import (
 )
 from study.sampler.history import placed
 from tests.study.sampler import campaigns
+from tests.study.sampler.replayed import replayed
 from tests.study.sampler.studies import told
 
 LINE = np.linspace(0.0, 1.0, 40)
@@ -331,3 +334,25 @@ def test_the_harness_counts_what_was_said_and_what_happened():
     assert len(known) > 100 and held > 0.8
     lines = "\n".join(campaigns.tables(said))
     assert "unlike" in lines and "recommend after 25, knobs" in lines
+
+
+def test_a_comparison_is_replayed_trial_by_trial():
+    """As a sampler predicts that knows the trials before each."""
+    experiment = SimpleNamespace(
+        name="line", trial_s=1.0, objective=SimpleNamespace(success=lambda _: 0.35)
+    )
+    values = [0.5, 0.32, 0.6, 0.34]
+    study = study_on(values=values[:3], success=0.35)
+    task = SimpleNamespace(
+        experiment=experiment, seed=1, table=study.sampler._policy._table
+    )
+    trials = [
+        {"x": LINE[4 * place], "cost": value} for place, value in enumerate(values)
+    ]
+    said = [*replayed(task, trials, 0.35)]
+    assert [each.trial for each in said] == [2, 3, 4]
+    assert [each.succeeded for each in said] == [True, False, True]
+    wanted = study.sampler.predict(study, [{"x": LINE[12]}])
+    assert (said[-1].success, said[-1].low, said[-1].high) == pytest.approx(
+        (wanted.success[0], wanted.low[0], wanted.high[0])
+    )
