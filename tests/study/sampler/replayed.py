@@ -1,7 +1,7 @@
 """Robots of a comparison, trial by trial: what would have been said, and what happened.
 
-    taichi-nmm compare --config ant-robots --arms worlds --out out/ant-robots
-    python -m tests.study.sampler.replayed --config ant-robots --out out/ant-robots
+    taichi-nmm compare --config ant-robots --arms worlds
+    python -m tests.study.sampler.replayed --config ant-robots --out out/compare/ant-robots
 
 Before each trial but the first, the sampler predicts it from those before it. Prints how
 often the 95 % interval held what the trial cost, and the chance of success that was said
