@@ -328,11 +328,11 @@ class TablePolicy(Policy):
 
         Not beside infinite outcomes, for which numbers stand in.
         """
-        worlds, success = self._ensemble(history), self.options.success
-        if success is None or not isinstance(worlds, Ensemble) or not worlds.in_costs:
+        given, success = self.rows.worlds, self.options.success
+        if success is None or given is None or given.as_before is not None:
             return
-        given = self.rows.worlds
-        if given is None or given.as_before is not None:
+        worlds = self._ensemble(history)
+        if not isinstance(worlds, Ensemble) or not worlds.in_costs:
             return
         if worlds.reaches(history.sign * success):
             return

@@ -304,7 +304,7 @@ class Ensemble:
 
         It takes the place of a success where nobody says what one is.
         """
-        if not self.in_costs or self.is_drawn:
+        if self.is_drawn or not self.varies:
             return None
         middle, apart = two_groups(self.told(self.columns).ravel())
         # To ask whether costs are smooth takes long.
