@@ -24,7 +24,8 @@ from study.bench.journal import State, Trial
 from study.bench.limits import FALL, named
 from study.bench.plan import Plan, Safety
 from study.bench.shown import frozen, study_of
-from study.sampler.policy import RANKED, TableExhaustedError
+from study.sampler.evidence import RANKED
+from study.sampler.policy import TableExhaustedError
 from study.sampler.prediction import Best, Prediction
 from study.sampler.risk import RiskError
 from study.sampler.rows import Rows

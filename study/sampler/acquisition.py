@@ -9,10 +9,6 @@ import scipy
 
 from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.covariance import (
-    DOUBTED,
-    FALL_NOISE,
-    FEW_WORLDS,
-    SUCCESS_NOISE,
     WORLD,
     WORLD_NOISE,
     Constant,
@@ -21,8 +17,8 @@ from study.sampler.covariance import (
     Kernel,
     new_covariance,
 )
+from study.sampler.evidence import Evidence
 from study.sampler.gp import Posterior, condition, learn
-from study.sampler.similarity import Relation
 from study.sampler.transforms import (
     Columns,
     Points,
@@ -31,7 +27,6 @@ from study.sampler.transforms import (
     of_log_excess,
     squarable,
 )
-from study.sampler.unlike import Unlike, unlike
 from study.sampler.worlds import Ensemble
 
 TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
@@ -51,26 +46,11 @@ LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
 CACHED_CONSTANTS = 16
-# Trials, from which on smooth costs are in units of the trials. From 3 on, a robot like
-# the worlds lost what they tell of it; from 8 on none did, and others gained as much.
-FAMILIAR = 8
-# Successes, from which on they tell of costs that are not smooth: how far these lie apart,
-# if the table's unit hides it, and what a success costs (`Model.of_successes`).
-FEW_SUCCESSES = 4
-# How far above the best of them their median may lie, if the table's unit hides it, in
-# standard deviations of the table. It is 0.03 to 0.15 of walkers that cost nearly the
-# same, and 0.3 to 1.3 where the table tells them apart.
-HIDDEN = 0.2
 # What is likelier to fail than to succeed is the last that a hurdle takes. Without this
 # half of its proposals for walkers that limp had a chance below 0.05, and gained next to
 # nothing; for Ant those below 0.7 gained a third of what others did.
 LOG_EVEN = np.log(0.5)
 LOG_NO_GAIN = -1e3  # below that of any candidate that is worth a trial
-# Trials that all failed, from which on a table that tells little is doubted: of 50 Walker2d
-# in four worlds 32 in place of 25 then walked within ten trials. Of six trials, measured
-# before: 173 of 180 Ants in place of 162 within 15, and harm on a walker's table, which tells
-# something (20 walkers within 12 trials became 13).
-HOPELESS = 3
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
 REFITS = ((32, 1), (128, 4), (np.inf, 16))
@@ -80,81 +60,30 @@ Learned = dict[tuple[Covariance, bytes], Floats]
 """Constants by the covariance and the trials that they were learned from."""
 
 
-@dataclass(eq=False)
-class Model:
+@dataclass(eq=False, kw_only=True)
+class Model(Evidence):
     """The posterior after some trials, and the improvement that it lets expect.
+
+    Of `Evidence` there is at least one trial.
 
     Attributes:
         kernel: of this trial: the sampler's or, where features are doubted, one of the
             parameters alone.
         parameters: d, their number.
-        trials: the n finished ones, at least one.
-        rows: of a table that these were, OFF_TABLE off it, [n].
-        costs: what these showed, lower is better, finite, [n].
-        limits: c constraints of each, kept where <= 0, NaN where unknown, [n, c].
         running: trials of other workers whose parameters are known; they count with
             their expected costs.
         known: constants that were learned so far; new ones are added.
-        ensemble: simulated worlds, whose mean cost is expected, or the likeness of a
-            pool; None: neither.
-        success: cost up to which a trial has succeeded, or what parts the costs of all
-            worlds (`Ensemble.parting`); None: there is no such cost.
         elsewhere: e trials of other studies, whose limits alone count; None: none.
-        limits_elsewhere: the constraints of these, [e, c]; None without them.
         refits: up to how many trials constants are learned anew after how many.
-        off_grid: whether points between the rows of a table are candidates, too.
-        familiar: whether costs are in units of the trials, not of the table (see
-            `in_table_units`); None: trials and table decide.
     """
 
     kernel: Kernel
     parameters: int
-    trials: Points
-    rows: Whole
-    costs: Floats
-    limits: Floats
     running: Points
     known: Learned
-    ensemble: Relation | None = None
-    success: float | None = None
     elsewhere: Points | None = None
-    limits_elsewhere: Floats | None = None
     refits: Sequence[tuple[float, int]] = REFITS
-    off_grid: bool = False
-    familiar: bool | None = None
     _in_sight: bool | None = field(default=None, init=False)  # a success; not yet asked
-
-    @cached_property
-    def feasible(self) -> Mask:
-        """Finished trials that kept all their limits, [n]."""
-        return np.asarray(~(self.limits > 0).any(axis=1))
-
-    @cached_property
-    def succeeded(self) -> Mask:
-        """Those of them that cost no more than a success, if there is one, [n]."""
-        if self.success is None:
-            return self.feasible
-        return np.asarray(self.feasible & (self.costs <= self.success))
-
-    def unlike(self, sign: float = 1.0) -> Unlike | None:
-        """What the first trials have against all worlds; costs times `sign` are values."""
-        features = self.trials.features
-        return unlike(self.ensemble, features, self.costs, self.rows, sign)
-
-    @cached_property
-    def is_lost(self) -> bool:
-        """Whether all trials have failed (`only_falls`), on a machine like no world.
-
-        Where the table tells little (`Ensemble.tells_little`), and its rows can be left, so
-        many of them need no other sign.
-        """
-        if not self.only_falls:
-            return False
-        worlds, are_many = self._in_costs, len(self.costs) >= HOPELESS
-        assert worlds is not None
-        if are_many and self.off_grid and worlds.tells_little:
-            return True
-        return self.unlike() is not None
 
     def utility(
         self, points: Points, offered: Mask, rng: np.random.Generator
@@ -188,32 +117,16 @@ class Model:
             cost = self.cost(some)
             return cost - self.expected(self.trials, cost)[some]
 
-        is_doubted = self.is_lost or (self.is_familiar and not self._is_smooth)
         posterior = self._after(
             self.trials,
             y,
-            standardised=self._in_costs is None,
-            likeness=DOUBTED if is_doubted else WORLD,
-            noise=self._noise,
-            guess_error=self._guess_error,
+            standardised=self.of_table is None,
+            likeness=self.likeness,
+            noise=self.noise,
+            guess_error=self.guess_error,
         )
         running = self.visible(self.running)
         return posterior.believing(running) if len(running) else posterior
-
-    @property
-    def _noise(self) -> Constant:
-        """Of costs beside worlds; where these jump, a success among falls is none."""
-        if self.only_falls:
-            return FALL_NOISE
-        return SUCCESS_NOISE if self._sees_success else WORLD_NOISE
-
-    @property
-    def _sees_success(self) -> bool:
-        """Whether one is among costs that jump, in the table's units, and rows can be left."""
-        if self.success is None or self._in_costs is None or not self.off_grid:
-            return False
-        # To ask whether costs are smooth takes long.
-        return bool(self.succeeded.any()) and not self._is_smooth
 
     @cached_property
     def of_successes(self) -> "Model | None":
@@ -223,18 +136,12 @@ class Model:
         through both expects one a short step from any success, and steps stay too small
         to gain by. So a candidate counts by the chance that it succeeds times the
         improvement if it does (a hurdle model: Cragg 1971), and what is likelier to fail
-        than not by its chance alone, after all others. It takes `FEW_SUCCESSES`:
-        with fewer, what rows cost in worlds tells more, unless many worlds tell nothing of
-        points between rows. A trial that broke a limit is no success, but tells what
-        success costs. Rows alone have no steps. While costs of all trials are in units of
-        their own (`is_familiar`), these tell successes apart.
+        than not by its chance alone, after all others. `tells_successes` says when. A trial
+        that broke a limit is no success, but tells what success costs. Rows alone have no
+        steps. While costs of all trials are in units of their own (`is_familiar`), these
+        tell successes apart.
         """
-        worlds = self._in_costs
-        if worlds is None or self.success is None or not self._sees_success:
-            return None
-        are_many = len(worlds.names) >= FEW_WORLDS
-        tells_nothing = are_many and worlds.guess_error is not None
-        if self.succeeded.sum() < FEW_SUCCESSES and not tells_nothing:
+        if self.success is None or not self.tells_successes:
             return None
         own = self.costs <= self.success
         return replace(
@@ -245,13 +152,6 @@ class Model:
             limits=self.limits[own],
             familiar=True,
         )
-
-    @property
-    def told_limits(self) -> Floats:
-        """Constraints of trials elsewhere and of those here, [e + n, c]."""
-        if self.limits_elsewhere is None:
-            return self.limits
-        return np.vstack([self.limits_elsewhere, self.limits])
 
     @cached_property
     def limit_posteriors(self) -> dict[int, Posterior]:
@@ -278,14 +178,14 @@ class Model:
 
     def standard(self, values: Floats, costs: Floats) -> Floats:
         """Values [m] as the process sees them after costs [n]."""
-        if self._in_costs is not None:
-            return self._in_costs.standard(values)
+        if self.of_table is not None:
+            return self.of_table.standard(values)
         return log_excess(values, costs) if self.kernel.by_order else squarable(values)
 
     def in_units(self, cost: Floats) -> Floats:
         """The inverse of `cost`, [m]."""
-        if self._in_costs is not None:
-            return self._in_costs.costs(cost)
+        if self.of_table is not None:
+            return self.of_table.costs(cost)
         if not self.kernel.by_order:
             return cost
         found = of_log_excess(cost, self.costs)
@@ -298,7 +198,7 @@ class Model:
         if self.ensemble is None:
             return np.zeros(len(points))
         mean = self.world_mean(points)
-        return mean if self._in_costs is not None else (float(cost.std()) or 1.0) * mean
+        return mean if self.of_table is not None else (float(cost.std()) or 1.0) * mean
 
     def world_mean(self, points: Points) -> Floats:
         """The mean over the worlds at points, [m], as they have it."""
@@ -309,77 +209,6 @@ class Model:
     def columns(self) -> Columns:
         """What the columns of points are."""
         return self._columns(self.trials)
-
-    @property
-    def in_table_units(self) -> bool:
-        """Whether the process sees costs in units of the table, of all its rows in all worlds.
-
-        It does where walkers fall: the table has seen how far a fall is from a walk. Of
-        smooth costs a table knows the form, and `FAMILIAR` trials tell how far this
-        robot's lie apart: then they count by `log_excess`, in their own standard
-        deviations. That tells costs near the best apart, where a robot unlike all
-        worlds differs from them most. So do costs of others, once a few trials have
-        succeeded that look alike in the table's unit. Which worlds the robot is like,
-        which told who falls, then counts as far as it tells these apart.
-        """
-        return self._in_costs is not None
-
-    @cached_property
-    def knows_scale(self) -> bool:
-        """Whether anything tells how far costs lie apart: the table's, or trials that differ."""
-        if self._in_costs is not None:
-            return self._in_costs.varies
-        return bool(self.costs.min() < self.costs.max())
-
-    @property
-    def _in_costs(self) -> Ensemble | None:
-        """Worlds in whose units the process sees costs: see `in_table_units`."""
-        found = self.ensemble
-        if not isinstance(found, Ensemble) or not found.in_costs or self.is_familiar:
-            return None
-        return found
-
-    @cached_property
-    def is_familiar(self) -> bool:
-        """Whether trials tell better than the table how far this robot's costs lie apart."""
-        found = self.ensemble
-        if not isinstance(found, Ensemble) or not found.in_costs:
-            return False
-        if self.familiar is not None:
-            return self.familiar
-        are_many = len(self.costs) >= FAMILIAR
-        look_alike = self._look_alike(found)
-        if not are_many and not look_alike:
-            return False  # to ask whether costs are smooth takes long
-        return are_many if self._is_smooth else look_alike
-
-    @property
-    def _guess_error(self) -> GuessError | None:
-        """What the table's guess between its rows may be off by, in the unit of costs."""
-        if self._in_costs is None or not self.off_grid:
-            return None
-        return self._in_costs.guess_error
-
-    @property
-    def only_falls(self) -> bool:
-        """Whether all trials have failed, where some world has a success, and costs jump."""
-        worlds, success = self._in_costs, self.success
-        if success is None or worlds is None or self.succeeded.any():
-            return False
-        return worlds.reaches(success) and not self._is_smooth
-
-    def _look_alike(self, worlds: Ensemble) -> bool:
-        """Whether trials have succeeded whose differences the table's unit hides."""
-        # A goal that is drawn anew for each trial has no trials of its own.
-        if worlds.is_drawn or self.succeeded.sum() < FEW_SUCCESSES:
-            return False
-        y = worlds.standard(self.costs[self.succeeded])
-        return bool(np.median(y) - y.min() < HIDDEN)
-
-    @property
-    def _is_smooth(self) -> bool:
-        """Whether the worlds' costs are a smooth function of the parameters."""
-        return isinstance(self.ensemble, Ensemble) and self.ensemble.is_smooth
 
     def _after(
         self,

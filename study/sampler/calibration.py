@@ -253,7 +253,7 @@ def ends_of(model: Model) -> tuple[float, float]:
 
     Elsewhere nothing is known of what costs may be, and both are infinite.
     """
-    if not isinstance(model.ensemble, Ensemble) or not model.in_table_units:
+    if not isinstance(model.ensemble, Ensemble) or model.of_table is None:
         return -np.inf, np.inf
     every = [*model.ensemble.ends, *model.cost().tolist()]
     return min(every), max(every)
@@ -270,7 +270,7 @@ def tells_scale(model: Model, points: Points) -> Mask:
     """Whether anything tells how far a reading may be off, at m points, [m]."""
     if len(model.costs):
         return np.full(len(points), model.knows_scale)
-    if not model.in_table_units:
+    if model.of_table is None:
         return np.zeros(len(points), dtype=bool)
     return np.asarray(spread_of(model, points) > LEAST_SPREAD)
 

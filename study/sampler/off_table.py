@@ -23,7 +23,6 @@ from study.sampler.policy import (
     Proposal,
     call_features,
     points_of,
-    rows_fail,
 )
 from study.sampler.risk import Certificate, Places
 from study.sampler.rows import Rows, once
@@ -110,7 +109,7 @@ class OffTable:
         if value == -np.inf:
             if certificate is not None:
                 return value, NOTHING
-        elif rows_fail(self.model):
+        elif self.model.rows_fail:
             value = np.inf
         notes = notes_of(OFF_TABLE, near.features[chosen])
         return value, Proposal(rows.space.values(near.parameters[chosen]), notes)

@@ -1,10 +1,10 @@
 """The common part of proposals from a table and from a space.
 
 The first trials come before there is a model. With worlds they are the best rows by
-their mean, `RANKED` of them or fewer, of one world up to `RANKED_OF_ONE` (`ranking_goes_on`).
-With features they are the `ENDS` of their first principal component, where candidates
-are extreme by most of them at once, so that one end is good where several predict the
-cost; else `RANDOM` ones.
+their mean, three or fewer, of one world up to six (`Evidence.follows_ranking`). With
+features they are the `ENDS` of their first principal component, where candidates are
+extreme by most of them at once, so that one end is good where several predict the cost;
+else `RANDOM` ones.
 """
 
 import warnings
@@ -27,7 +27,7 @@ from storage.inputs.errors import InputError
 from study.sampler.acquisition import Learned, Model
 from study.sampler.arrays import Floats, Mask
 from study.sampler.calibration import Errors, past_errors
-from study.sampler.covariance import ADDITIVE, FEW_WORLDS, NEARNESS, Kernel
+from study.sampler.covariance import ADDITIVE, NEARNESS, Kernel
 from study.sampler.draws import Purpose, generator
 from study.sampler.goals import Goals
 from study.sampler.history import (
@@ -40,18 +40,12 @@ from study.sampler.history import (
 )
 from study.sampler.rows import Rows
 from study.sampler.similarity import Relation
-from study.sampler.transforms import Points, is_doubtful
+from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, matrix_of
 
 Features = Callable[[Floats], Floats]
 """Features [n, k] of points [n, d], by a function of the user's."""
 
-RANKED = 3
-# Of one world, while all of them fail: its ranking is all that it tells.
-RANKED_OF_ONE = 6
-# Rows without success, after one: who is like no world leaves the table. With three of them
-# a robot on ramps down left it too early.
-ROWS_TRIED = 5
 ENDS = 2
 RANDOM = 3
 ODD_TURN = 1  # of those that are left to the parameters where the rest is doubted
@@ -242,8 +236,7 @@ class Policy:
 
     def doubts(self, model: Model, turn: int) -> bool:
         """Whether the trial of this turn is left to the parameters."""
-        kept = model.costs[model.feasible]
-        return self.learns_trust and is_doubtful(kept, turn)
+        return self.learns_trust and model.has_stalled and turn % 2 == ODD_TURN
 
     def leaves_worlds(self, model: Model, turn: int) -> bool:
         """Whether the trial of this turn goes anywhere, by the parameters of all trials alone.
@@ -273,44 +266,6 @@ class Policy:
         if kind not in self._said:
             self._said.add(kind)
             warnings.warn(message, UserWarning, stacklevel=2)
-
-
-def ranking_goes_on(model: Model) -> bool:
-    """Whether the trial after some still follows the ranking by mean costs in worlds.
-
-    Of smooth costs, or of one world, the first `RANKED` do: they tell how far the robot is
-    from all worlds. Of others the first trial tells enough. But if it failed where a
-    success is to be had, they do, too: two falls do not yet tell which worlds a robot is
-    like. And where few worlds tell nothing of points between the rows, a success is no
-    reason to leave the rows for these. One world's ranking is all that it tells: until a
-    trial succeeds, or breaks a limit, it goes on, up to `RANKED_OF_ONE` ones.
-    """
-    worlds, count = model.ensemble, len(model.costs)
-    assert isinstance(worlds, Ensemble)
-    is_alone = len(worlds.names) == 1
-    if count >= RANKED:
-        # No ranking minds limits.
-        has_broken = bool((model.told_limits > 0).any())
-        goes_on = is_alone and count < RANKED_OF_ONE and not has_broken
-        return goes_on and model.only_falls
-    has_failed = model.success is not None and not model.succeeded.any()
-    if has_failed or is_alone or worlds.is_smooth:
-        return True
-    are_few = len(worlds.names) < FEW_WORLDS
-    return model.off_grid and are_few and worlds.guess_error is not None
-
-
-def rows_fail(model: Model) -> bool:
-    """Whether a table is left: after a success its last `ROWS_TRIED` rows have failed.
-
-    A robot is then like no world, and gains by steps from its own trials. The model does
-    not see it: where worlds disagree on a row, it may be good again and again.
-    """
-    if model.success is None or not isinstance(model.ensemble, Ensemble):
-        return False
-    tried = (model.rows != OFF_TABLE) & (np.cumsum(model.succeeded) > 0)
-    last = model.succeeded[tried][-ROWS_TRIED:]
-    return len(last) == ROWS_TRIED and not last.any()
 
 
 def call_features(

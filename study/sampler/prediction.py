@@ -247,7 +247,7 @@ def prediction_of(
     )
     costs = model.costs
     if (
-        not model.in_table_units
+        model.of_table is None
         and not np.isfinite([trial.values[0] for trial in history.done.trials]).any()
     ):
         return nothing

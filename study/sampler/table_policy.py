@@ -23,6 +23,7 @@ from study.sampler.arrays import Floats, Mask
 from study.sampler.covariance import WITH_WORLDS
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
+from study.sampler.evidence import RANKED, RANKED_OF_ONE
 from study.sampler.history import (
     NOTES,
     OFF_TABLE,
@@ -51,8 +52,6 @@ from study.sampler.off_table import OffTable
 from study.sampler.policy import (
     NOTHING,
     ODD_TURN,
-    RANKED,
-    RANKED_OF_ONE,
     Features,
     Options,
     Policy,
@@ -61,7 +60,6 @@ from study.sampler.policy import (
     features_of,
     one_thread,
     points_of,
-    ranking_goes_on,
     set_attributes,
     take_back,
 )
@@ -347,7 +345,7 @@ class TablePolicy(Policy):
         count = len(history.cost)
         if not self._in_costs or count == 0:
             return count < self.first_trials
-        return count < RANKED_OF_ONE and ranking_goes_on(self._model(history, count))
+        return count < RANKED_OF_ONE and self._model(history, count).follows_ranking
 
     def _history(self, study: optuna.Study, trial: FrozenTrial) -> History:
         rows, compared = self.rows, self.compared(study)

@@ -1,4 +1,4 @@
-"""Candidates, trials and costs as a Gaussian process takes them, and trust in features."""
+"""Candidates, trials and costs as a Gaussian process takes them."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -21,7 +21,6 @@ USUAL_EXPONENT = 20  # of 2: limits from 1e-6 to 1e6 stay as they are, to the bi
 # Share of missing values from which having none is a feature of its own.
 LEAST_GAPS = 0.02
 NOTHING: Floats = np.empty(0)
-PATIENCE = 3  # trials without a better cost
 
 
 @dataclass(frozen=True)
@@ -349,23 +348,6 @@ def _scores(known: Floats, values: Floats) -> Floats:
     below = np.searchsorted(known, values, side="left")
     rank = below + np.searchsorted(known, values, side="right")
     return _at_ranks(np.clip(0.5 * (rank + 1.0), 1.0, len(known)), len(known))
-
-
-def is_doubtful(cost: Floats, turn: int) -> bool:
-    """Whether this trial is left to the parameters: features are followed while they succeed.
-
-    The likelihood cannot tell a feature that follows the cost everywhere from one that
-    follows it everywhere but at its best; success can. Once the best cost is older than
-    `PATIENCE` trials, every other trial is left to the parameters alone, until one of
-    either kind is better than all before (win-stay, lose-shift: Robbins 1952). From
-    then on a feature that misleads costs half the trials, as where the two take turns
-    (Antonova et al. 2018). Costs [n] are those of the finished trials that kept their
-    limits, in their order.
-    """
-    if not len(cost):
-        return False
-    age = len(cost) - 1 - int(np.argmin(cost))
-    return turn % 2 == 1 and age >= PATIENCE
 
 
 def two_groups(values: Floats) -> tuple[float, float]:

@@ -19,7 +19,7 @@ what they cost: there is no shift then.
 
 Where costs are smooth functions of the parameters, and some trials are done, a trial's
 cost counts by the logarithm of its excess over the best one, as it does where some have
-succeeded that look alike in the table's units (`Model.in_table_units`).
+succeeded that look alike in the table's units (`Evidence.is_familiar`).
 """
 
 from collections.abc import Callable, Collection, Mapping

@@ -43,19 +43,24 @@ def study_of(
     return study
 
 
-def model_after(trials, costs, kernel, ensemble=None):
-    """After trials [n] without limits, of two parameters."""
+def model_after(trials, costs, kernel, ensemble=None, limits=None):
+    """After trials [n], of two parameters; limits None: without any."""
     return Model(
         kernel=kernel,
         parameters=2,
         trials=trials,
         rows=np.full(len(trials), OFF_TABLE),
         costs=costs,
-        limits=np.empty((len(trials), 0)),
+        limits=np.empty((len(trials), 0)) if limits is None else limits,
         running=trials.take(np.arange(0)),
         known={},
         ensemble=ensemble,
     )
+
+
+def model_of(study):
+    """After all trials of the study."""
+    return study.sampler._policy.present(study).model
 
 
 def told(study, space, params, value, **limits):

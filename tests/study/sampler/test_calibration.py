@@ -13,7 +13,6 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import FAMILIAR
 from study.sampler.calibration import (
     COST,
     GOAL,
@@ -25,6 +24,7 @@ from study.sampler.calibration import (
     Odds,
     reading_of,
 )
+from study.sampler.evidence import FAMILIAR
 from study.sampler.history import placed
 from tests.study.sampler import campaigns
 from tests.study.sampler.replayed import replayed
@@ -301,7 +301,7 @@ def test_errors_are_counted_in_the_units_that_costs_have_now():
     trial = study.ask(space)
     study.tell(trial, 0.31)
     found = study.sampler._policy.present(study)
-    assert not found.model.in_table_units
+    assert found.model.of_table is None
     assert not np.allclose(found.errors[2:-1, 0], before[2:])
     assert np.isnan(found.errors[:2, 0]).all()  # two trials tell of no scale
 

@@ -7,9 +7,10 @@ import scipy
 from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import FEW_SUCCESSES, LOG_NO_GAIN
+from study.sampler.acquisition import LOG_NO_GAIN
 from study.sampler.covariance import FEW_WORLDS
-from tests.study.sampler.studies import told
+from study.sampler.evidence import FEW_SUCCESSES
+from tests.study.sampler.studies import model_of, told
 
 D, ROWS, WORLDS = 3, 300, 12
 RNG = np.random.default_rng(4)
@@ -38,10 +39,6 @@ def study_of(outcomes, costs, limits=(), **options):
         heat = {"heat": limits[row]} if len(limits) else {}
         told(study, table.rows.space.as_dict(), place, cost, **heat)
     return study, table
-
-
-def model_of(study):
-    return study.sampler._policy.present(study).model
 
 
 def points_of(table, model):
@@ -87,7 +84,7 @@ def test_when_trials_that_succeeded_have_a_model_of_their_own(
     assert (successes is not None) is is_asked
     if successes is not None:
         assert_array_equal(successes.costs, [cost for cost in costs if cost < FALL])
-        assert not successes.in_table_units
+        assert successes.of_table is None
         assert successes.of_successes is None
 
 

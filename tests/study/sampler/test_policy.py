@@ -12,8 +12,16 @@ from study.experiment.one_study import OneStudy
 from study.sampler import acquisition
 from study.sampler.acquisition import Model
 from study.sampler.covariance import ADDITIVE, NEARNESS
-from study.sampler.transforms import PATIENCE, is_doubtful
-from tests.study.sampler.studies import bowl, rows_of, run_code, study_of, summed
+from study.sampler.evidence import PATIENCE
+from study.sampler.transforms import Points
+from tests.study.sampler.studies import (
+    bowl,
+    model_after,
+    rows_of,
+    run_code,
+    study_of,
+    summed,
+)
 
 ROWS = 70
 
@@ -122,6 +130,13 @@ def test_of_a_space_they_are_the_ends_too():
     assert first.params["x"] >= 0.99 and second.params["x"] <= 0.01
 
 
+def doubts(costs, turn, limits=None):
+    """Whether a sampler by features leaves this trial to the parameters, after these costs."""
+    trials = Points(np.empty((len(costs), 0)), np.empty((len(costs), 0)))
+    model = model_after(trials, costs, ADDITIVE, limits=limits)
+    return study_of(table_of(np.eye(ROWS))).sampler._policy.doubts(model, turn)
+
+
 # How long features are followed.
 def test_every_other_trial_is_doubtful_once_patience_is_over():
     patience = PATIENCE
@@ -129,9 +144,15 @@ def test_every_other_trial_is_doubtful_once_patience_is_over():
         for age in (0, patience - 1, patience, patience + 1, patience + 40):
             costs = np.array([5.0, 1.0] + [1.0] * age)  # an equal one is no better one
             doubtful = age >= patience and turn % 2 == 1
-            assert is_doubtful(costs, turn) is doubtful
-    assert not is_doubtful(np.array([3.0]), 1)
-    assert not is_doubtful(np.empty(0), 1)  # no trial has kept its limits
+            assert doubts(costs, turn) is doubtful
+    assert not doubts(np.array([3.0]), 1)
+    broken = np.array([1.0] + [0.0] * patience)[
+        :, None
+    ]  # the first one is no better one
+    assert not doubts(np.arange(1.0 + len(broken))[1:], 1, broken)
+    assert not doubts(
+        np.array([3.0]), 1, np.ones((1, 1))
+    )  # no trial has kept its limits
 
 
 X, Y = np.random.default_rng(0).uniform(size=(2, 60))

@@ -9,13 +9,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import HOPELESS
 from study.sampler.between import BEST_ROWS
 from study.sampler.covariance import FEW_WORLDS
+from study.sampler.evidence import HOPELESS, RANKED, RANKED_OF_ONE
 from study.sampler.history import placed
-from study.sampler.policy import RANKED, RANKED_OF_ONE, ranking_goes_on
 from study.sampler.worlds import Ensemble, Worlds
-from tests.study.sampler.studies import rows_of, told
+from tests.study.sampler.studies import model_of, rows_of, told
 
 D = 3
 RNG = np.random.default_rng(0)
@@ -87,7 +86,7 @@ def test_falls_of_the_best_rows_do_not_turn_one_worlds_order_round():
     fallen = ORDER[:50:10]
     for row in fallen:
         tell(study, table, row, FALL)
-    model = study.sampler._policy.present(study).model
+    model = model_of(study)
     points = table.rows.points(by_order=True, coordinates=True, ensemble=model.ensemble)
     utility = model.utility(points, np.ones(400, bool), np.random.default_rng(1))
     utility[fallen] = -np.inf
@@ -102,7 +101,7 @@ def test_one_worlds_ranking_goes_on_until_a_trial_succeeds_or_six_have_failed():
     for _ in range(RANKED_OF_ONE):
         study.tell(study.ask(space), FALL)
     assert_array_equal(rows_of(study), ORDER[:RANKED_OF_ONE])
-    assert study.sampler._policy.present(study).model.is_lost
+    assert model_of(study).is_lost
     succeeded = study_of(table)
     for cost in (FALL, FALL, FALL, 1.5):
         succeeded.tell(succeeded.ask(space), cost)
@@ -120,8 +119,8 @@ def test_else_the_ranking_ends_after_three_trials(outcomes, success):
     study = study_of(table, success=success)
     for count, row in enumerate(ORDER[:RANKED], start=1):
         tell(study, table, row, FALL)
-        model = study.sampler._policy.present(study).model
-        assert ranking_goes_on(model) is (count < RANKED)
+        model = model_of(study)
+        assert model.follows_ranking is (count < RANKED)
 
 
 @pytest.mark.parametrize("heat", [1.0, -1.0])
@@ -131,7 +130,7 @@ def test_nor_does_it_go_on_once_a_limit_is_broken(heat):
     study = study_of(table)
     for row in ORDER[:RANKED]:
         tell(study, table, row, FALL, heat=heat)
-    assert ranking_goes_on(study.sampler._policy.present(study).model) is (heat < 0.0)
+    assert model_of(study).follows_ranking is (heat < 0.0)
 
 
 @pytest.mark.parametrize(
@@ -176,7 +175,7 @@ def test_a_table_that_tells_little_is_doubted_after_some_failures(
     study = study_of(table, off_grid=off_grid)
     for row in range(HOPELESS):
         tell(study, table, row, FALL)
-        model = study.sampler._policy.present(study).model
+        model = model_of(study)
         assert model.unlike() is None
         assert model.is_lost is (row == HOPELESS - 1 and off_grid > 0)
 
@@ -204,7 +203,7 @@ def test_a_success_among_falls_is_no_luck_and_its_surroundings_are_not_left():
         told(study, table.rows.space.as_dict(), params, cost)
     near = at + 0.03 * rng.standard_normal((20, 5))
     asked = [dict(zip(names, place.tolist(), strict=True)) for place in near]
-    policy, model = study.sampler._policy, study.sampler._policy.present(study).model
+    policy, model = study.sampler._policy, model_of(study)
     points = policy._seen(placed(policy.rows, asked), model.ensemble)
     chance = np.exp(model._log_chance_of_success(*model._costs_at(points)))
     assert chance.mean() > 0.5

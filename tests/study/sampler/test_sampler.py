@@ -22,6 +22,7 @@ from study.sampler.covariance import KERNELS
 from study.sampler.worlds import Worlds
 from tests.study.sampler.studies import (
     bowl,
+    model_of,
     params_of,
     resumed,
     rows_of,
@@ -149,7 +150,7 @@ def test_an_infinite_feature_of_a_point_off_the_table_is_learned_as_such():
     study.optimize(summed(a=(0.1, 0.9), b=(0, 1)), 8)
     a = np.array([trial.params["a"] for trial in study.trials])
     off = (np.array(rows_of(study)) == -1) & (a < 0.5)
-    learned = study.sampler._policy.present(study).model.trials.features
+    learned = model_of(study).trials.features
     lowest = table.rows.scores.standard(np.array([[-np.inf, 0.0]]))[0, 0]
     assert off.any() and learned[off, 0] == pytest.approx(lowest)
 

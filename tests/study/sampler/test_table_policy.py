@@ -14,7 +14,15 @@ from storage.inputs.errors import InputError
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.history import read_history, row_of
 from tests.study.conftest import refused
-from tests.study.sampler.studies import kill, only_a, resumed, rows_of, study_of, summed
+from tests.study.sampler.studies import (
+    kill,
+    model_of,
+    only_a,
+    resumed,
+    rows_of,
+    study_of,
+    summed,
+)
 
 A = np.repeat([0.0, 0.5, 1.0], 6)
 B = np.tile(np.arange(6.0), 3)
@@ -94,7 +102,7 @@ def test_no_row_has_all_of_them():
 
 def learned(study):
     """Features of the trials that the next one is learned from, in standard units [n, 2]."""
-    return study.sampler._policy.present(study).model.trials.features
+    return model_of(study).trials.features
 
 
 def test_where_the_table_need_not_fit_the_rest_is_drawn_and_not_learned():

@@ -8,14 +8,14 @@ import pytest
 from optuna.distributions import FloatDistribution
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler import acquisition
-from study.sampler.acquisition import FAMILIAR
+from study.sampler import evidence
 from study.sampler.calibration import COST, COST_UNLIKE
 from study.sampler.covariance import DOUBTED, WORLD
+from study.sampler.evidence import FAMILIAR
 from study.sampler.history import OFF_TABLE
 from study.sampler.unlike import FALSE_ALARMS, LEAST_WORLDS, _is_farther
 from tests.study.sampler.campaigns import machine_of
-from tests.study.sampler.studies import told
+from tests.study.sampler.studies import model_of, told
 
 LINE = np.linspace(0.0, 1.0, 41)
 SPACE = {"x": FloatDistribution(0.0, 1.0)}
@@ -115,7 +115,7 @@ def test_what_is_recommended_on_an_unlike_machine_has_a_wider_interval(monkeypat
         told(study, SPACE, {"x": LINE[4 * place]}, value)
     found = study.sampler.best(study)
     assert found.unlike and str(found).endswith(found.unlike)
-    monkeypatch.setattr(acquisition, "unlike", lambda *_: None)
+    monkeypatch.setattr(evidence, "unlike", lambda *_: None)
     other = study.sampler.best(study)
     assert not other.unlike and not str(other).endswith(" ")
     assert found.high - found.low > 1.1 * (other.high - other.low)
@@ -190,7 +190,7 @@ def after(costs, limits=None, **options):
 )
 def test_which_world_an_unlike_machine_is_like_counts_less(costs, success, is_lost):
     study = after(costs, success=success, off_grid=0)  # a few rows tell little, too
-    model = study.sampler._policy.present(study).model
+    model = model_of(study)
     assert model.is_lost is is_lost
     likeness, *_ = model.posterior.covariance.terms
     assert likeness.variance == (DOUBTED if is_lost else WORLD)

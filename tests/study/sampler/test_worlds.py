@@ -16,7 +16,6 @@ from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import space as spaces
-from study.sampler.acquisition import FAMILIAR, FEW_SUCCESSES, HOPELESS
 from study.sampler.between import error_of_guess
 from study.sampler.covariance import (
     DOUBTED,
@@ -26,13 +25,14 @@ from study.sampler.covariance import (
     WORLD,
     WORLD_NOISE,
 )
+from study.sampler.evidence import FAMILIAR, FEW_SUCCESSES, HOPELESS, ROWS_TRIED
 from study.sampler.history import OFF_TABLE, placed
-from study.sampler.policy import ROWS_TRIED, rows_fail
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
 from tests.study.conftest import refused
 from tests.study.sampler.studies import (
     model_after,
+    model_of,
     params_of,
     resumed,
     rows_of,
@@ -226,10 +226,10 @@ def test_a_good_value_that_broke_its_limit_is_no_success():
 def test_smooth_costs_are_soon_in_units_of_the_trials_others_in_those_of_the_table():
     for outcomes, is_smooth in ((COSTS, True), (FALLS, False)):
         study = study_of(table(outcomes), robot, FAMILIAR - 1)
-        assert study.sampler._policy.present(study).model.in_table_units
+        assert model_of(study).of_table is not None
         study.optimize(robot, n_trials=1)
-        model = study.sampler._policy.present(study).model
-        assert model.in_table_units is not is_smooth
+        model = model_of(study)
+        assert (model.of_table is None) is is_smooth
         of_ranking = model.posterior.covariance.terms[1].variance.mode
         assert of_ranking == pytest.approx(0.0 if is_smooth else np.log(0.1))
         costs = np.array(values_of(study))
@@ -250,12 +250,12 @@ def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their
     for number, cost in enumerate(values):
         x, y = ROWS[number]
         told(study, SPACE, {"x": x, "y": 100.0**y}, cost)
-        model = study.sampler._policy.present(study).model
+        model = model_of(study)
         if number < FEW_SUCCESSES:
-            assert model.posterior and model.in_table_units
+            assert model.posterior and model.of_table is not None
             is_asked = "guess" in vars(model.ensemble)
             assert is_asked is (error_of_guess(ROWS, model.ensemble.mean) is not None)
-    assert model.in_table_units is not is_hidden
+    assert (model.of_table is None) is is_hidden
     likeness, ranking, *_ = model.posterior.covariance.terms
     assert likeness.variance == (DOUBTED if is_hidden else WORLD)
     assert ranking.variance.mode == pytest.approx(0.0 if is_hidden else np.log(0.1))
@@ -292,7 +292,7 @@ def test_until_a_trial_succeeds_falls_are_taken_for_chance(outcomes, success, no
     study = study_of(table(outcomes), success=success)
     for number, cost in enumerate([50.0, 50.0, 50.0, 0.04, 50.0]):
         told(study, SPACE, table().rows.as_parameters(number), cost)
-        own = study.sampler._policy.present(study).model.posterior
+        own = model_of(study).posterior
         assert own.covariance.noise == noises[number > 2]
 
 
@@ -307,7 +307,7 @@ def test_the_table_is_left_after_five_rows_that_failed_behind_a_success():
             told(study, SPACE, {"x": x, "y": 100.0**y}, value)
             told(study, SPACE, off, 50.0)
         leaves = falls == count and not begins_anew
-        assert rows_fail(study.sampler._policy.present(study).model) is leaves
+        assert model_of(study).rows_fail is leaves
         proposed = [study.ask(SPACE).user_attrs["row"] for _ in range(4)]
         assert not leaves or proposed == [OFF_TABLE] * 4
     keeps = study_of(table(FALLS), success=1.0, off_grid=0)
