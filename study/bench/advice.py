@@ -24,7 +24,9 @@ from study.bench.journal import State, Trial
 from study.bench.limits import FALL, named
 from study.bench.plan import Plan, Safety
 from study.bench.shown import frozen, study_of
+from study.sampler.acquisition import Aim
 from study.sampler.evidence import RANKED
+from study.sampler.history import WHY_ATTRIBUTE
 from study.sampler.policy import TableExhaustedError
 from study.sampler.prediction import Best, Prediction
 from study.sampler.risk import RiskError
@@ -122,7 +124,7 @@ class Advice:
             allowed = "a row that nobody has tried"
             raise InputError("candidates", str(error), allowed) from None
         notes = dict(study.get_trials(deepcopy=False)[trial.number].user_attrs)
-        return trial.params, notes, self._why()
+        return trial.params, notes, self._why(notes.get(WHY_ATTRIBUTE))
 
     def expected(self, params: Sequence[Mapping[str, Any]]) -> list[str]:
         """What is expected of each candidate, in a sentence; "" where nothing is to be said."""
@@ -290,26 +292,27 @@ class Advice:
             all_kept = all_kept / max(1.0 - float(found.risks[FALL][place]), 1e-9)
         return f"all limits kept {100 * all_kept:.0f} %"
 
-    def _why(self) -> str:
-        """Why a proposal is made, in a sentence or two."""
-        if not self.told:
-            known = ""
-            if self.elsewhere:
-                known = f"the best {BEFORE}, or "
-            elif self.candidates.rows.worlds is not None:
-                known = "the best simulated, or "
-            return f"The first one: {known}one of several to begin with."
+    def _why(self, aim: str | None) -> str:
+        """Why a proposal is made, in a sentence or two.
+
+        Args:
+            aim: of the sampler; None: what was fixed left it no choice.
+        """
+        if aim == Aim.RANKING and not self.told:
+            where = BEFORE if self.elsewhere else "simulated"
+            return f"The first one: the best {where}."
         # A sheet may be read again after other trials have succeeded.
-        kept = self._within_limits(self.told)
-        if not kept:
-            return "Likeliest to keep all limits; no trial had when it was chosen."
-        if self.plan.goal.success is not None and not self._successful(kept):
-            why = "Likeliest to succeed, or else to improve most"
+        why = (aim or "the only choice").capitalize()
+        if aim == Aim.LIMITS:
+            return f"{why}; no trial had when it was chosen."
+        if aim == Aim.SUCCESS:
             return f"{why}; no trial had succeeded when it was chosen."
-        choose = max if self.plan.goal.maximise else min
-        best = choose(trial.result for trial in kept)
-        why = "The largest improvement to be expected on"
-        return f"{why} {best:.4g}, the best when it was chosen."
+        if aim == Aim.IMPROVEMENT:
+            choose = max if self.plan.goal.maximise else min
+            kept = self._within_limits(self.told) or self.told
+            best = choose(trial.result for trial in kept)
+            return f"{why} on {best:.4g}, the best when it was chosen."
+        return f"{why}."
 
     @property
     def _broken_elsewhere(self) -> list[Trial]:

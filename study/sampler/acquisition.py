@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
@@ -9,6 +10,7 @@ import scipy
 
 from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.covariance import (
+    NEARNESS,
     WORLD,
     WORLD_NOISE,
     Constant,
@@ -60,6 +62,17 @@ Learned = dict[tuple[Covariance, bytes], Floats]
 """Constants by the covariance and the trials that they were learned from."""
 
 
+class Aim(StrEnum):
+    """What a candidate is proposed for, in words that are left in its trial."""
+
+    BEGIN = "one of several to begin with"
+    RANKING = "next in the ranking"
+    PARAMETERS = "promising by the parameters of the trials alone"
+    LIMITS = "likeliest to keep all limits"
+    SUCCESS = "likeliest to succeed"
+    IMPROVEMENT = "the largest improvement to be expected"
+
+
 @dataclass(eq=False, kw_only=True)
 class Model(Evidence):
     """The posterior after some trials, and the improvement that it lets expect.
@@ -108,6 +121,15 @@ class Model(Evidence):
         else:
             utility[seen] = self._utility(some)
         return np.where(offered, utility, -np.inf)
+
+    @property
+    def aim(self) -> Aim:
+        """What utility is, once it has been computed of some candidates."""
+        if not self.feasible.any():
+            return Aim.LIMITS
+        if self._in_sight:
+            return Aim.SUCCESS
+        return Aim.PARAMETERS if self.kernel == NEARNESS else Aim.IMPROVEMENT
 
     @cached_property
     def posterior(self) -> Posterior:

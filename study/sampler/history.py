@@ -28,8 +28,9 @@ ROW_ATTRIBUTE = "row"  # of the table; -1 for a point off it
 SCORE_ATTRIBUTE = "score"  # the feature, where there is one
 FEATURES_ATTRIBUTE = "features"  # as a list, where there are several, or no table
 FIXED_ATTRIBUTE = "fixed_params"  # Optuna's: what `enqueue_trial` was given
+WHY_ATTRIBUTE = "why"  # it was proposed, in words: an `Aim`
 OFF_TABLE = -1
-NOTES = {ROW_ATTRIBUTE, SCORE_ATTRIBUTE, FEATURES_ATTRIBUTE}
+NOTES = {ROW_ATTRIBUTE, SCORE_ATTRIBUTE, FEATURES_ATTRIBUTE, WHY_ATTRIBUTE}
 
 LookedUp = dict[int, tuple[FrozenTrial, int | None, Floats | None]]
 """Finished trials by number, each with the row that it is and its parameters [d]."""
@@ -268,14 +269,16 @@ def noted_features(trial: FrozenTrial) -> list[float] | None:
     return [np.nan if value is None else value for value in noted]
 
 
-def notes_of(row: int, features: Floats) -> dict[str, Any]:
-    """The row, or OFF_TABLE, and its features [k], those unknown as None."""
+def notes_of(row: int, features: Floats, why: str = "") -> dict[str, Any]:
+    """The row, or OFF_TABLE, its features [k], those unknown as None, and why it is proposed."""
     values = [value if math.isfinite(value) else None for value in features.tolist()]
     notes: dict[str, Any] = {ROW_ATTRIBUTE: row}
     if len(values) == 1:
         notes[SCORE_ATTRIBUTE] = values[0]
     if len(values) > 1 or row == OFF_TABLE:
         notes[FEATURES_ATTRIBUTE] = values
+    if why:
+        notes[WHY_ATTRIBUTE] = str(why)
     return notes
 
 

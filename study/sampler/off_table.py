@@ -111,7 +111,7 @@ class OffTable:
                 return value, NOTHING
         elif self.model.rows_fail:
             value = np.inf
-        notes = notes_of(OFF_TABLE, near.features[chosen])
+        notes = notes_of(OFF_TABLE, near.features[chosen], self.model.aim)
         return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
 
     def _near(self) -> Near:

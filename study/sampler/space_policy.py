@@ -11,7 +11,7 @@ from optuna.search_space import intersection_search_space
 from optuna.trial import FrozenTrial
 
 from storage.inputs.errors import InputError
-from study.sampler.acquisition import argmax_random_tie
+from study.sampler.acquisition import Aim, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
 from study.sampler.covariance import EUCLIDEAN
 from study.sampler.diagnostics import Present
@@ -19,6 +19,7 @@ from study.sampler.draws import Purpose, turn
 from study.sampler.history import (
     FEATURES_ATTRIBUTE,
     OFF_TABLE,
+    WHY_ATTRIBUTE,
     History,
     next_trial,
     not_suggested,
@@ -77,8 +78,9 @@ class SpacePolicy(Policy):
             with one_thread():
                 if len(history.cost) < self.first_trials:
                     point, features = self._first(space, own_turn)
+                    aim = Aim.BEGIN
                 else:
-                    point, features = self._best(space, history, own_turn)
+                    point, features, aim = self._best(space, history, own_turn)
         except InputError as error:
             self.misfit(error)
             draw = self.independent.sample_independent
@@ -86,10 +88,11 @@ class SpacePolicy(Policy):
                 name: draw(study, trial, name, d) for name, d in search_space.items()
             }
         values = space.values(point)
+        notes: dict[str, Any] = {WHY_ATTRIBUTE: str(aim)}
         if len(features):
-            notes = {FEATURES_ATTRIBUTE: features.tolist()}
-            set_attributes(study, trial, notes)
+            notes[FEATURES_ATTRIBUTE] = features.tolist()
             self.remember(trial, Proposal(values, notes))
+        set_attributes(study, trial, notes)
         return values
 
     def propose_one(
@@ -179,8 +182,8 @@ class SpacePolicy(Policy):
 
     def _best(
         self, space: Space, history: History, own_turn: int, *, is_apart: bool = False
-    ) -> tuple[Floats, Floats]:
-        """The best of points anywhere and near the incumbents, and its features.
+    ) -> tuple[Floats, Floats, Aim]:
+        """The best of points anywhere and near the incumbents, its features, and for what.
 
         Without features, also of points near those, round by round. If it is to be
         apart, none that lies so near a trial that it repeats it.
@@ -213,7 +216,7 @@ class SpacePolicy(Policy):
             candidates = _placed(scale, features, space, points)
             utility = model.utility(candidates, is_new(points), rng)
         best_one = argmax_random_tie(utility, self.rng(Purpose.TIE_BREAK, own_turn))
-        return points[best_one], features[best_one]
+        return points[best_one], features[best_one], model.aim
 
     def _candidates(
         self, space: Space, history: History, rng: np.random.Generator
@@ -265,9 +268,10 @@ def by_parameters(
     options = replace(policy.options, kernel=EUCLIDEAN, off_grid=0, success=None)
     plain = SpacePolicy(None, options, policy.seed, policy.independent)
     space = rows.space.pinned(history.fixed)
-    point, _ = plain._best(space, history, own_turn, is_apart=True)
+    point, _, _ = plain._best(space, history, own_turn, is_apart=True)
     unknown = np.full(len(rows.feature_names), np.nan)
-    return Proposal(space.values(point), notes_of(OFF_TABLE, unknown))
+    notes = notes_of(OFF_TABLE, unknown, Aim.PARAMETERS)
+    return Proposal(space.values(point), notes)
 
 
 def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:

@@ -18,7 +18,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from storage.inputs.errors import InputError
-from study.sampler.acquisition import Model, argmax_random_tie
+from study.sampler.acquisition import Aim, Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
 from study.sampler.covariance import WITH_WORLDS
 from study.sampler.diagnostics import Present
@@ -395,15 +395,16 @@ class TablePolicy(Policy):
         else:
             merit = -ensemble.mean
         rng = self.rng(Purpose.STARTUP_ROW, own_turn)
-        return self._best_row(merit, offered, rng)
+        aim = Aim.BEGIN if self.rows.worlds is None else Aim.RANKING
+        return self._best_row(merit, offered, rng, aim)
 
     def _best_row(
-        self, merit: Floats, offered: Mask, rng: np.random.Generator
+        self, merit: Floats, offered: Mask, rng: np.random.Generator, aim: Aim
     ) -> Proposal:
         """The best of the rows that are offered [n], by the merit of those that may be, [m]."""
         numbers = self.rows.numbers
         best = argmax_random_tie(np.where(offered[numbers], merit, -np.inf), rng)
-        return self._of_row(int(numbers[best]))
+        return self._of_row(int(numbers[best]), aim)
 
     def _best_candidate(
         self,
@@ -434,7 +435,8 @@ class TablePolicy(Policy):
             value, off = search.best(certificate)
             if not free.any() or value > utility.max():
                 return off
-        return self._best_row(utility, offered, self.rng(Purpose.TIE_BREAK, own_turn))
+        rng = self.rng(Purpose.TIE_BREAK, own_turn)
+        return self._best_row(utility, offered, rng, model.aim)
 
     def _model(self, history: History, own_turn: int) -> Model:
         ensemble = self._ensemble(history)
@@ -450,8 +452,8 @@ class TablePolicy(Policy):
         )
         return self.of_turn(model, own_turn)
 
-    def _of_row(self, row: int) -> Proposal:
-        notes = notes_of(row, self.rows.features[row])
+    def _of_row(self, row: int, why: str = "") -> Proposal:
+        notes = notes_of(row, self.rows.features[row], why)
         return Proposal(self.rows.as_parameters(row), notes)
 
     def _points(self, ensemble: Relation | None = None) -> Points:

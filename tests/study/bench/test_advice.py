@@ -139,7 +139,9 @@ def test_an_expectation_beyond_all_worlds_is_said_to_be_so(bench):
 
 def test_a_sheet_says_why_it_was_chosen_then_and_what_is_expected_now(path):
     mine, yours = Bench.new(path, "me"), Bench(path, "you")
-    tell(mine, 3.0)
+    tell(mine, 0.6)
+    for _ in range(2):
+        tell(mine, 0.6, torque=60.0)
     (waiting,) = yours.next()
     assert "no trial had succeeded when it was chosen" in waiting.why
     assert waiting.why.endswith("torque of trial 0.")

@@ -10,7 +10,7 @@ from study import FeatureTable
 from study.experiment.arms import find_arm
 from study.experiment.one_study import OneStudy
 from study.sampler import acquisition
-from study.sampler.acquisition import Model
+from study.sampler.acquisition import Aim, Model
 from study.sampler.covariance import ADDITIVE, NEARNESS
 from study.sampler.evidence import PATIENCE
 from study.sampler.transforms import Points
@@ -319,3 +319,50 @@ def test_scipys_own_library_is_limited_too():
     """It is loaded by the first proposal of a process, after NumPy's."""
     done = run_code(PROGRAM, OPENBLAS_NUM_THREADS="2")
     assert done.stdout == "{1}\n", done.stderr
+
+
+def whys_of(study):
+    return [trial.user_attrs["why"] for trial in study.trials]
+
+
+# A row falls in a world for reasons of its own.
+FALLS = np.where(np.random.default_rng(0).random((ROWS, 12)) < 0.5, 40.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "value", "limit", "aims"),
+    [
+        (None, 1.0, -1.0, [Aim.BEGIN] * 2 + [Aim.IMPROVEMENT]),
+        (None, 1.0, 1.0, [Aim.BEGIN] * 2 + [Aim.LIMITS]),
+        (FALLS, 3.0, -1.0, [Aim.RANKING] * 3 + [Aim.SUCCESS]),
+        (FALLS, 1.0, -1.0, [Aim.RANKING] + [Aim.IMPROVEMENT] * 2),
+        (FALLS, 1.0, 1.0, [Aim.RANKING] * 3 + [Aim.LIMITS]),
+    ],
+    ids=["features", "all break a limit", "none succeeds", "all do", "none counts"],
+)
+def test_a_trial_says_what_it_was_chosen_for(outcomes, value, limit, aims):
+    features = None if outcomes is not None else drawn(1)
+    study = study_of(table_of(features, outcomes=outcomes), success=1.5)
+
+    def objective(trial):
+        trial.set_constraint("heat", limit)
+        return value + 0.01 * only_x(trial)
+
+    study.optimize(objective, n_trials=len(aims))
+    assert whys_of(study) == aims
+
+
+def test_so_does_one_that_is_left_to_the_parameters():
+    study = study_of(table_of(drawn(1)))
+    study.optimize(lambda trial: only_x(trial) + trial.number, n_trials=2 * PATIENCE)
+    stalled = [Aim.IMPROVEMENT, Aim.PARAMETERS]
+    assert whys_of(study)[-2:] == stalled
+    table = table_of(None, outcomes=FALLS[:, :1])
+    lost = study_of(table, lambda trial: 50.0 + only_x(trial), 8, success=1.5)
+    assert Aim.PARAMETERS in whys_of(lost)[-2:]
+
+
+def test_so_does_a_point_of_a_space():
+    space = {"x": FloatDistribution(0, 1)}
+    study = study_of(None, only_x, 4, space=space)
+    assert whys_of(study) == [Aim.BEGIN] * 3 + [Aim.IMPROVEMENT]

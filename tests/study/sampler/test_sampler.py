@@ -300,7 +300,7 @@ def test_trials_are_rows_with_plain_notes_and_no_row_comes_twice_running_or_not(
     for trial, row in zip(study.trials, rows_of(study), strict=True):
         assert trial.params == table.rows.as_parameters(row)
         assert trial.user_attrs["score"] == table.rows.features[row, 0]
-        assert set(json.loads(json.dumps(trial.user_attrs))) == {"row", "score"}
+        assert set(json.loads(json.dumps(trial.user_attrs))) == {"row", "score", "why"}
         assert all(type(value) is float for value in trial.params.values())
     for _ in range(20):
         study.ask(SPACE)

@@ -270,7 +270,7 @@ def test_a_value_that_was_not_left_to_the_sampler_takes_the_note_back():
     study = study_of(TABLE)
     with refused(r"a: .*low=0.25.* a range that holds all rows"):
         study.optimize(summed(b=(0, 5), a=(0.25, 0.25)), n_trials=1)
-    assert study.trials[0].user_attrs == {"row": -1, "features": None}
+    assert study.trials[0].user_attrs == {"row": -1, "features": None, "why": None}
     study = study_of(TABLE, strict=False)
     run_quietly(study, 3, summed(b=(0, 5), a=(0.5, 0.5)))
     assert {trial.params["a"] for trial in study.trials} == {0.5}
@@ -305,7 +305,12 @@ def test_features_of_a_point_that_was_not_run_are_taken_back():
     )
     with pytest.warns(UserWarning, match="a: .* a range that holds all rows"):
         study.optimize(summed(b=(0, 5), a=(2, 3)), 1)
-    assert study.trials[-1].user_attrs == {"row": -1, "score": None, "features": None}
+    assert study.trials[-1].user_attrs == {
+        "row": -1,
+        "score": None,
+        "features": None,
+        "why": None,
+    }
     study = study_of(compute, both, 4, space=SPACE, strict=False)
     with pytest.warns(UserWarning, match="b: .* the independent sampler takes over"):
         study.optimize(summed(a=(0, 1), b=(4.99, 5)), 1)
@@ -327,7 +332,8 @@ def test_it_is_an_error_of_the_very_trial_or_one_warning_and_no_row(
     with refused(r"b: 'not suggested in trial 0' .* all of a, b"):
         study.optimize(objective, n_trials=1)
     assert study.trials[0].state is TrialState.COMPLETE  # what it cost is not lost
-    assert study.trials[0].user_attrs == {"row": -1, "score": None}
+    why = {} if enqueued else {"why": None}
+    assert study.trials[0].user_attrs == {"row": -1, "score": None} | why
     run_quietly(study, 2)  # the objective was mended
     assert len(set(rows_of(study)[1:])) == 2
     with pytest.warns(UserWarning, match="b: 'not suggested in trial 0'") as said:
