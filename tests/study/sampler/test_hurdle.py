@@ -10,6 +10,7 @@ from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import LOG_NO_GAIN
 from study.sampler.covariance import FEW_WORLDS
 from study.sampler.evidence import FEW_SUCCESSES
+from study.sampler.unlike import READING
 from tests.study.sampler.studies import model_of, told
 
 D, ROWS, WORLDS = 3, 300, 12
@@ -179,6 +180,41 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
     assert utility[unlikely].max() < utility[seen].min()
     chances = np.log(success * kept)[unlikely]
     assert_allclose(utility[unlikely] - chances, LOG_NO_GAIN, rtol=1e-6)
+
+
+def test_no_improvement_counts_for_more_than_one_to_the_least_cost_of_all_worlds():
+    """Beside SciPy's integral of what is gained at each cost."""
+    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
+    assert model.least == model.ensemble.ends[0] < model.cost()[1]
+    mean, sd = RNG.uniform(-2.0, 2.0, 20), RNG.uniform(0.05, 2.0, 20)
+    found = np.exp(model._log_improvement(mean, sd**2))
+    best, least = model.cost()[1], model.least - READING
+    for place, expected in enumerate(found):
+        cost = scipy.stats.norm(mean[place], sd[place])
+        gain = cost.expect(lambda f: best - f, lb=least, ub=best)
+        gain += (best - least) * cost.cdf(least)
+        assert_allclose(expected, gain, rtol=1e-6, atol=1e-12)
+
+
+def test_a_cost_below_that_of_all_worlds_can_be_improved_on():
+    model = model_of(study_of(JUMPY, [FALL, 0.5])[0])
+    assert model.cost()[1] < model.least
+    found = model._log_improvement(np.array([model.cost()[1] - 0.1]), np.array([0.01]))
+    assert np.exp(found[0]) == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "costs"),
+    [
+        (LONELY, [FALL, 3.0]),
+        (JUMPY[:, : FEW_WORLDS - 1], [FALL, 3.0]),
+        (COSTS, [2.0, 3.0]),
+        (JUMPY, [FALL, *ALIKE]),
+    ],
+    ids=["rows tell nothing", "few worlds", "smooth", "in units of the trials"],
+)
+def test_elsewhere_the_worlds_do_not_bound_it(outcomes, costs):
+    assert model_of(study_of(outcomes, costs)[0]).least is None
 
 
 def test_failures_do_not_say_what_successes_cost():
