@@ -1,5 +1,7 @@
 """Where costs jump, a candidate's chance to succeed counts, and what it costs if it does."""
 
+from dataclasses import replace
+
 import numpy as np
 import optuna
 import pytest
@@ -11,6 +13,7 @@ from study.sampler.acquisition import LOG_NO_GAIN
 from study.sampler.covariance import FEW_WORLDS
 from study.sampler.evidence import FEW_SUCCESSES
 from study.sampler.unlike import READING
+from study.sampler.worlds import Ensemble, Worlds
 from tests.study.sampler.studies import model_of, told
 
 D, ROWS, WORLDS = 3, 300, 12
@@ -215,6 +218,12 @@ def test_a_cost_below_that_of_all_worlds_can_be_improved_on():
 )
 def test_elsewhere_the_worlds_do_not_bound_it(outcomes, costs):
     assert model_of(study_of(outcomes, costs)[0]).least is None
+
+
+def test_nor_do_they_bound_a_goal_that_was_drawn_for_a_trial():
+    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
+    drawn = Ensemble(Worlds.of(JUMPY), JUMPY)
+    assert model.least is not None and replace(model, ensemble=drawn).least is None
 
 
 def test_failures_do_not_say_what_successes_cost():
