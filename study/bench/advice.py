@@ -298,13 +298,15 @@ class Advice:
         Args:
             aim: of the sampler; None: what was fixed left it no choice.
         """
-        if aim == Aim.RANKING and not self.told:
-            where = BEFORE if self.elsewhere else "simulated"
-            return f"The first one: the best {where}."
         # A sheet may be read again after other trials have succeeded.
         why = (aim or "the only choice").capitalize()
+        if aim == Aim.RANKING:
+            with_before = f", {BEFORE!r} among them" if self.others else ""
+            return f"{why} by what was simulated in all worlds{with_before}."
         if aim == Aim.LIMITS:
             return f"{why}; no trial had when it was chosen."
+        if aim == Aim.SUCCESS and self.plan.goal.success is None:
+            return "Likeliest to cost what works in the worlds, not what fails; no trial had."
         if aim == Aim.SUCCESS:
             return f"{why}; no trial had succeeded when it was chosen."
         if aim == Aim.IMPROVEMENT:

@@ -32,7 +32,8 @@ from study.sampler.transforms import (
 from study.sampler.unlike import READING
 from study.sampler.worlds import Ensemble
 
-ROUNDING = 1e-15
+# How much an improvement counts that no world has.
+BEYOND = 1e-6
 TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
 SQRT_HALF = np.sqrt(0.5)
@@ -78,8 +79,6 @@ class Aim(StrEnum):
 @dataclass(eq=False, kw_only=True)
 class Model(Evidence):
     """The posterior after some trials, and the improvement that it lets expect.
-
-    Of `Evidence` there is at least one trial.
 
     Attributes:
         kernel: of this trial: the sampler's or, where features are doubted, one of the
@@ -372,14 +371,17 @@ class Model(Evidence):
         Where costs jump, a normal distribution through walks and falls expects improvements
         that no world has, most of them of candidates that are likely to fall: of those after
         a first success on risers nine in ten did. So none counts for more than one to
-        `Evidence.least`, less what a reading may be off.
+        `Evidence.least`, or to the best trial, less what a reading may be off. What is beyond
+        orders candidates that are sure to be better.
         """
         best, sd = float(self.cost()[self.feasible].min()), np.sqrt(variance)
         improvement = log_expected_improvement(mean, sd, best)
         if self.least is None:
             return improvement
-        least = min(self.least, best) - READING
-        return log_difference(improvement, log_expected_improvement(mean, sd, least))
+        beyond = log_expected_improvement(mean, sd, min(self.least, best) - READING)
+        with np.errstate(invalid="ignore"):  # of no improvement there is no share
+            share = np.exp(np.fmin(beyond - improvement, 0.0))
+        return improvement + np.log1p(-(1.0 - BEYOND) * share)
 
 
 def along_feature(
@@ -416,13 +418,6 @@ def log_expected_improvement(mean: Floats, sd: Floats, best: float) -> Floats:
         if certain.any():
             log_improvement[certain] = np.log(np.maximum(gain[certain], 0.0))
     return np.asarray(log_improvement)
-
-
-def log_difference(more: Floats, less: Floats) -> Floats:
-    """log(exp(more) - exp(less)), [m]; of equal ones what rounding leaves of them."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = -np.expm1(np.minimum(less - more, -ROUNDING))
-        return np.where(np.isfinite(more), more + np.log(share), more)
 
 
 def _log_h(z: Floats) -> Floats:

@@ -9,7 +9,7 @@ comes to these decisions in this order:
 | `follows_ranking` | the next trial is the best row by its mean over the worlds |
 | `only_falls` | failures may be chance: their noise is expected to be large |
 | `is_lost` | which world the robot is like counts little; every other trial goes anywhere |
-| `least` | no improvement counts for more than one to the least cost of all worlds |
+| `least` | no improvement counts for more than one to about the least cost of all worlds |
 | `sees_success` | a success among failures is no noise |
 | `is_familiar` | costs count in units of the trials, no longer of the table |
 | `tells_successes` | those that succeeded have a process of their own, a hurdle's second part |
@@ -258,7 +258,7 @@ class Evidence:
 
     @property
     def least(self) -> float | None:
-        """The least cost of all rows in all worlds, where costs jump; none is expected below.
+        """The least cost of all rows in all worlds, where costs jump: improvements end near it.
 
         None: costs are in units of their own, or smooth, or of a goal that was drawn, or the
         table tells too little.

@@ -269,7 +269,7 @@ def noted_features(trial: FrozenTrial) -> list[float] | None:
     return [np.nan if value is None else value for value in noted]
 
 
-def notes_of(row: int, features: Floats, why: str = "") -> dict[str, Any]:
+def notes_of(row: int, features: Floats, why: str | None = None) -> dict[str, Any]:
     """The row, or OFF_TABLE, its features [k], those unknown as None, and why it is proposed."""
     values = [value if math.isfinite(value) else None for value in features.tolist()]
     notes: dict[str, Any] = {ROW_ATTRIBUTE: row}
@@ -277,7 +277,7 @@ def notes_of(row: int, features: Floats, why: str = "") -> dict[str, Any]:
         notes[SCORE_ATTRIBUTE] = values[0]
     if len(values) > 1 or row == OFF_TABLE:
         notes[FEATURES_ATTRIBUTE] = values
-    if why:
+    if why is not None:
         notes[WHY_ATTRIBUTE] = str(why)
     return notes
 

@@ -91,8 +91,8 @@ class SpacePolicy(Policy):
         notes: dict[str, Any] = {WHY_ATTRIBUTE: str(aim)}
         if len(features):
             notes[FEATURES_ATTRIBUTE] = features.tolist()
-            self.remember(trial, Proposal(values, notes))
         set_attributes(study, trial, notes)
+        self.remember(trial, Proposal(values, notes))
         return values
 
     def propose_one(
@@ -141,7 +141,7 @@ class SpacePolicy(Policy):
     def after(
         self, study: optuna.Study, trial: FrozenTrial, *, is_complete: bool
     ) -> None:
-        """Take the features back if another point was run."""
+        """Take the notes back if another point was run."""
         proposal = self.forget(trial)
         if proposal is not None and not proposal.values.items() <= trial.params.items():
             set_attributes(study, trial, dict.fromkeys(proposal.notes))

@@ -28,6 +28,7 @@ from study.sampler.history import (
     NOTES,
     OFF_TABLE,
     ROW_ATTRIBUTE,
+    WHY_ATTRIBUTE,
     History,
     Inferred,
     LookedUp,
@@ -395,7 +396,7 @@ class TablePolicy(Policy):
         else:
             merit = -ensemble.mean
         rng = self.rng(Purpose.STARTUP_ROW, own_turn)
-        aim = Aim.BEGIN if self.rows.worlds is None else Aim.RANKING
+        aim = Aim.RANKING if isinstance(ensemble, Ensemble) else Aim.BEGIN
         return self._best_row(merit, offered, rng, aim)
 
     def _best_row(
@@ -452,7 +453,7 @@ class TablePolicy(Policy):
         )
         return self.of_turn(model, own_turn)
 
-    def _of_row(self, row: int, why: str = "") -> Proposal:
+    def _of_row(self, row: int, why: Aim | None = None) -> Proposal:
         notes = notes_of(row, self.rows.features[row], why)
         return Proposal(self.rows.as_parameters(row), notes)
 
@@ -558,6 +559,8 @@ class TablePolicy(Policy):
             other = run_otherwise(trial, proposal.values)
         if row is not None and known != noted:
             set_attributes(study, trial, notes_of(row, rows.features[row]))
+        if row is not None and other is not None:
+            set_attributes(study, trial, {WHY_ATTRIBUTE: None})
         if row is None and noted is not None:
             is_wrong = noted not in (OFF_TABLE, known)
             if is_wrong or missing is not None or other is not None:

@@ -152,6 +152,14 @@ def test_a_sheet_says_why_it_was_chosen_then_and_what_is_expected_now(path):
     assert now.params == waiting.params and now.why != waiting.why
 
 
+def test_a_batch_is_the_next_ones_of_the_ranking(bench):
+    whys = [trial.why.partition(".")[0] for trial in bench.next(batch=4)]
+    assert whys == ["Next in the ranking by what was simulated in all worlds"] * 4
+    bench.context("gravel")
+    (trial,) = bench.next()
+    assert trial.why.startswith(whys[0])  # nothing was told on other ground
+
+
 def test_one_failure_beside_a_good_trial_leaves_the_expectation_where_the_worlds_are(
     bench,
 ):

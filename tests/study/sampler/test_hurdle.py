@@ -202,8 +202,12 @@ def test_no_improvement_counts_for_more_than_one_to_the_least_cost_of_all_worlds
 def test_a_cost_below_that_of_all_worlds_can_be_improved_on():
     model = model_of(study_of(JUMPY, [FALL, 0.5])[0])
     assert model.cost()[1] < model.least
-    found = model._log_improvement(np.array([model.cost()[1] - 0.1]), np.array([0.01]))
+    below, none = model.cost()[1] - np.array([0.1, 5.0, 6.0]), np.array([9.0, 0.0])
+    found = model._log_improvement(below, np.full(3, 0.01))
     assert np.exp(found[0]) == pytest.approx(0.1, rel=0.2)
+    assert_allclose(np.exp(found[1:]), READING, rtol=1e-4)
+    assert found[2] > found[1] + 1e-7  # of those that are sure the better one
+    assert model._log_improvement(none[:1], none[1:]) == -np.inf
 
 
 @pytest.mark.parametrize(

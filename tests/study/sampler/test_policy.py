@@ -146,13 +146,9 @@ def test_every_other_trial_is_doubtful_once_patience_is_over():
             doubtful = age >= patience and turn % 2 == 1
             assert doubts(costs, turn) is doubtful
     assert not doubts(np.array([3.0]), 1)
-    broken = np.array([1.0] + [0.0] * patience)[
-        :, None
-    ]  # the first one is no better one
+    broken = np.array([1.0] + [0.0] * patience)[:, None]
     assert not doubts(np.arange(1.0 + len(broken))[1:], 1, broken)
-    assert not doubts(
-        np.array([3.0]), 1, np.ones((1, 1))
-    )  # no trial has kept its limits
+    assert not doubts(np.array([3.0]), 1, np.ones((1, 1)))  # none kept its limits
 
 
 X, Y = np.random.default_rng(0).uniform(size=(2, 60))
@@ -366,3 +362,25 @@ def test_so_does_a_point_of_a_space():
     space = {"x": FloatDistribution(0, 1)}
     study = study_of(None, only_x, 4, space=space)
     assert whys_of(study) == [Aim.BEGIN] * 3 + [Aim.IMPROVEMENT]
+
+
+def test_a_kernel_that_asks_no_world_follows_no_ranking():
+    study = study_of(table_of(None, outcomes=FALLS), only_x, 3, kernel="euclidean")
+    assert whys_of(study) == [Aim.BEGIN] * 3
+
+
+def test_what_ran_otherwise_was_chosen_for_nothing():
+    """Optuna asks no sampler where a range has one value, and for a new range another one."""
+    grid = np.array([(a, b) for a in (0.0, 0.5, 1.0) for b in range(4)])
+    columns = {"a": grid[:, 0], "b": grid[:, 1]}
+    table = FeatureTable.from_arrays(columns, grid.sum(axis=1)[:, None])
+    study = study_of(table, strict=False)
+    with pytest.warns(UserWarning, match="^a: .* the independent sampler takes over$"):
+        study.optimize(summed(b=(0, 3), a=(0.5, 0.5)), n_trials=1)
+    assert study.trials[0].user_attrs["row"] in (4, 5, 6, 7)
+    space = {name: FloatDistribution(0, 1) for name in ("a", "b")}
+    free = study_of(None, space=space, strict=False)
+    with pytest.warns(UserWarning, match="^a: .* the independent sampler takes over$"):
+        free.optimize(summed(b=(0, 1), a=(0.5, 0.6)), n_trials=1)
+    for each in (study, free):
+        assert each.trials[0].user_attrs["why"] is None
