@@ -306,7 +306,7 @@ class Advice:
         if aim == Aim.LIMITS:
             return f"{why}; no trial had when it was chosen."
         if aim == Aim.SUCCESS and self.plan.goal.success is None:
-            return "Likeliest to cost what works in the worlds, not what fails; no trial had."
+            return "Likeliest to be of the good values that lie apart in the worlds; none was yet."
         if aim == Aim.SUCCESS:
             return f"{why}; no trial had succeeded when it was chosen."
         if aim == Aim.IMPROVEMENT:

@@ -9,6 +9,7 @@ import pytest
 from storage.inputs.errors import InputError
 from study.bench.bench import Bench
 from study.commands import bench as command
+from study.sampler.acquisition import Aim
 from tests.cases import refused
 from tests.study.bench import robot
 from tests.study.bench.robot import change, tell
@@ -158,6 +159,13 @@ def test_a_batch_is_the_next_ones_of_the_ranking(bench):
     bench.context("gravel")
     (trial,) = bench.next()
     assert trial.why.startswith(whys[0])  # nothing was told on other ground
+
+
+def test_where_nobody_said_what_a_success_is_no_sheet_speaks_of_one(path):
+    change(path, "success = 0.5\n", "")
+    bench = Bench.new(path)
+    why = bench._advice(bench.state)._why(Aim.SUCCESS)
+    assert "succe" not in why and "good values" in why
 
 
 def test_one_failure_beside_a_good_trial_leaves_the_expectation_where_the_worlds_are(
