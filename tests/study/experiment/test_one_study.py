@@ -31,7 +31,7 @@ def test_samplers_see_that_a_trial_fell_and_what_it_showed(toy):
     assert study.trials == 0 and not study.finished()
     rows = fake_walker.simulate(gains).rows
     rows["phi_printed"] = 17.0
-    assert set(study.noted()) == {"row", "score"}
+    assert set(study.noted()) == {"row", "score", "why"}
     study.tell([1.0], study.shown(rows[0], np.ones(1)) | {"mood": "good"})
     (told,) = study.finished()
     assert study.trials == told.value == 1 and list(told.params.values()) == gains
