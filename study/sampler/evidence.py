@@ -245,7 +245,7 @@ class Evidence:
         are_many = len(self.costs) >= FAMILIAR
         look_alike = self._look_alike(found)
         if not are_many and not look_alike:
-            return False
+            return False  # to ask whether costs are smooth takes long
         return are_many if self.is_smooth else look_alike
 
     def _look_alike(self, worlds: Ensemble) -> bool:

@@ -1,4 +1,4 @@
-"""First trials, turns that are left to the parameters, and one thread of BLAS."""
+"""First trials, turns that are left to the parameters, why a trial is made, one thread of BLAS."""
 
 import numpy as np
 import optuna
