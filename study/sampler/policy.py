@@ -209,13 +209,13 @@ class Policy:
             running=seen.take(np.arange(0)) if running is None else running,
             known=self.known,
             ensemble=ensemble,
-            success=self._success(history, ensemble),
+            success=self.success(history, ensemble),
             elsewhere=elsewhere,
             limits_elsewhere=None if elsewhere is None else limits[n:],
             off_grid=bool(self.options.off_grid),
         )
 
-    def _success(self, history: History, ensemble: Relation | None) -> float | None:
+    def success(self, history: History, ensemble: Relation | None) -> float | None:
         """The cost of a success; if nobody says it, what parts the costs of all worlds.
 
         Of rows alone nothing does: they have no steps that fall.

@@ -12,6 +12,7 @@ import scipy
 from storage.inputs import checks
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats
+from study.sampler.transforms import Columns, new_columns
 from study.sampler.worlds import Ensemble
 
 MOST_RANK = 512  # of K; what it leaves out counts as no covariance at all
@@ -31,6 +32,10 @@ class Alike:
         nothing = np.zeros((len(factor), 3))  # no shift, no mean, no gap
         self.columns = np.hstack([factor, nothing])  # as `transforms.Columns` has them
         self.kept: dict[Any, Any] = {}
+
+    def layout(self, features: int, coordinates: int) -> Columns:
+        """The columns of points that have `columns` between features and coordinates."""
+        return new_columns(features, coordinates, self.parts.shape[1])
 
 
 Relation = Ensemble | Alike

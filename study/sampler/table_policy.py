@@ -385,7 +385,10 @@ class TablePolicy(Policy):
         """The worlds, with costs that are minimised; None where they do not count."""
         if not self.options.kernel.related:
             return None
-        return self.rows.ensemble(history.signs, history.goals)
+        found = self.rows.ensemble(history.signs, history.goals)
+        if not isinstance(found, Ensemble):
+            return found
+        return found.with_successes(self.success(history, found))
 
     def _first_row(
         self, offered: Mask, own_turn: int, ensemble: Relation | None

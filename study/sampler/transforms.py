@@ -1,7 +1,7 @@
 """Candidates, trials and costs as a Gaussian process takes them."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 from math import sqrt
@@ -29,6 +29,9 @@ class Columns:
 
     Attributes:
         features: of the candidates themselves.
+        successes: what each world adds to the next, of rows that succeed in it; empty
+            where nothing tells successes from failures.
+        mean_of_successes: the mean cost in the worlds where a row succeeds.
         worlds: what each world adds to the mean over the worlds, or the factor of a
             similarity; without either, this and the next three are empty.
         one: a one in each row, whose multiple is the shift.
@@ -39,17 +42,31 @@ class Columns:
     """
 
     features: range
+    successes: range
+    mean_of_successes: range
     worlds: range
     one: range
     mean: range
     gap: range
     coordinates: range
 
+    @property
+    def of_successes(self) -> "Columns":
+        """The same, with what successes cost in the place of all costs."""
+        return replace(self, worlds=self.successes, mean=self.mean_of_successes)
 
-def new_columns(features: int, coordinates: int, worlds: int | None = None) -> Columns:
+
+def new_columns(
+    features: int,
+    coordinates: int,
+    worlds: int | None = None,
+    *,
+    has_successes: bool = False,
+) -> Columns:
     """The columns that follow from these counts; worlds None: nothing is known of any."""
     beside = (0, 0, 0, 0) if worlds is None else (worlds, 1, 1, 1)
-    counts = (features, *beside, coordinates)
+    of_successes = beside[:2] if has_successes else (0, 0)
+    counts = (features, *of_successes, *beside, coordinates)
     ends = accumulate(counts)
     parts = zip(ends, counts, strict=True)
     return Columns(*(range(end - count, end) for end, count in parts))

@@ -23,6 +23,7 @@ succeeded that look alike in the table's units (`Evidence.is_familiar`).
 """
 
 from collections.abc import Callable, Collection, Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -45,7 +46,9 @@ from study.sampler.covariance import FEW_WORLDS, GuessError
 from study.sampler.goals import Goals
 from study.sampler.transforms import (
     MOST,
+    Columns,
     clip_infinities,
+    new_columns,
     squarable,
     stand_ins,
     two_groups,
@@ -61,6 +64,10 @@ FARTHEST = 1e6  # standard deviations: what is farther is taken for it: sums of 
 # Of the variance of all costs in all worlds, that between two groups, from which on they are
 # two: 0.84 to 0.87 of walkers that walk or fall, 0.7 of one whose cost has no jump there.
 LEAST_APART = 0.8
+# Worlds at the mean of all successes, that are added to those where a row succeeds: one
+# success of many tells little of the row.
+EXPECTED_WORLDS = 2.0
+LEAST_SPREAD = 1e-9  # of successes, in standard deviations of the table, that is one
 LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for it
 
 
@@ -293,6 +300,65 @@ class Ensemble:
         shift, gap = np.ones(len(own)), np.zeros(len(own))
         self.columns = np.column_stack([self.parts, shift, self.mean, gap])
         self.weights = worlds.weights
+        # What the same rows cost in the worlds where they succeed: `with_successes`.
+        self.of_successes: Ensemble | None = None
+        self.is_of_successes = False
+
+    def with_successes(self, success: float | None) -> "Ensemble":
+        """The same worlds, which also tell what a row costs in those where it succeeds.
+
+        Where costs jump, failures hide what successes cost: the mean over the worlds is
+        the share of failures, and little else. So rows have the mean of their costs in
+        the worlds where they succeed, and what each of these adds to it, in units of the
+        successes of the whole table.
+
+        Args:
+            success: cost up to which a trial has succeeded; None: nothing says it.
+
+        Returns:
+            Itself where costs do not jump, no world has a success, or goals were drawn.
+        """
+        if success is None or self.is_drawn or not self.reaches(success):
+            return self
+        if not self.jumps:
+            return self
+        if success not in self.kept:
+            self.kept[success] = self._with_successes(success)
+        found: Ensemble = self.kept[success]
+        return found
+
+    def _with_successes(self, success: float) -> "Ensemble":
+        told = self.told(self.columns)
+        succeeds = told <= self.standard(np.array([success]))
+        middle, spread = float(told[succeeds].mean()), float(told[succeeds].std())
+        unit = spread if spread > LEAST_SPREAD else 1.0
+        own = (told - middle) / unit
+        share = np.where(succeeds, self.weights, 0.0)
+        expected = EXPECTED_WORLDS / len(self.names)
+        successes, both = copy(self), copy(self)
+        successes.kept, both.kept = {}, {}
+        successes._middle += self._unit * middle
+        successes._unit *= unit
+        successes.ends = float(own[succeeds].min()), float(own[succeeds].max())
+        successes.mean = (share * own).sum(axis=1) / (share.sum(axis=1) + expected)
+        away = np.where(succeeds, own - successes.mean[:, None], 0.0)
+        successes.parts = away * np.sqrt(self.weights)
+        successes.is_of_successes = True
+        vars(successes).pop("guess_error", None)  # that was of all costs
+        told_of_both = [successes.parts, successes.mean, self.columns]
+        both.columns = successes.columns = np.column_stack(told_of_both)
+        both.of_successes = successes
+        return both
+
+    def layout(self, features: int, coordinates: int) -> Columns:
+        """The columns of points that have `columns` between features and coordinates."""
+        found = new_columns(
+            features,
+            coordinates,
+            len(self.names),
+            has_successes=self.is_of_successes or self.of_successes is not None,
+        )
+        return found.of_successes if self.is_of_successes else found
 
     def reaches(self, cost: float) -> bool:
         """Whether some row costs no more than this in some world."""

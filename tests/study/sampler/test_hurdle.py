@@ -1,7 +1,5 @@
 """Where costs jump, a candidate's chance to succeed counts, and what it costs if it does."""
 
-from dataclasses import replace
-
 import numpy as np
 import optuna
 import pytest
@@ -10,10 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.acquisition import LOG_NO_GAIN
-from study.sampler.covariance import FEW_WORLDS
-from study.sampler.evidence import FEW_SUCCESSES
-from study.sampler.unlike import READING
-from study.sampler.worlds import Ensemble, Worlds
+from study.sampler.worlds import EXPECTED_WORLDS, Ensemble, Worlds
 from tests.study.sampler.studies import model_of, told
 
 D, ROWS, WORLDS = 3, 300, 12
@@ -28,8 +23,7 @@ LONELY = np.where(RNG.random((ROWS, 1)) < 0.2, COSTS, 30.0 + 30.0 * COSTS)
 # Costs jump from row to row, and are one group.
 JAGGED = np.exp(RNG.uniform(0.0, 4.0, (ROWS, 1)) * np.ones(WORLDS))
 FALL, SUCCESS = 50.0, 10.0
-APART = np.linspace(1.5, 6.0, FEW_SUCCESSES).tolist()
-ALIKE = np.linspace(1.5, 1.51, FEW_SUCCESSES).tolist()
+APART = [1.5, 3.0, 4.5, 6.0]
 
 
 def study_of(outcomes, costs, limits=(), **options):
@@ -54,30 +48,30 @@ def points_of(table, model):
     [
         (JUMPY, [FALL, *APART], {}, True),
         (JUMPY, APART, {}, True),
-        (JUMPY, [FALL, *APART[1:]], {}, False),
+        (JUMPY, [FALL, 3.0], {}, True),
+        (JUMPY[:, :1], [FALL, 3.0], {}, True),
         (LONELY, [FALL, 3.0], {}, True),
-        (LONELY[:, : FEW_WORLDS - 1], [FALL, 3.0], {}, False),
         (LONELY, [FALL, FALL], {}, False),
         (LONELY, [FALL, 3.0], {"success": None}, True),
         (JAGGED, [FALL, 3.0], {"success": None}, False),
-        (LONELY, [FALL, 3.0], {"off_grid": 0}, False),
+        (LONELY, [FALL, 3.0], {"off_grid": 0}, True),
         (LONELY, [FALL, 3.0], {"off_grid": 0, "success": None}, False),
         (COSTS, [FALL, *APART], {}, False),
-        (JUMPY, [FALL, *ALIKE], {}, False),
+        (JUMPY, [FALL, 0.5], {"success": 0.6}, False),
     ],
     ids=[
         "four successes",
         "no failure",
-        "three",
+        "one success",
+        "one world",
         "one where rows tell nothing",
-        "and worlds are few",
         "none yet",
         "no success is told, and costs are two groups",
         "no success is told, and costs are one group",
         "rows alone",
         "rows alone, and no success is told",
         "smooth",
-        "in units of the trials",
+        "no world has a success",
     ],
 )
 def test_when_trials_that_succeeded_have_a_model_of_their_own(
@@ -88,8 +82,31 @@ def test_when_trials_that_succeeded_have_a_model_of_their_own(
     assert (successes is not None) is is_asked
     if successes is not None:
         assert_array_equal(successes.costs, [cost for cost in costs if cost < FALL])
-        assert successes.of_table is None
         assert successes.of_successes is None
+
+
+@pytest.mark.parametrize("outcomes", [JUMPY, np.hstack([JUMPY[:, :3], LONELY])])
+def test_rows_have_the_mean_of_their_costs_in_the_worlds_where_they_succeed(outcomes):
+    """In units of all successes; two worlds at the mean of these are added to each row."""
+    study, table = study_of(outcomes, [FALL, 3.0])
+    model = model_of(study)
+    columns, seen = model.columns, points_of(table, model).matrix
+    own = model.ensemble.standard(outcomes)
+    every = own[outcomes <= SUCCESS]
+    middle, unit, count = every.mean(), every.std(), outcomes.shape[1]
+    told = (model.ensemble.standard(np.array([3.0])) - middle) / unit
+    assert_allclose(model.of_successes.cost(), told)
+    for row in range(0, ROWS, 7):
+        succeeds = outcomes[row] <= SUCCESS
+        costs = (own[row] - middle) / unit
+        mean = costs[succeeds].sum() / (succeeds.sum() + EXPECTED_WORLDS)
+        away = np.where(succeeds, costs - mean, 0.0) / np.sqrt(count)
+        assert_allclose(seen[row, columns.mean_of_successes], [mean])
+        assert_allclose(seen[row, columns.successes], away, atol=1e-12)
+    of_successes = model.of_successes.columns
+    assert of_successes.worlds == columns.successes
+    assert of_successes.mean == columns.mean_of_successes
+    assert (of_successes.one, of_successes.gap) == (columns.one, columns.gap)
 
 
 def test_without_a_success_the_costs_of_all_worlds_are_parted():
@@ -185,49 +202,24 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
     assert_allclose(utility[unlikely] - chances, LOG_NO_GAIN, rtol=1e-6)
 
 
-def test_no_improvement_counts_for_more_than_one_to_the_least_cost_of_all_worlds():
-    """Beside SciPy's integral of what is gained at each cost."""
-    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
-    assert model.least == model.ensemble.ends[0] < model.cost()[1]
-    mean, sd = RNG.uniform(-2.0, 2.0, 20), RNG.uniform(0.05, 2.0, 20)
-    found = np.exp(model._log_improvement(mean, sd**2))
-    best, least = model.cost()[1], model.least - READING
-    for place, expected in enumerate(found):
-        cost = scipy.stats.norm(mean[place], sd[place])
-        gain = cost.expect(lambda f: best - f, lb=least, ub=best)
-        gain += (best - least) * cost.cdf(least)
-        assert_allclose(expected, gain, rtol=1e-6, atol=1e-12)
+def test_costs_that_hardly_differ_in_the_table_are_told_apart_by_those_of_successes():
+    """Beside falls that cost a thousand times as much two walks look alike.
+
+    The row that costs least where it succeeds is found, though it fails as often.
+    """
+    costs = np.where(JUMPY < 20.0, JUMPY, 1000.0)
+    study, table = study_of(costs, [1.3])
+    model = model_of(study)
+    points = points_of(table, model)
+    utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
+    mean = np.where(costs < 20.0, costs, np.nan)
+    best = np.argsort(np.nanmean(mean, axis=1))[: ROWS // 10]
+    assert np.argmax(utility) in best
 
 
-def test_a_cost_below_that_of_all_worlds_can_be_improved_on():
-    model = model_of(study_of(JUMPY, [FALL, 0.5])[0])
-    assert model.cost()[1] < model.least
-    below, none = model.cost()[1] - np.array([0.1, 5.0, 6.0]), np.array([9.0, 0.0])
-    found = model._log_improvement(below, np.full(3, 0.01))
-    assert np.exp(found[0]) == pytest.approx(0.1, rel=0.2)
-    assert_allclose(np.exp(found[1:]), READING, rtol=1e-4)
-    assert found[2] > found[1] + 1e-7  # of those that are sure the better one
-    assert model._log_improvement(none[:1], none[1:]) == -np.inf
-
-
-@pytest.mark.parametrize(
-    ("outcomes", "costs"),
-    [
-        (LONELY, [FALL, 3.0]),
-        (JUMPY[:, : FEW_WORLDS - 1], [FALL, 3.0]),
-        (COSTS, [2.0, 3.0]),
-        (JUMPY, [FALL, *ALIKE]),
-    ],
-    ids=["rows tell nothing", "few worlds", "smooth", "in units of the trials"],
-)
-def test_elsewhere_the_worlds_do_not_bound_it(outcomes, costs):
-    assert model_of(study_of(outcomes, costs)[0]).least is None
-
-
-def test_nor_do_they_bound_a_goal_that_was_drawn_for_a_trial():
-    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
+def test_goals_that_were_drawn_for_a_trial_have_no_successes():
     drawn = Ensemble(Worlds.of(JUMPY), JUMPY)
-    assert model.least is not None and replace(model, ensemble=drawn).least is None
+    assert drawn.with_successes(SUCCESS) is drawn
 
 
 def test_failures_do_not_say_what_successes_cost():
