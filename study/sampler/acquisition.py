@@ -48,6 +48,10 @@ LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
 MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
 CACHED_CONSTANTS = 16
+# Where costs jump, chances of success are less extreme than a normal distribution says:
+# log odds = a + b (log odds said). Round numbers near the best of 2,146 proposals for Ant and
+# for made-up machines; those for Walker2d, not looked at before, gained as much.
+ODDS = (-0.5, 0.7)
 # What is likelier to fail than to succeed is the last that a hurdle takes. Without this
 # half of its proposals for walkers that limp had a chance below 0.05, and gained next to
 # nothing; for Ant those below 0.7 gained a third of what others did.
@@ -170,6 +174,7 @@ class Model(Evidence):
             costs=self.costs[own],
             limits=self.limits[own],
             ensemble=self.successes,
+            familiar=None,
         )
 
     @cached_property
@@ -335,7 +340,7 @@ class Model(Evidence):
             return log_chance_kept  # nothing to improve on: first find a candidate that holds
         mean, variance = self._costs_at(points)
         if self.of_successes is not None:
-            log_chance = self._log_chance_of_success(mean, variance)
+            log_chance = as_it_happens(self._log_chance_of_success(mean, variance))
             mean, variance = self.of_successes._costs_at(points)
             log_gain = self.of_successes._log_improvement(mean, variance)
             log_gain[log_chance < LOG_EVEN] = LOG_NO_GAIN
@@ -365,6 +370,14 @@ class Model(Evidence):
         """Their log expected improvement on the best trial that kept its limits, [m]."""
         best = float(self.cost()[self.feasible].min())
         return log_expected_improvement(mean, np.sqrt(variance), best)
+
+
+def as_it_happens(log_chance: Floats) -> Floats:
+    """The log chance of what is said to have this one, [m]: see `ODDS`."""
+    shift, slope = ODDS
+    with np.errstate(divide="ignore"):  # what is sure stays sure
+        log_odds = log_chance - np.log(-np.expm1(log_chance))
+    return np.asarray(scipy.special.log_expit(shift + slope * log_odds))
 
 
 def along_feature(

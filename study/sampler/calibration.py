@@ -31,7 +31,7 @@ from math import sqrt
 import numpy as np
 import scipy
 
-from study.sampler.acquisition import Model
+from study.sampler.acquisition import ODDS, Model
 from study.sampler.arrays import Floats, Mask
 from study.sampler.gp import Posterior
 from study.sampler.transforms import Points
@@ -80,10 +80,8 @@ COST_UNLIKE = replace(COST, scale=1.8)
 # Limits are smoother than costs, and proposals are not chosen by how far below they are.
 # What the first trials show of the scale is of a model that had hardly learned.
 LIMIT = Expected(bias=0.0, bias_trials=16.0, scale=1.0, scale_trials=12.0, freedom=30.0)
-# Of the log odds of success, shift and slope, before anything has happened. They are round
-# numbers near the best of 2,146 proposals for Ant and for made-up machines whose costs
-# jump; those for Walker2d, not looked at before, gained as much.
-ODDS_MODES = np.array([-0.5, 0.7])
+# Of the log odds of success, shift and slope, before anything has happened.
+ODDS_MODES = np.array(ODDS)
 ODDS_SDS = np.array([1.0, 0.25])
 LEAST_SLOPE = 0.1
 MOST_LOG_ODDS = 6.0  # that are learned from

@@ -10,7 +10,7 @@ comes to these decisions in this order:
 | `only_falls` | failures may be chance: their noise is expected to be large |
 | `is_lost` | which world the robot is like counts little; every other trial goes anywhere |
 | `successes` | one is no noise among failures, and what they cost has a process of its own |
-| `is_familiar` | smooth costs count in units of the trials, no longer of the table |
+| `is_familiar` | smooth costs, or successes, count in units of the trials, no longer of the table |
 | `rows_fail` | rows are left for points near the trials |
 
 Beside features without worlds there is one: `has_stalled`.
@@ -206,18 +206,19 @@ class Evidence:
     def is_familiar(self) -> bool:
         """Whether trials tell better than the table how far this robot's costs lie apart.
 
-        Of smooth costs a table knows the form, and `FAMILIAR` trials tell how far this
-        robot's lie apart: then they count by `log_excess`, in their own standard
-        deviations. That tells costs near the best apart, where a robot unlike all
-        worlds differs from them most.
+        Of smooth costs, and of those of successes, a table knows the form, and `FAMILIAR`
+        trials tell how far this robot's lie apart: then they count by `log_excess`, in
+        their own standard deviations. That tells costs near the best apart, where a robot
+        unlike all worlds differs from them most.
         """
         found = self.ensemble
         if not isinstance(found, Ensemble) or not found.in_costs:
             return False
         if self.familiar is not None:
             return self.familiar
-        # To ask whether costs are smooth takes long.
-        return len(self.costs) >= FAMILIAR and self.is_smooth
+        if len(self.costs) < FAMILIAR:
+            return False  # to ask whether costs are smooth takes long
+        return found.is_of_successes or self.is_smooth
 
     @property
     def is_smooth(self) -> bool:
