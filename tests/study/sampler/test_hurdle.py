@@ -7,7 +7,9 @@ import scipy
 from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import LOG_NO_GAIN
+from study.sampler.acquisition import LOG_NO_GAIN, ODDS, as_it_happens
+from study.sampler.evidence import FAMILIAR
+from study.sampler.transforms import log_excess
 from study.sampler.worlds import EXPECTED_WORLDS, Ensemble, Worlds
 from tests.study.sampler.studies import model_of, told
 
@@ -176,7 +178,9 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
 
     mean, sd = costs_by(model)
     (goal,) = model.ensemble.standard(np.array([SUCCESS]))
-    success = scipy.stats.norm.cdf(goal, mean, sd)
+    said = scipy.stats.norm.cdf(goal, mean, sd)
+    shift, slope = ODDS
+    success = scipy.special.expit(shift + slope * scipy.special.logit(said))
     kept = np.ones(ROWS)
     assert len(model.limit_posteriors) == (1 if limits else 0)
     for posterior in model.limit_posteriors.values():
@@ -215,6 +219,32 @@ def test_costs_that_hardly_differ_in_the_table_are_told_apart_by_those_of_succes
     mean = np.where(costs < 20.0, costs, np.nan)
     best = np.argsort(np.nanmean(mean, axis=1))[: ROWS // 10]
     assert np.argmax(utility) in best
+
+
+def test_eight_successes_have_units_of_their_own():
+    """As smooth costs have; the chance of one stays in those of the table."""
+    successes = np.linspace(1.5, 3.0, FAMILIAR)
+    for count in (FAMILIAR - 1, FAMILIAR):
+        model = model_of(study_of(JUMPY, [FALL, *successes[:count]])[0])
+        own = model.of_successes
+        assert not model.is_familiar
+        assert own.is_familiar is (count == FAMILIAR)
+        costs = log_excess(own.costs, own.costs)
+        if not own.is_familiar:
+            costs = own.ensemble.standard(own.costs)
+        assert_allclose(own.cost(), costs)
+
+
+def test_a_chance_counts_as_such_chances_come_true():
+    said = np.array([0.0, 1e-9, 0.1, 0.5, 0.9, 1.0 - 1e-9, 1.0])
+    with np.errstate(divide="ignore"):
+        found = np.exp(as_it_happens(np.log(said)))
+    shift, slope = ODDS
+    expected = 1.0 / (
+        1.0 + np.exp(-shift) * ((1.0 - said) / np.maximum(said, 1e-99)) ** slope
+    )
+    assert_allclose(found, expected, rtol=1e-6, atol=1e-60)
+    assert found[-1] == 1.0
 
 
 def test_goals_that_were_drawn_for_a_trial_have_no_successes():
