@@ -479,7 +479,7 @@ def _read_kept(
 
     The walker's, which come beside others, it has read itself.
     """
-    if "kept" in table.unread:
+    if table.has("kept"):
         named = table.texts("kept", tuple(simulator.scores))
         return tuple(dict.fromkeys((simulator.survived, *named)))
     worlds = sum(family.settings for family in families)

@@ -18,13 +18,14 @@ import gc
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
 from io import TextIOWrapper
 from types import FrameType
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from storage.inputs.errors import InputError
 
@@ -69,11 +70,17 @@ def main(words: Sequence[str] | None = None) -> None:
         name, *rest = words
         options = parser_of(name).parse_args(rest)
         command = import_module(f"study.commands.{name.replace('-', '_')}")
+    warnings.formatwarning = warning_line
     # `taichi_nmm.__main__` looks for no garbage while it imports: nothing of it is.
     if not gc.isenabled():
         gc.freeze()
         gc.enable()
     run_command(lambda: command.main(options))
+
+
+def warning_line(message: Warning | str, *_: Any, **__: Any) -> str:
+    """A warning as commands print it: where in the code it arose helps nobody there."""
+    return f"warning: {message}\n"
 
 
 def run_command(work: Callable[[], None]) -> None:

@@ -143,7 +143,7 @@ def read_fixed(table: Table) -> tuple[float, ...]:
     Raises:
         InputError: another value, or nothing is left to search.
     """
-    if "fixed_gains" not in table.unread:
+    if not table.has("fixed_gains"):
         return ()
     if isinstance(table.unread["fixed_gains"], dict):
         given = table.table("fixed_gains")

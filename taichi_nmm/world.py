@@ -487,7 +487,7 @@ def _read_muscles(table: Table, low: float, high: float) -> tuple[float, ...]:
 
 
 def _read_prosthesis(world: Table) -> Prosthesis | None:
-    if "prosthesis" not in world.unread:
+    if not world.has("prosthesis"):
         return None
     table = world.table("prosthesis")
     side = table.text("side", choices=SIDES)
@@ -509,7 +509,7 @@ def _read_exoskeleton(table: Table) -> Exoskeleton:
 
 
 def _read_event(world: Table, name: str, kind: type[Event]) -> Event | None:
-    if name not in world.unread:
+    if not world.has(name):
         return None
     table = world.table(name)
     numbers = {

@@ -31,7 +31,9 @@ class Table:
         self._mistakes = mistakes
         self._data = dict(data)
         self._name = name
-        self._known: list[str] = []
+        self._known: dict[
+            str, None
+        ] = {}  # keys in the order in which they were asked for
         # else a mistaken word, such as a kind, tells which there are
         self._has_all_keys = True
         self._tables: dict[str, Table] = {}
@@ -39,6 +41,11 @@ class Table:
     def path(self, key: str) -> str:
         """The key with the tables it lies in, as errors name it."""
         return f"{self._name}.{key}" if self._name else key
+
+    def has(self, key: str) -> bool:
+        """Whether a key that may be missing is there, and not read yet; errors name it then."""
+        self._known[key] = None
+        return key in self._data
 
     def number(
         self,
@@ -137,7 +144,7 @@ class Table:
         return check(self.path(key), self._take(key, default))
 
     def _take(self, key: str, default: Any) -> Any:
-        self._known.append(key)
+        self._known[key] = None
         if key in self._data:
             return self._data.pop(key)
         if default is REQUIRED:

@@ -55,8 +55,8 @@ def read_column(table: Table) -> Column:
     """A column of a bench's file."""
     column = Column(
         unit=table.text("unit", ""),
-        least=table.number("least") if "least" in table.unread else -math.inf,
-        most=table.number("most") if "most" in table.unread else math.inf,
+        least=table.number("least") if table.has("least") else -math.inf,
+        most=table.number("most") if table.has("most") else math.inf,
         worlds=table.texts("worlds"),
     )
     table.done()

@@ -358,7 +358,7 @@ def _plan_of(table: Table, path: Path) -> Plan:
         ),
         off_grid=(
             table.integer("off_grid", low=0, high=MOST_OFF_GRID)
-            if "off_grid" in table.unread
+            if table.has("off_grid")
             else None
         ),
         url=_url(table.table("storage"), path, name),
@@ -377,7 +377,7 @@ def _plan_of(table: Table, path: Path) -> Plan:
 
 def _url(table: Table, path: Path, name: str) -> str:
     """The URL of the database of a bench of this file and name."""
-    is_named = "url" in table.unread
+    is_named = table.has("url")
     url = table.text("url", file_url(path.with_suffix(".db")))
     shown_url(url)  # refuses what is no study database
     return _beside(path, url, name) if is_named else url
@@ -405,17 +405,22 @@ def _goal(table: Table) -> Goal:
     duration_s = table.number("duration_s", 0.0, 0.0)
     at_once = _number(table, "failed_at_once", None)
     at_end = _number(table, "failed_at_end", None)
+    value, maximise = table.text("value", "value"), table.boolean("maximise", False)
+    table.done()
     failed = None
-    if at_once is not None and at_end is not None and duration_s > 0.0:
-        failed = (at_once, at_end)
-    elif at_once is not None or at_end is not None:
+    if at_once is not None or at_end is not None:
         allowed = (
-            "all of failed_at_once, failed_at_end and duration_s (above 0), or none"
+            "given, as all of failed_at_once, failed_at_end and duration_s (above 0)"
         )
-        raise InputError("goal", "a part", allowed)
+        if at_once is None or at_end is None:
+            key = "failed_at_once" if at_once is None else "failed_at_end"
+            raise InputError(f"goal.{key}", "missing", allowed)
+        if duration_s == 0.0:
+            raise InputError("goal.duration_s", "missing or 0", allowed)
+        failed = (at_once, at_end)
     return Goal(
-        value=table.text("value", "value"),
-        maximise=table.boolean("maximise", False),
+        value=value,
+        maximise=maximise,
         success=success,
         failed=failed,
         duration_s=duration_s or math.inf,
@@ -435,7 +440,7 @@ def _safety(table: Table) -> Safety:
 
 def _number(table: Table, key: str, missing: Missing) -> float | Missing:
     """The number of a key that may be missing."""
-    return table.number(key) if key in table.unread else missing
+    return table.number(key) if table.has(key) else missing
 
 
 def require_failures(goal: Goal, simulated: Sequence[float] | None) -> None:

@@ -299,7 +299,9 @@ class _Left:
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         try:
             for robot, unknown in [*alone, *strange]:
-                told.append(self._tried(robot, unknown))
+                # What is odd about the table was said of all its worlds.
+                with warnings.catch_warnings(action="ignore", category=UserWarning):
+                    told.append(self._tried(robot, unknown))
                 if report is not None:
                     report(len(told), len(alone) + len(strange))
         except KeyboardInterrupt:
@@ -326,8 +328,7 @@ class _Left:
                 if len(limit.without(unknown).names)
             },
         )
-        with warnings.catch_warnings(action="ignore", category=UserWarning):
-            table = FeatureTable(known)
+        table = FeatureTable(known)
         sampler = FeatureKernelSampler(table, off_grid=0, **self._options)
         direction = (
             StudyDirection.MAXIMIZE if self._maximise else StudyDirection.MINIMIZE

@@ -323,7 +323,7 @@ class TablePolicy(Policy):
         )
 
     def _warn_of_success(self, history: History) -> None:
-        """Warn where no world has a success: it may be in another unit, or of another sign.
+        """Warn where no row has a success in any world, or all have: its unit or sign may be wrong.
 
         Not beside infinite outcomes, for which numbers stand in.
         """
@@ -333,11 +333,16 @@ class TablePolicy(Policy):
         worlds = self._ensemble(history)
         if not isinstance(worlds, Ensemble) or not worlds.in_costs:
             return
-        if worlds.reaches(history.sign * success):
+        best, worst = history.sign * worlds.costs(np.array(worlds.ends))
+        cost = history.sign * success
+        if not worlds.reaches(cost):
+            what = f"is better than all that any world has, {best:.4g} at best"
+        elif worlds.all_reach(cost):
+            what = f"is reached by all rows in all worlds, {worst:.4g} at worst"
+        else:
             return
-        (best,) = history.sign * worlds.costs(np.array([worlds.ends[0]]))
         self.warn(
-            f"success: {success:g} is better than all that any world has, {best:.4g} at best;"
+            f"success: {success:g} {what};"
             " is it in the unit of the outcomes, and good where they are?"
         )
 

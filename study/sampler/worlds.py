@@ -364,6 +364,10 @@ class Ensemble:
         """Whether some row costs no more than this in some world."""
         return bool(self.standard(np.array([cost]))[0] >= self.ends[0])
 
+    def all_reach(self, cost: float) -> bool:
+        """Whether no row costs more than this in any world."""
+        return bool(self.standard(np.array([cost]))[0] >= self.ends[1])
+
     @cached_property
     def parting(self) -> float | None:
         """The cost between what works and what fails; None where costs do not jump, or not so.

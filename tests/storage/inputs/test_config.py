@@ -83,6 +83,14 @@ def test_values_within_range_are_returned_and_defaults_of_missing_keys():
     table.done()
 
 
+def test_a_key_that_may_be_missing_is_among_those_that_are_allowed():
+    table = Table({"succes": 1.0, "most": 2.0})
+    assert table.has("most") and not table.has("success")
+    table.number("most")
+    error = refused(table.done)
+    assert (error.field, error.allowed) == ("succes", "only the keys most, success")
+
+
 PAIR = "[lowest, highest], two numbers from 0 to 9"
 NAN, INF = float("nan"), float("inf")
 BAD_VALUES = [

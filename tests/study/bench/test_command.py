@@ -464,3 +464,18 @@ def test_errors_of_past_predictions_are_computed_once(asked, monkeypatch):
     asked("record 2 --value 0.7")
     asked("next")
     assert numbers == [2]
+
+
+def test_a_warning_of_the_sampler_is_one_line_and_is_not_repeated_by_the_forecast(
+    folder,
+):
+    robot.change(folder / "walk.toml", "success = 0.5", "success = -25")
+    robot.change(folder / "walk.toml", "about =", "# about =")
+    commands = ("new walk.toml", "next --batch 2")
+    told = [
+        finish(start("bench", *words.split(), program=("-m", "taichi_nmm"))).error
+        for words in commands
+    ]
+    line = "warning: success: -25 is better than all that any world has, "
+    assert [text.count("success: -25 is") for text in told] == [0, 1]
+    assert told[1].startswith(line) and told[1].count("\n") == 1

@@ -174,6 +174,11 @@ TRIALS = {
         {"success": 0.9},
         both,
     ),
+    "success: … is reached by all rows in all worlds, …": (
+        FeatureTable.from_arrays(PARAMETERS, outcomes=[3.0, 1.0, 2.0]),
+        {"success": 3.0},
+        both,
+    ),
 }
 TWO_GOALS = {
     "success: … allowed: none in a study of … goals": (TABLE, {"success": 1.0}),
