@@ -319,7 +319,9 @@ class Model(Evidence):
 
     def _merit(self, points: Points) -> Floats:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
-        seen = self.trials.features
+        seen, columns = self.trials.features.copy(), self.columns
+        # Of what successes cost this line knows nothing.
+        seen[:, columns.successes.start : columns.mean_of_successes.stop] = 0.0
         n, k = seen.shape
         residual = self.posterior.y[:n]  # less what running trials are believed to show
         if k <= n:
