@@ -18,8 +18,10 @@ units than the study's values (shares survived, scores) tell which rows are bett
 what they cost: there is no shift then.
 
 Where costs are smooth functions of the parameters, and some trials are done, a trial's
-cost counts by the logarithm of its excess over the best one, as it does where some have
-succeeded that look alike in the table's units (`Evidence.is_familiar`).
+cost counts by the logarithm of its excess over the best one (`Evidence.is_familiar`).
+Where they jump, as where walkers fall, m is all but the share of the worlds in which a row
+fails. What it costs if it succeeds is then told by a second process, whose m and d are of
+the worlds where it does (`Ensemble.with_successes`).
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -328,6 +330,14 @@ class Ensemble:
         return found
 
     def _with_successes(self, success: float) -> "Ensemble":
+        successes, both = self._among_successes(success), copy(self)
+        columns = [successes.parts, successes.mean, self.columns]
+        # Points have one matrix, of which each process takes its own columns.
+        both.columns = successes.columns = np.column_stack(columns)
+        both.of_successes, both.kept = successes, {}
+        return both
+
+    def _among_successes(self, success: float) -> "Ensemble":
         told = self.told(self.columns)
         succeeds = told <= self.standard(np.array([success]))
         middle, spread = float(told[succeeds].mean()), float(told[succeeds].std())
@@ -335,20 +345,17 @@ class Ensemble:
         own = (told - middle) / unit
         share = np.where(succeeds, self.weights, 0.0)
         expected = EXPECTED_WORLDS / len(self.names)
-        successes, both = copy(self), copy(self)
-        successes.kept, both.kept = {}, {}
-        successes._middle += self._unit * middle
-        successes._unit *= unit
-        successes.ends = float(own[succeeds].min()), float(own[succeeds].max())
-        successes.mean = (share * own).sum(axis=1) / (share.sum(axis=1) + expected)
-        away = np.where(succeeds, own - successes.mean[:, None], 0.0)
-        successes.parts = away * np.sqrt(self.weights)
-        successes.is_of_successes = True
-        vars(successes).pop("guess_error", None)  # that was of all costs
-        told_of_both = [successes.parts, successes.mean, self.columns]
-        both.columns = successes.columns = np.column_stack(told_of_both)
-        both.of_successes = successes
-        return both
+
+        found = copy(self)
+        found.is_of_successes, found.kept = True, {}
+        vars(found).pop("guess_error", None)  # that was of all costs
+        found._middle += self._unit * middle
+        found._unit *= unit
+        found.ends = float(own[succeeds].min()), float(own[succeeds].max())
+        found.mean = (share * own).sum(axis=1) / (share.sum(axis=1) + expected)
+        away = np.where(succeeds, own - found.mean[:, None], 0.0)
+        found.parts = away * np.sqrt(self.weights)
+        return found
 
     def layout(self, features: int, coordinates: int) -> Columns:
         """The columns of points that have `columns` between features and coordinates."""

@@ -111,6 +111,23 @@ def test_rows_have_the_mean_of_their_costs_in_the_worlds_where_they_succeed(outc
     assert (of_successes.one, of_successes.gap) == (columns.one, columns.gap)
 
 
+def test_what_successes_cost_is_a_process_over_columns_of_their_own():
+    """Beside its formula; between rows and candidates as among rows."""
+    study, table = study_of(JUMPY, [FALL, 3.0, 2.0])
+    model = model_of(study).of_successes
+    own, columns = model.posterior, model.columns
+    x = points_of(table, model).matrix[:40]
+    (_, like, _), (_, ranking, _), (_, shift, _), (_, near, scales) = (
+        own.covariance.valued(own.theta)
+    )
+    d, m, u = x[:, columns.worlds], x[:, columns.mean], x[:, columns.coordinates]
+    away = (u[:, None] - u) / scales
+    expected = like * d @ d.T + ranking * m @ m.T + shift
+    expected += near * np.exp(-0.5 * (away**2).sum(axis=2))
+    assert_allclose(own.covariance.gram(own.theta, x)[0], expected)
+    assert_allclose(own.covariance.towards(own.theta, x, np.float64)(x), expected)
+
+
 def test_without_a_success_the_costs_of_all_worlds_are_parted():
     """Every trial is as with any success between the groups, but no chance is told."""
     for outcomes in (JUMPY, LONELY):
