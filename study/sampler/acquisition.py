@@ -56,7 +56,8 @@ ODDS = (-0.5, 0.7)
 # half of its proposals for walkers that limp had a chance below 0.05, and gained next to
 # nothing; for Ant those below 0.7 gained a third of what others did.
 LOG_EVEN = np.log(0.5)
-LOG_NO_GAIN = -1e3  # below that of any candidate that is worth a trial
+LOG_NO_GAIN = -1e3
+LOG_LEAST_GAIN = -5e2  # what is less is as little
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
 REFITS = ((32, 1), (128, 4), (np.inf, 16))
@@ -345,6 +346,7 @@ class Model(Evidence):
             log_chance = as_it_happens(self._log_chance_of_success(mean, variance))
             mean, variance = self.of_successes._costs_at(points)
             log_gain = self.of_successes._log_improvement(mean, variance)
+            np.maximum(log_gain, LOG_LEAST_GAIN, out=log_gain)
             log_gain[log_chance < LOG_EVEN] = LOG_NO_GAIN
             return log_chance + log_gain + log_chance_kept
         if self.success is not None and not self.succeeded.any():

@@ -87,19 +87,29 @@ def test_when_trials_that_succeeded_have_a_model_of_their_own(
         assert successes.of_successes is None
 
 
-@pytest.mark.parametrize("outcomes", [JUMPY, np.hstack([JUMPY[:, :3], LONELY])])
-def test_rows_have_the_mean_of_their_costs_in_the_worlds_where_they_succeed(outcomes):
+@pytest.mark.parametrize(
+    ("outcomes", "success"),
+    [
+        (JUMPY, SUCCESS),
+        (np.hstack([JUMPY[:, :3], LONELY]), SUCCESS),
+        (np.round(5.0 * JUMPY) / 5.0, 1.4),
+    ],
+    ids=["jumpy", "other rows", "some cost as much as a success"],
+)
+def test_rows_have_the_mean_of_their_costs_in_the_worlds_where_they_succeed(
+    outcomes, success
+):
     """In units of all successes; two worlds at the mean of these are added to each row."""
-    study, table = study_of(outcomes, [FALL, 3.0])
+    study, table = study_of(outcomes, [FALL, 1.3], success=success)
     model = model_of(study)
     columns, seen = model.columns, points_of(table, model).matrix
     own = model.ensemble.standard(outcomes)
-    every = own[outcomes <= SUCCESS]
+    every = own[outcomes <= success]
     middle, unit, count = every.mean(), every.std(), outcomes.shape[1]
-    told = (model.ensemble.standard(np.array([3.0])) - middle) / unit
+    told = (model.ensemble.standard(np.array([1.3])) - middle) / unit
     assert_allclose(model.of_successes.cost(), told)
     for row in range(0, ROWS, 7):
-        succeeds = outcomes[row] <= SUCCESS
+        succeeds = outcomes[row] <= success
         costs = (own[row] - middle) / unit
         mean = costs[succeeds].sum() / (succeeds.sum() + EXPECTED_WORLDS)
         away = np.where(succeeds, costs - mean, 0.0) / np.sqrt(count)
@@ -236,6 +246,30 @@ def test_costs_that_hardly_differ_in_the_table_are_told_apart_by_those_of_succes
     mean = np.where(costs < 20.0, costs, np.nan)
     best = np.argsort(np.nanmean(mean, axis=1))[: ROWS // 10]
     assert np.argmax(utility) in best
+
+
+def test_a_success_may_be_the_best_that_any_world_has():
+    least = float(JUMPY.min())
+    study, table = study_of(JUMPY, [FALL, least], success=least)
+    assert model_of(study).of_successes is not None
+    assert study.ask(table.rows.space.as_dict()).params
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-9, 1e-3])
+def test_what_is_likelier_to_fail_comes_last_though_no_success_is_an_improvement(
+    spread,
+):
+    """Where successes hardly differ in the table, none of its rows may promise any."""
+    walks = 1.0 + spread * RNG.random((ROWS, WORLDS))
+    study, table = study_of(np.where(JUMPY < 20.0, walks, JUMPY), [FALL, 0.5])
+    model = model_of(study)
+    points = points_of(table, model)
+    utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
+    mean, variance = model._costs_at(points)
+    chance = np.exp(as_it_happens(model._log_chance_of_success(mean, variance)))
+    likely = chance >= 0.5
+    assert 10 < likely.sum() < ROWS - 10
+    assert utility[likely].min() > utility[~likely].max()
 
 
 def test_eight_successes_have_units_of_their_own():
