@@ -24,8 +24,8 @@ COMMANDS = ("tools", "study.commands")
 # No measure may be larger. A node is one of the syntax tree: neither width nor
 # docstrings nor comments change their number.
 BOUNDS = {
-    "nodes of the product": 318_714,
-    "nodes of the tests": 304_002,
+    "nodes of the product": 319_415,
+    "nodes of the tests": 304_726,
     "characters a line of the product": 46.5,
     "characters a line of the tests": 48.0,
     "lines of 90 and more columns, %": 7.0,
