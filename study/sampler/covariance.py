@@ -158,8 +158,9 @@ ROUGH_NOISE = Constant(-7.0, 2.0, ROUGH_NOISE_BOUNDS)
 # Of costs in units of a table, of whose costs in all worlds the standard deviation is
 # one.
 WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)  # a^2
-# The same of a machine that is like no world, until it has succeeded: rows that a world
-# promised fell one by one.
+# The same where costs are in units of the trials: on some grounds worlds tell walks
+# apart, on others they tell who falls alone, and only trials know which. And of a machine
+# that is like no world, until it has succeeded: rows that a world promised fell one by one.
 DOUBTED = Constant(log(0.02), 2.0, (1e-5, 1e2))
 SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)  # c^2
 BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2

@@ -9,8 +9,10 @@ comes to these decisions in this order:
 | `follows_ranking` | the next trial is the best row by its mean over the worlds |
 | `only_falls` | failures may be chance: their noise is expected to be large |
 | `is_lost` | which world the robot is like counts little; every other trial goes anywhere |
-| `successes` | one is no noise among failures, and what they cost has a process of its own |
-| `is_familiar` | smooth costs, or successes, count in units of the trials, no longer of the table |
+| `least` | no improvement counts for more than one to about the least cost of all worlds |
+| `sees_success` | a success among failures is no noise |
+| `is_familiar` | costs count in units of the trials, no longer of the table |
+| `tells_successes` | those that succeeded have a process of their own, a hurdle's second part |
 | `rows_fail` | rows are left for points near the trials |
 
 Beside features without worlds there is one: `has_stalled`.
@@ -53,6 +55,14 @@ HOPELESS = 3
 # Trials, from which on smooth costs are in units of the trials. From 3 on, a robot like
 # the worlds lost what they tell of it; from 8 on none did, and others gained as much.
 FAMILIAR = 8
+# Successes, from which on they tell of costs that are not smooth: how far these lie apart,
+# if the table's unit hides it, and what a success costs. With two of them for the former
+# rough ground gained early (19:3 after five trials), and a ramp down lost (13:32 after 30).
+FEW_SUCCESSES = 4
+# How far above the best of them their median may lie, if the table's unit hides it, in
+# standard deviations of the table. It is 0.03 to 0.15 of walkers that cost nearly the
+# same, and 0.3 to 1.3 where the table tells them apart.
+HIDDEN = 0.2
 # Rows without success, after one: who is like no world leaves the table. With three of them
 # a robot on ramps down left it too early.
 ROWS_TRIED = 5
@@ -171,12 +181,36 @@ class Evidence:
         return unlike(self.ensemble, features, self.costs, self.rows, sign)
 
     @property
+    def sees_success(self) -> bool:
+        """Whether one is among costs that jump, in the table's units, and rows can be left."""
+        if self.success is None or self.of_table is None or not self.off_grid:
+            return False
+        return bool(self.succeeded.any()) and not self.is_smooth
+
+    @property
     def successes(self) -> Ensemble | None:
-        """What successes cost in the worlds, once a trial is one; None: costs do not jump."""
+        """What successes cost in the worlds, once a trial is one, where worlds tell it."""
         worlds = self.of_table
         if worlds is None or not self.succeeded.any():
             return None
         return worlds.of_successes
+
+    @property
+    def tells_successes(self) -> bool:
+        """Whether what a success costs is learned from those that succeeded alone.
+
+        It is where worlds tell it. Elsewhere it takes `FEW_SUCCESSES`: with fewer, what rows
+        cost in worlds tells more, unless many worlds tell nothing of points between rows.
+        """
+        if self.successes is not None:
+            return True
+        worlds = self.of_table
+        if worlds is None or not self.sees_success:
+            return False
+        if self.succeeded.sum() >= FEW_SUCCESSES:
+            return True
+        are_many = len(worlds.names) >= FEW_WORLDS
+        return are_many and worlds.guess_error is not None
 
     @property
     def rows_fail(self) -> bool:
@@ -206,19 +240,49 @@ class Evidence:
     def is_familiar(self) -> bool:
         """Whether trials tell better than the table how far this robot's costs lie apart.
 
-        Of smooth costs, and of those of successes, a table knows the form, and `FAMILIAR`
-        trials tell how far this robot's lie apart: then they count by `log_excess`, in
-        their own standard deviations. That tells costs near the best apart, where a robot
-        unlike all worlds differs from them most.
+        Of smooth costs a table knows the form, and `FAMILIAR` trials tell how far this
+        robot's lie apart: then they count by `log_excess`, in their own standard
+        deviations. That tells costs near the best apart, where a robot unlike all
+        worlds differs from them most. So do costs of others, once a few trials have
+        succeeded that look alike in the table's unit. Which worlds the robot is like,
+        which told who falls, then counts as far as it tells these apart.
         """
         found = self.ensemble
         if not isinstance(found, Ensemble) or not found.in_costs:
             return False
         if self.familiar is not None:
             return self.familiar
-        if len(self.costs) < FAMILIAR:
+        are_many = len(self.costs) >= FAMILIAR
+        if found.is_of_successes:
+            return are_many
+        look_alike = self._look_alike(found)
+        if not are_many and not look_alike:
             return False  # to ask whether costs are smooth takes long
-        return found.is_of_successes or self.is_smooth
+        return are_many if self.is_smooth else look_alike
+
+    def _look_alike(self, worlds: Ensemble) -> bool:
+        """Whether trials have succeeded whose differences the table's unit hides."""
+        # A goal that is drawn anew for each trial has no trials of its own.
+        if worlds.is_drawn or worlds.of_successes is not None:
+            return False
+        if self.succeeded.sum() < FEW_SUCCESSES:
+            return False
+        y = worlds.standard(self.costs[self.succeeded])
+        return bool(np.median(y) - y.min() < HIDDEN)
+
+    @property
+    def least(self) -> float | None:
+        """The least cost of all rows in all worlds, where costs jump: improvements end near it.
+
+        None: costs are in units of their own, or smooth, or of a goal that was drawn, or of
+        successes alone, or the table tells too little.
+        """
+        worlds = self.of_table
+        if worlds is None or worlds.is_drawn or worlds.is_of_successes:
+            return None
+        if worlds.tells_little or worlds.is_smooth:
+            return None
+        return worlds.ends[0]
 
     @property
     def is_smooth(self) -> bool:
@@ -235,14 +299,15 @@ class Evidence:
     @property
     def likeness(self) -> Constant:
         """What is expected of how much it counts which world the robot is like."""
-        return DOUBTED if self.is_lost else WORLD
+        is_doubted = self.is_lost or (self.is_familiar and not self.is_smooth)
+        return DOUBTED if is_doubted else WORLD
 
     @property
     def noise(self) -> Constant:
         """What is expected of the noise of costs, beside worlds."""
         if self.only_falls:
             return FALL_NOISE
-        return WORLD_NOISE if self.successes is None else SUCCESS_NOISE
+        return SUCCESS_NOISE if self.sees_success else WORLD_NOISE
 
     @property
     def guess_error(self) -> GuessError | None:

@@ -18,10 +18,11 @@ units than the study's values (shares survived, scores) tell which rows are bett
 what they cost: there is no shift then.
 
 Where costs are smooth functions of the parameters, and some trials are done, a trial's
-cost counts by the logarithm of its excess over the best one (`Evidence.is_familiar`).
-Where they jump, as where walkers fall, m is all but the share of the worlds in which a row
-fails. What it costs if it succeeds is then told by a second process, whose m and d are of
-the worlds where it does (`Ensemble.with_successes`).
+cost counts by the logarithm of its excess over the best one (`Evidence.is_familiar`),
+as it does where some have succeeded that look alike in the table's units. Where costs jump,
+and successes lie far apart, m is all but the share of the worlds in which a row fails. What
+it costs if it succeeds is then told by a second process, whose m and d are of the worlds
+where it does (`Ensemble.with_successes`).
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -69,10 +70,12 @@ LEAST_APART = 0.8
 # Worlds at the mean of all successes, that are added to those where a row succeeds: one
 # success of many tells little of the row.
 EXPECTED_WORLDS = 2.0
-# Standard deviations of the table that successes are told apart by, at least: what is less
-# is no difference beside what a machine adds. Of our stores it is 0.18 to 1.5.
-LEAST_UNIT = 0.01
-ROUNDING = 1e-9  # of costs in these
+# How far successes lie apart in the worlds, in standard deviations of all costs, from which
+# on worlds tell what they cost: as far as all. Walks lie 1.5 apart with the non-smooth cost;
+# with the smooth one, 0.18, who walks on harder grounds tells more of a gentle ramp (5:43
+# after 30 trials).
+LEAST_UNIT = 1.0
+ROUNDING = 1e-9  # of costs in standard deviations
 LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for it
 
 
@@ -321,11 +324,12 @@ class Ensemble:
             success: cost up to which a trial has succeeded; None: nothing says it.
 
         Returns:
-            Itself where costs do not jump, no world has a success, or goals were drawn.
+            Itself where costs do not jump, no world has a success, goals were drawn, the
+            table tells little, or its successes do not lie apart (`LEAST_UNIT`).
         """
-        if success is None or self.is_drawn or not self.reaches(success):
+        if success is None or self.is_drawn or not self.in_costs:
             return self
-        if not self.in_costs or self.is_smooth:
+        if not self.reaches(success) or self.tells_little or self.is_smooth:
             return self
         if success not in self.kept:
             self.kept[success] = self._with_successes(success)
@@ -334,6 +338,8 @@ class Ensemble:
 
     def _with_successes(self, success: float) -> "Ensemble":
         successes, both = self._among_successes(success), copy(self)
+        if successes._unit < LEAST_UNIT * self._unit:
+            return self
         columns = [successes.parts, successes.mean, self.columns]
         # Points have one matrix, of which each process takes its own columns.
         both.columns = successes.columns = np.column_stack(columns)
@@ -344,7 +350,8 @@ class Ensemble:
         told = self.told(self.columns)
         succeeds = told <= self.standard(np.array([success])) + ROUNDING
         middle = float(told[succeeds].mean())
-        unit = max(float(told[succeeds].std()), LEAST_UNIT)
+        # Of costs that hardly differ nothing is told: see `LEAST_UNIT`.
+        unit = max(float(told[succeeds].std()), ROUNDING)
         own = (told - middle) / unit
         share = np.where(succeeds, self.weights, 0.0)
         expected = EXPECTED_WORLDS / len(self.names)

@@ -1,5 +1,7 @@
 """Where costs jump, a candidate's chance to succeed counts, and what it costs if it does."""
 
+from dataclasses import replace
+
 import numpy as np
 import optuna
 import pytest
@@ -7,10 +9,11 @@ import scipy
 from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import LOG_NO_GAIN, ODDS, as_it_happens
-from study.sampler.evidence import FAMILIAR
-from study.sampler.transforms import log_excess
-from study.sampler.worlds import EXPECTED_WORLDS, Ensemble, Worlds
+from study.sampler.acquisition import LOG_NO_GAIN
+from study.sampler.covariance import FEW_WORLDS
+from study.sampler.evidence import FEW_SUCCESSES
+from study.sampler.unlike import READING
+from study.sampler.worlds import Ensemble, Worlds
 from tests.study.sampler.studies import model_of, told
 
 D, ROWS, WORLDS = 3, 300, 12
@@ -25,15 +28,18 @@ LONELY = np.where(RNG.random((ROWS, 1)) < 0.2, COSTS, 30.0 + 30.0 * COSTS)
 # Costs jump from row to row, and are one group.
 JAGGED = np.exp(RNG.uniform(0.0, 4.0, (ROWS, 1)) * np.ones(WORLDS))
 FALL, SUCCESS = 50.0, 10.0
-APART = [1.5, 3.0, 4.5, 6.0]
+APART = np.linspace(1.5, 6.0, FEW_SUCCESSES).tolist()
+ALIKE = np.linspace(1.5, 1.51, FEW_SUCCESSES).tolist()
 
 
-def study_of(outcomes, costs, limits=(), **options):
-    """A study of the first rows, which cost this."""
+def study_of(outcomes, costs, limits=(), sign=1.0, **options):
+    """A study of the first rows, which cost this; with a sign of -1 it is maximised."""
     columns = dict(zip(NAMES, UNIT.T, strict=True))
     table = FeatureTable.from_arrays(columns, outcomes=outcomes)
     options = {"seed": 1, "success": SUCCESS} | options
-    study = optuna.create_study(sampler=FeatureKernelSampler(table, **options))
+    direction = "minimize" if sign > 0.0 else "maximize"
+    sampler = FeatureKernelSampler(table, **options)
+    study = optuna.create_study(sampler=sampler, direction=direction)
     for row, cost in enumerate(costs):
         place = dict(zip(NAMES, UNIT[row].tolist(), strict=True))
         heat = {"heat": limits[row]} if len(limits) else {}
@@ -50,30 +56,30 @@ def points_of(table, model):
     [
         (JUMPY, [FALL, *APART], {}, True),
         (JUMPY, APART, {}, True),
-        (JUMPY, [FALL, 3.0], {}, True),
-        (JUMPY[:, :1], [FALL, 3.0], {}, True),
+        (JUMPY, [FALL, *APART[1:]], {}, False),
         (LONELY, [FALL, 3.0], {}, True),
+        (LONELY[:, : FEW_WORLDS - 1], [FALL, 3.0], {}, False),
         (LONELY, [FALL, FALL], {}, False),
         (LONELY, [FALL, 3.0], {"success": None}, True),
         (JAGGED, [FALL, 3.0], {"success": None}, False),
-        (LONELY, [FALL, 3.0], {"off_grid": 0}, True),
+        (LONELY, [FALL, 3.0], {"off_grid": 0}, False),
         (LONELY, [FALL, 3.0], {"off_grid": 0, "success": None}, False),
         (COSTS, [FALL, *APART], {}, False),
-        (JUMPY, [FALL, 0.5], {"success": 0.6}, False),
+        (JUMPY, [FALL, *ALIKE], {}, False),
     ],
     ids=[
         "four successes",
         "no failure",
-        "one success",
-        "one world",
+        "three",
         "one where rows tell nothing",
+        "and worlds are few",
         "none yet",
         "no success is told, and costs are two groups",
         "no success is told, and costs are one group",
         "rows alone",
         "rows alone, and no success is told",
         "smooth",
-        "no world has a success",
+        "in units of the trials",
     ],
 )
 def test_when_trials_that_succeeded_have_a_model_of_their_own(
@@ -84,58 +90,8 @@ def test_when_trials_that_succeeded_have_a_model_of_their_own(
     assert (successes is not None) is is_asked
     if successes is not None:
         assert_array_equal(successes.costs, [cost for cost in costs if cost < FALL])
+        assert successes.of_table is None
         assert successes.of_successes is None
-
-
-@pytest.mark.parametrize(
-    ("outcomes", "success"),
-    [
-        (JUMPY, SUCCESS),
-        (np.hstack([JUMPY[:, :3], LONELY]), SUCCESS),
-        (np.round(5.0 * JUMPY) / 5.0, 1.4),
-    ],
-    ids=["jumpy", "other rows", "some cost as much as a success"],
-)
-def test_rows_have_the_mean_of_their_costs_in_the_worlds_where_they_succeed(
-    outcomes, success
-):
-    """In units of all successes; two worlds at the mean of these are added to each row."""
-    study, table = study_of(outcomes, [FALL, 1.3], success=success)
-    model = model_of(study)
-    columns, seen = model.columns, points_of(table, model).matrix
-    own = model.ensemble.standard(outcomes)
-    every = own[outcomes <= success]
-    middle, unit, count = every.mean(), every.std(), outcomes.shape[1]
-    told = (model.ensemble.standard(np.array([1.3])) - middle) / unit
-    assert_allclose(model.of_successes.cost(), told)
-    for row in range(0, ROWS, 7):
-        succeeds = outcomes[row] <= success
-        costs = (own[row] - middle) / unit
-        mean = costs[succeeds].sum() / (succeeds.sum() + EXPECTED_WORLDS)
-        away = np.where(succeeds, costs - mean, 0.0) / np.sqrt(count)
-        assert_allclose(seen[row, columns.mean_of_successes], [mean])
-        assert_allclose(seen[row, columns.successes], away, atol=1e-12)
-    of_successes = model.of_successes.columns
-    assert of_successes.worlds == columns.successes
-    assert of_successes.mean == columns.mean_of_successes
-    assert (of_successes.one, of_successes.gap) == (columns.one, columns.gap)
-
-
-def test_what_successes_cost_is_a_process_over_columns_of_their_own():
-    """Beside its formula; between rows and candidates as among rows."""
-    study, table = study_of(JUMPY, [FALL, 3.0, 2.0])
-    model = model_of(study).of_successes
-    own, columns = model.posterior, model.columns
-    x = points_of(table, model).matrix[:40]
-    (_, like, _), (_, ranking, _), (_, shift, _), (_, near, scales) = (
-        own.covariance.valued(own.theta)
-    )
-    d, m, u = x[:, columns.worlds], x[:, columns.mean], x[:, columns.coordinates]
-    away = (u[:, None] - u) / scales
-    expected = like * d @ d.T + ranking * m @ m.T + shift
-    expected += near * np.exp(-0.5 * (away**2).sum(axis=2))
-    assert_allclose(own.covariance.gram(own.theta, x)[0], expected)
-    assert_allclose(own.covariance.towards(own.theta, x, np.float64)(x), expected)
 
 
 def test_without_a_success_the_costs_of_all_worlds_are_parted():
@@ -205,9 +161,7 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
 
     mean, sd = costs_by(model)
     (goal,) = model.ensemble.standard(np.array([SUCCESS]))
-    said = scipy.stats.norm.cdf(goal, mean, sd)
-    shift, slope = ODDS
-    success = scipy.special.expit(shift + slope * scipy.special.logit(said))
+    success = scipy.stats.norm.cdf(goal, mean, sd)
     kept = np.ones(ROWS)
     assert len(model.limit_posteriors) == (1 if limits else 0)
     for posterior in model.limit_posteriors.values():
@@ -233,74 +187,49 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
     assert_allclose(utility[unlikely] - chances, LOG_NO_GAIN, rtol=1e-6)
 
 
-def test_costs_that_hardly_differ_in_the_table_are_told_apart_by_those_of_successes():
-    """Beside falls that cost a thousand times as much two walks look alike.
-
-    The row that costs least where it succeeds is found, though it fails as often.
-    """
-    costs = np.where(JUMPY < 20.0, JUMPY, 1000.0)
-    study, table = study_of(costs, [1.3])
-    model = model_of(study)
-    points = points_of(table, model)
-    utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
-    mean = np.where(costs < 20.0, costs, np.nan)
-    best = np.argsort(np.nanmean(mean, axis=1))[: ROWS // 10]
-    assert np.argmax(utility) in best
-
-
-def test_a_success_may_be_the_best_that_any_world_has():
-    least = float(JUMPY.min())
-    study, table = study_of(JUMPY, [FALL, least], success=least)
-    assert model_of(study).of_successes is not None
-    assert study.ask(table.rows.space.as_dict()).params
+def test_no_improvement_counts_for_more_than_one_to_the_least_cost_of_all_worlds():
+    """Beside SciPy's integral of what is gained at each cost."""
+    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
+    assert model.least == model.ensemble.ends[0] < model.cost()[1]
+    mean, sd = RNG.uniform(-2.0, 2.0, 20), RNG.uniform(0.05, 2.0, 20)
+    found = np.exp(model._log_improvement(mean, sd**2))
+    best, least = model.cost()[1], model.least - READING
+    for place, expected in enumerate(found):
+        cost = scipy.stats.norm(mean[place], sd[place])
+        gain = cost.expect(lambda f: best - f, lb=least, ub=best)
+        gain += (best - least) * cost.cdf(least)
+        assert_allclose(expected, gain, rtol=1e-6, atol=1e-12)
 
 
-@pytest.mark.parametrize("spread", [0.0, 1e-9, 1e-3])
-def test_what_is_likelier_to_fail_comes_last_though_no_success_is_an_improvement(
-    spread,
-):
-    """Where successes hardly differ in the table, none of its rows may promise any."""
-    walks = 1.0 + spread * RNG.random((ROWS, WORLDS))
-    study, table = study_of(np.where(JUMPY < 20.0, walks, JUMPY), [FALL, 0.5])
-    model = model_of(study)
-    points = points_of(table, model)
-    utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
-    mean, variance = model._costs_at(points)
-    chance = np.exp(as_it_happens(model._log_chance_of_success(mean, variance)))
-    likely = chance >= 0.5
-    assert 10 < likely.sum() < ROWS - 10
-    assert utility[likely].min() > utility[~likely].max()
+def test_a_cost_below_that_of_all_worlds_can_be_improved_on():
+    model = model_of(study_of(JUMPY, [FALL, 0.5])[0])
+    assert model.cost()[1] < model.least
+    below, none = model.cost()[1] - np.array([0.1, 5.0, 6.0]), np.array([9.0, 0.0])
+    found = model._log_improvement(below, np.full(3, 0.01))
+    assert np.exp(found[0]) == pytest.approx(0.1, rel=0.2)
+    assert_allclose(np.exp(found[1:]), READING, rtol=1e-4)
+    assert found[2] > found[1] + 1e-7  # of those that are sure the better one
+    assert model._log_improvement(none[:1], none[1:]) == -np.inf
 
 
-def test_eight_successes_have_units_of_their_own():
-    """As smooth costs have; the chance of one stays in those of the table."""
-    successes = np.linspace(1.5, 3.0, FAMILIAR)
-    for count in (FAMILIAR - 1, FAMILIAR):
-        model = model_of(study_of(JUMPY, [FALL, *successes[:count]])[0])
-        own = model.of_successes
-        assert not model.is_familiar
-        assert own.is_familiar is (count == FAMILIAR)
-        costs = log_excess(own.costs, own.costs)
-        if not own.is_familiar:
-            costs = own.ensemble.standard(own.costs)
-        assert_allclose(own.cost(), costs)
+@pytest.mark.parametrize(
+    ("outcomes", "costs"),
+    [
+        (LONELY, [FALL, 3.0]),
+        (JUMPY[:, : FEW_WORLDS - 1], [FALL, 3.0]),
+        (COSTS, [2.0, 3.0]),
+        (JUMPY, [FALL, *ALIKE]),
+    ],
+    ids=["rows tell nothing", "few worlds", "smooth", "in units of the trials"],
+)
+def test_elsewhere_the_worlds_do_not_bound_it(outcomes, costs):
+    assert model_of(study_of(outcomes, costs)[0]).least is None
 
 
-def test_a_chance_counts_as_such_chances_come_true():
-    said = np.array([0.0, 1e-9, 0.1, 0.5, 0.9, 1.0 - 1e-9, 1.0])
-    with np.errstate(divide="ignore"):
-        found = np.exp(as_it_happens(np.log(said)))
-    shift, slope = ODDS
-    expected = 1.0 / (
-        1.0 + np.exp(-shift) * ((1.0 - said) / np.maximum(said, 1e-99)) ** slope
-    )
-    assert_allclose(found, expected, rtol=1e-6, atol=1e-60)
-    assert found[-1] == 1.0
-
-
-def test_goals_that_were_drawn_for_a_trial_have_no_successes():
+def test_nor_do_they_bound_a_goal_that_was_drawn_for_a_trial():
+    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
     drawn = Ensemble(Worlds.of(JUMPY), JUMPY)
-    assert drawn.with_successes(SUCCESS) is drawn
+    assert model.least is not None and replace(model, ensemble=drawn).least is None
 
 
 def test_failures_do_not_say_what_successes_cost():
