@@ -13,6 +13,7 @@ comes to these decisions in this order:
 | `sees_success` | a success among failures is no noise |
 | `is_familiar` | costs count in units of the trials, no longer of the table |
 | `tells_successes` | those that succeeded have a process of their own, a hurdle's second part |
+| `successes` | what that expects is by the worlds in which a row succeeds, not by all |
 | `rows_fail` | rows are left for points near the trials |
 
 Beside features without worlds there is one: `has_stalled`.
