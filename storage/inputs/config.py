@@ -31,9 +31,8 @@ class Table:
         self._mistakes = mistakes
         self._data = dict(data)
         self._name = name
-        self._known: dict[
-            str, None
-        ] = {}  # keys in the order in which they were asked for
+        # Keys in the order in which they were asked for, each once.
+        self._known: dict[str, None] = {}
         # else a mistaken word, such as a kind, tells which there are
         self._has_all_keys = True
         self._tables: dict[str, Table] = {}

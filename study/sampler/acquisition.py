@@ -59,8 +59,8 @@ ODDS = (-0.5, 0.7)
 # half of its proposals for walkers that limp had a chance below 0.05, and gained next to
 # nothing; for Ant those below 0.7 gained a third of what others did.
 LOG_EVEN = np.log(0.5)
-LOG_NO_GAIN = -1e3
-LOG_LEAST_GAIN = -5e2  # what is less is as little
+LOG_LEAST_GAIN = -5e2  # of what is likely: less is as little
+LOG_NO_GAIN = -1e3  # of what is unlikely: below all of these
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
 REFITS = ((32, 1), (128, 4), (np.inf, 16))
@@ -165,10 +165,10 @@ class Model(Evidence):
         to gain by. So a candidate counts by the chance that it succeeds times the
         improvement if it does (a hurdle model: Cragg 1971), and what is likelier to fail
         than not by its chance alone, after all others. `tells_successes` says when. A trial
-        that broke a limit is no success, but tells what success costs. Rows alone have no
-        steps. While costs of all trials are in units of their own (`is_familiar`), these
-        tell successes apart. What is expected of a success is the mean over the worlds or,
-        where these tell it (`Evidence.successes`), over those in which it is one.
+        that broke a limit is no success, but tells what success costs. While costs of all
+        trials are in units of their own (`is_familiar`), these tell successes apart. What
+        is expected of a success is the mean over the worlds or, where these tell it
+        (`Evidence.successes`), over those in which it is one.
         """
         if self.success is None or not self.tells_successes:
             return None
@@ -179,8 +179,8 @@ class Model(Evidence):
             rows=self.rows[own],
             costs=self.costs[own],
             limits=self.limits[own],
-            ensemble=self.successes or self.ensemble,
-            familiar=None if self.successes else True,
+            ensemble=self.ensemble if self.successes is None else self.successes,
+            familiar=True if self.successes is None else None,
         )
 
     @cached_property

@@ -358,7 +358,6 @@ class Ensemble:
 
         found = copy(self)
         found.is_of_successes, found.kept = True, {}
-        vars(found).pop("guess_error", None)  # that was of all costs
         found._middle += self._unit * middle
         found._unit *= unit
         found.ends = float(own[succeeds].min()), float(own[succeeds].max())

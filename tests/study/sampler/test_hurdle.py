@@ -51,6 +51,12 @@ def points_of(table, model):
     return table.rows.points(by_order=True, coordinates=True, ensemble=model.ensemble)
 
 
+def costs_by(model, points):
+    """Mean and standard deviation of the cost, as the model sees it."""
+    mean, variance = model.posterior.predict(model.visible(points))
+    return mean + model.expected(points, model.cost()), np.sqrt(variance)
+
+
 @pytest.mark.parametrize(
     ("outcomes", "costs", "options", "is_asked"),
     [
@@ -154,12 +160,7 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
     model = model_of(study)
     points = points_of(table, model)
     utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
-
-    def costs_by(one):
-        mean, variance = one.posterior.predict(one.visible(points))
-        return mean + one.expected(points, one.cost()), np.sqrt(variance)
-
-    mean, sd = costs_by(model)
+    mean, sd = costs_by(model, points)
     (goal,) = model.ensemble.standard(np.array([SUCCESS]))
     success = scipy.stats.norm.cdf(goal, mean, sd)
     kept = np.ones(ROWS)
@@ -167,7 +168,7 @@ def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limi
     for posterior in model.limit_posteriors.values():
         limit, variance = posterior.predict(model.visible(points))
         kept *= scipy.stats.norm.cdf(0.0, limit, np.sqrt(variance))
-    mean, sd = costs_by(model.of_successes)
+    mean, sd = costs_by(model.of_successes, points)
     costs = [3.0, 2.5] if limits else [3.0, 2.0, 2.5]
     best = model.of_successes.standard(
         np.array([min(costs)]), np.array([3.0, 2.0, 2.5])

@@ -18,6 +18,7 @@ from tests.study.sampler.test_hurdle import (
     ROWS,
     UNIT,
     WORLDS,
+    costs_by,
     points_of,
     study_of,
 )
@@ -160,17 +161,12 @@ def test_utility_is_that_chance_times_the_improvement_if_it_comes():
     model = model_of(study)
     points = points_of(table, model)
     utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
-
-    def costs_by(one):
-        mean, variance = one.posterior.predict(one.visible(points))
-        return mean + one.expected(points, one.cost()), np.sqrt(variance)
-
-    mean, sd = costs_by(model)
+    mean, sd = costs_by(model, points)
     (goal,) = model.ensemble.standard(np.array([SUCCESS]))
     said = scipy.stats.norm.cdf(goal, mean, sd)
     shift, slope = ODDS
     chance = scipy.special.expit(shift + slope * scipy.special.logit(said))
-    mean, sd = costs_by(model.of_successes)
+    mean, sd = costs_by(model.of_successes, points)
     (best,) = model.of_successes.ensemble.standard(np.array([25.0]))
     z = (best - mean) / sd
     gain = (best - mean) * scipy.stats.norm.cdf(z) + sd * scipy.stats.norm.pdf(z)
