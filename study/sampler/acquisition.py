@@ -29,11 +29,8 @@ from study.sampler.transforms import (
     of_log_excess,
     squarable,
 )
-from study.sampler.unlike import READING
 from study.sampler.worlds import Ensemble
 
-# How much an improvement counts that no world has.
-BEYOND = 1e-6
 TIE_TOLERANCE = 1e-9  # relative: below this, two candidates differ by rounding
 LOG_SQRT_2PI = 0.5 * np.log(2.0 * np.pi)
 SQRT_HALF = np.sqrt(0.5)
@@ -164,13 +161,12 @@ class Model(Evidence):
         through both expects one a short step from any success, and steps stay too small
         to gain by. So a candidate counts by the chance that it succeeds times the
         improvement if it does (a hurdle model: Cragg 1971), and what is likelier to fail
-        than not by its chance alone, after all others. `tells_successes` says when. A trial
-        that broke a limit is no success, but tells what success costs. While costs of all
-        trials are in units of their own (`is_familiar`), these tell successes apart. What
-        is expected of a success is the mean over the worlds or, where these tell it
-        (`Evidence.successes`), over those in which it is one.
+        than not by its chance alone, after all others. What is expected of a success is
+        told by the worlds in which a row is one (`Evidence.successes`). A trial that broke
+        a limit is no success, but tells what success costs.
         """
-        if self.success is None or not self.tells_successes:
+        of_them = self.successes
+        if of_them is None or self.success is None:
             return None
         own = self.costs <= self.success
         return replace(
@@ -179,8 +175,8 @@ class Model(Evidence):
             rows=self.rows[own],
             costs=self.costs[own],
             limits=self.limits[own],
-            ensemble=self.ensemble if self.successes is None else self.successes,
-            familiar=True if self.successes is None else None,
+            ensemble=of_them,
+            familiar=None,
         )
 
     @cached_property
@@ -349,8 +345,7 @@ class Model(Evidence):
         mean, variance = self._costs_at(points)
         if self.of_successes is not None:
             log_chance = self._log_chance_of_success(mean, variance)
-            if self.successes is not None:
-                log_chance = as_it_happens(log_chance)
+            log_chance = as_it_happens(log_chance)
             mean, variance = self.of_successes._costs_at(points)
             log_gain = self.of_successes._log_improvement(mean, variance)
             np.maximum(log_gain, LOG_LEAST_GAIN, out=log_gain)
@@ -378,22 +373,9 @@ class Model(Evidence):
         return log_chance_below_zero(mean - goal, variance)
 
     def _log_improvement(self, mean: Floats, variance: Floats) -> Floats:
-        """Their log expected improvement on the best trial that kept its limits, [m].
-
-        Where costs jump, a normal distribution through walks and falls expects improvements
-        that no world has, most of them of candidates that are likely to fall: of those after
-        a first success on risers nine in ten did. So none counts for more than one to
-        `Evidence.least`, or to the best trial, less what a reading may be off. What is beyond
-        orders candidates that are sure to be better.
-        """
-        best, sd = float(self.cost()[self.feasible].min()), np.sqrt(variance)
-        improvement = log_expected_improvement(mean, sd, best)
-        if self.least is None:
-            return improvement
-        beyond = log_expected_improvement(mean, sd, min(self.least, best) - READING)
-        with np.errstate(invalid="ignore"):  # of no improvement there is no share
-            share = np.exp(np.fmin(beyond - improvement, 0.0))
-        return improvement + np.log1p(-(1.0 - BEYOND) * share)
+        """Their log expected improvement on the best trial that kept its limits, [m]."""
+        best = float(self.cost()[self.feasible].min())
+        return log_expected_improvement(mean, np.sqrt(variance), best)
 
 
 def as_it_happens(log_chance: Floats) -> Floats:

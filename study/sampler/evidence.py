@@ -9,11 +9,9 @@ comes to these decisions in this order:
 | `follows_ranking` | the next trial is the best row by its mean over the worlds |
 | `only_falls` | failures may be chance: their noise is expected to be large |
 | `is_lost` | which world the robot is like counts little; every other trial goes anywhere |
-| `least` | no improvement counts for more than one to about the least cost of all worlds |
 | `sees_success` | a success among failures is no noise |
+| `successes` | those that succeeded have a process of their own, a hurdle's second part |
 | `is_familiar` | costs count in units of the trials, no longer of the table |
-| `tells_successes` | those that succeeded have a process of their own, a hurdle's second part |
-| `successes` | what that expects is by the worlds in which a row succeeds, not by all |
 | `rows_fail` | rows are left for points near the trials |
 
 Beside features without worlds there is one: `has_stalled`.
@@ -53,17 +51,13 @@ RANKED_OF_ONE = 6
 # before: 173 of 180 Ants in place of 162 within 15, and harm on a walker's table, which tells
 # something (20 walkers within 12 trials became 13).
 HOPELESS = 3
-# Trials, from which on smooth costs are in units of the trials. From 3 on, a robot like
-# the worlds lost what they tell of it; from 8 on none did, and others gained as much.
+# Trials, from which on smooth costs, or those of successes, are in units of the trials. From
+# 3 on, a robot like the worlds lost what they tell of it; from 8 on none did, and others
+# gained as much.
 FAMILIAR = 8
-# Successes, from which on they tell of costs that are not smooth: how far these lie apart,
-# if the table's unit hides it, and what a success costs. With two of them for the former
-# rough ground gained early (19:3 after five trials), and a ramp down lost (13:32 after 30).
+# Successes, from which on they have a process of their own, where the worlds' hardly differ or
+# tell little: until then rows all over the table are tried.
 FEW_SUCCESSES = 4
-# How far above the best of them their median may lie, if the table's unit hides it, in
-# standard deviations of the table. It is 0.03 to 0.15 of walkers that cost nearly the
-# same, and 0.3 to 1.3 where the table tells them apart.
-HIDDEN = 0.2
 # Rows without success, after one: who is like no world leaves the table. With three of them
 # a robot on ramps down left it too early.
 ROWS_TRIED = 5
@@ -183,35 +177,23 @@ class Evidence:
 
     @property
     def sees_success(self) -> bool:
-        """Whether one is among costs that jump, in the table's units, and rows can be left."""
-        if self.success is None or self.of_table is None or not self.off_grid:
+        """Whether one is among costs that jump, in the table's units."""
+        if self.success is None or self.of_table is None or not self.succeeded.any():
             return False
-        return bool(self.succeeded.any()) and not self.is_smooth
+        return not self.is_smooth
 
     @property
     def successes(self) -> Ensemble | None:
-        """What successes cost in the worlds, once a trial is one, where worlds tell it."""
-        worlds = self.of_table
-        if worlds is None or not self.succeeded.any():
-            return None
-        return worlds.of_successes
+        """What rows cost in the worlds where they succeed, once trials tell what it costs here.
 
-    @property
-    def tells_successes(self) -> bool:
-        """Whether what a success costs is learned from those that succeeded alone.
-
-        It is where worlds tell it. Elsewhere it takes `FEW_SUCCESSES`: with fewer, what rows
-        cost in worlds tells more, unless many worlds tell nothing of points between rows.
+        None before: one success is enough where worlds tell it at once
+        (`Ensemble.tells_successes`), elsewhere it takes `FEW_SUCCESSES`.
         """
-        if self.successes is not None:
-            return True
         worlds = self.of_table
-        if worlds is None or not self.sees_success:
-            return False
-        if self.succeeded.sum() >= FEW_SUCCESSES:
-            return True
-        are_many = len(worlds.names) >= FEW_WORLDS
-        return are_many and worlds.guess_error is not None
+        if worlds is None or worlds.of_successes is None:
+            return None
+        few = 1 if worlds.tells_successes else FEW_SUCCESSES
+        return worlds.of_successes if self.succeeded.sum() >= few else None
 
     @property
     def rows_fail(self) -> bool:
@@ -241,49 +223,20 @@ class Evidence:
     def is_familiar(self) -> bool:
         """Whether trials tell better than the table how far this robot's costs lie apart.
 
-        Of smooth costs a table knows the form, and `FAMILIAR` trials tell how far this
-        robot's lie apart: then they count by `log_excess`, in their own standard
-        deviations. That tells costs near the best apart, where a robot unlike all
-        worlds differs from them most. So do costs of others, once a few trials have
-        succeeded that look alike in the table's unit. Which worlds the robot is like,
-        which told who falls, then counts as far as it tells these apart.
+        Of smooth costs a table knows the form, as it does of what successes cost, and
+        `FAMILIAR` trials tell how far this robot's lie apart: then they count by
+        `log_excess`, in their own standard deviations. That tells costs near the best
+        apart, where a robot unlike all worlds differs from them most. Which worlds the
+        robot is like, which told who falls, then counts as far as it tells successes apart.
         """
         found = self.ensemble
         if not isinstance(found, Ensemble) or not found.in_costs:
             return False
         if self.familiar is not None:
             return self.familiar
-        are_many = len(self.costs) >= FAMILIAR
-        if found.is_of_successes:
-            return are_many
-        look_alike = self._look_alike(found)
-        if not are_many and not look_alike:
+        if len(self.costs) < FAMILIAR:
             return False  # to ask whether costs are smooth takes long
-        return are_many if self.is_smooth else look_alike
-
-    def _look_alike(self, worlds: Ensemble) -> bool:
-        """Whether trials have succeeded whose differences the table's unit hides."""
-        # A goal that is drawn anew for each trial has no trials of its own.
-        if worlds.is_drawn or worlds.of_successes is not None:
-            return False
-        if self.succeeded.sum() < FEW_SUCCESSES:
-            return False
-        y = worlds.standard(self.costs[self.succeeded])
-        return bool(np.median(y) - y.min() < HIDDEN)
-
-    @property
-    def least(self) -> float | None:
-        """The least cost of all rows in all worlds, where costs jump: improvements end near it.
-
-        None: costs are in units of their own, or smooth, or of a goal that was drawn, or of
-        successes alone, or the table tells too little.
-        """
-        worlds = self.of_table
-        if worlds is None or worlds.is_drawn or worlds.is_of_successes:
-            return None
-        if worlds.tells_little or worlds.is_smooth:
-            return None
-        return worlds.ends[0]
+        return found.is_of_successes or self.is_smooth
 
     @property
     def is_smooth(self) -> bool:

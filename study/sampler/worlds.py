@@ -18,11 +18,10 @@ units than the study's values (shares survived, scores) tell which rows are bett
 what they cost: there is no shift then.
 
 Where costs are smooth functions of the parameters, and some trials are done, a trial's
-cost counts by the logarithm of its excess over the best one (`Evidence.is_familiar`),
-as it does where some have succeeded that look alike in the table's units. Where costs jump,
-and successes lie far apart, m is all but the share of the worlds in which a row fails. What
-it costs if it succeeds is then told by a second process, whose m and d are of the worlds
-where it does (`Ensemble.with_successes`).
+cost counts by the logarithm of its excess over the best one (`Evidence.is_familiar`).
+Where costs jump, m is all but the share of the worlds in which a row fails. What it costs if
+it succeeds is then told by a second process, whose m and d are of the worlds where it does
+(`Ensemble.with_successes`).
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -71,10 +70,11 @@ LEAST_APART = 0.8
 # success of many tells little of the row.
 EXPECTED_WORLDS = 2.0
 # How far successes lie apart in the worlds, in standard deviations of all costs, from which
-# on worlds tell what they cost. Walks lie 1.5 apart with the non-smooth cost, 0.63 those of
-# Walker2d (15:3 after 30 trials) and 0.73 landings of a drone (14:2 after 25); with the smooth
-# cost, 0.18, who walks on harder grounds tells more of a gentle ramp (5:43).
+# on worlds tell at once what they cost. Walks lie 1.5 apart with the non-smooth cost, 0.63
+# those of Walker2d (15:3 after 30 trials) and 0.73 landings of a drone (14:2 after 25); with
+# the smooth cost, 0.18, steps from a first success lost to rows on a gentle ramp (5:43).
 LEAST_UNIT = 0.5
+NARROWEST = 0.01  # of these units: of successes that hardly differ nothing is told
 ROUNDING = 1e-9  # of costs in standard deviations
 LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for it
 
@@ -318,18 +318,15 @@ class Ensemble:
         Where costs jump, failures hide what successes cost: the mean over the worlds is
         the share of failures, and little else. So rows have the mean of their costs in
         the worlds where they succeed, and what each of these adds to it, in units of the
-        successes of the whole table.
+        successes of the whole table. Where no world has a success, both are 0.
 
         Args:
             success: cost up to which a trial has succeeded; None: nothing says it.
 
         Returns:
-            Itself where costs do not jump, no world has a success, goals were drawn, the
-            table tells little, or its successes do not lie apart (`LEAST_UNIT`).
+            Itself where costs do not jump, or goals were drawn.
         """
-        if success is None or self.is_drawn or not self.in_costs:
-            return self
-        if not self.reaches(success) or self.tells_little or self.is_smooth:
+        if success is None or self.is_drawn or not self.in_costs or self.is_smooth:
             return self
         if success not in self.kept:
             self.kept[success] = self._with_successes(success)
@@ -338,8 +335,6 @@ class Ensemble:
 
     def _with_successes(self, success: float) -> "Ensemble":
         successes, both = self._among_successes(success), copy(self)
-        if successes._unit < LEAST_UNIT * self._unit:
-            return self
         columns = [successes.parts, successes.mean, self.columns]
         # Points have one matrix, of which each process takes its own columns.
         both.columns = successes.columns = np.column_stack(columns)
@@ -347,24 +342,37 @@ class Ensemble:
         return both
 
     def _among_successes(self, success: float) -> "Ensemble":
-        told = self.told(self.columns)
-        succeeds = told <= self.standard(np.array([success])) + ROUNDING
-        middle = float(told[succeeds].mean())
-        # Of costs that hardly differ nothing is told: see `LEAST_UNIT`.
-        unit = max(float(told[succeeds].std()), ROUNDING)
+        told, (goal,) = self.told(self.columns), self.standard(np.array([success]))
+        succeeds = told <= goal + ROUNDING
+        middle, unit = float(goal), 1.0
+        if succeeds.any():
+            middle = float(told[succeeds].mean())
+            unit = max(float(told[succeeds].std()), NARROWEST)
         own = (told - middle) / unit
         share = np.where(succeeds, self.weights, 0.0)
         expected = EXPECTED_WORLDS / len(self.names)
 
         found = copy(self)
         found.is_of_successes, found.kept = True, {}
+        found.guess_error = None  # how far a guess is off here is not known
         found._middle += self._unit * middle
         found._unit *= unit
-        found.ends = float(own[succeeds].min()), float(own[succeeds].max())
         found.mean = (share * own).sum(axis=1) / (share.sum(axis=1) + expected)
         away = np.where(succeeds, own - found.mean[:, None], 0.0)
         found.parts = away * np.sqrt(self.weights)
         return found
+
+    @property
+    def tells_successes(self) -> bool:
+        """Whether the first success is enough, since worlds tell at once what others cost.
+
+        Their successes lie far apart, or many worlds tell nothing of points between the rows.
+        """
+        if self.of_successes is None or self._are_few:
+            return False
+        if self.guess_error is not None:
+            return True
+        return self.of_successes._unit >= LEAST_UNIT * self._unit
 
     def layout(self, features: int, coordinates: int) -> Columns:
         """The columns of points that have `columns` between features and coordinates."""
@@ -443,8 +451,11 @@ class Ensemble:
     @property
     def tells_little(self) -> bool:
         """Whether it is soon doubted: few worlds or rows, or rows that tell of no other point."""
-        are_few = len(self.names) < FEW_WORLDS or len(self.mean) < BEST_ROWS
-        return are_few or self.guess_error is not None
+        return self._are_few or self.guess_error is not None
+
+    @property
+    def _are_few(self) -> bool:
+        return len(self.names) < FEW_WORLDS or len(self.mean) < BEST_ROWS
 
     @property
     def _is_from_best_row(self) -> bool:

@@ -1,6 +1,8 @@
-"""Where costs jump, a candidate's chance to succeed counts, and what it costs if it does."""
+"""Where costs jump, a candidate's chance to succeed counts, and what it costs if it does.
 
-from dataclasses import replace
+The latter is told by a second process: by the trials that succeeded, and by the worlds in
+which a row does.
+"""
 
 import numpy as np
 import optuna
@@ -9,11 +11,11 @@ import scipy
 from numpy.testing import assert_allclose, assert_array_equal
 
 from study import FeatureKernelSampler, FeatureTable
-from study.sampler.acquisition import LOG_NO_GAIN
+from study.sampler.acquisition import LOG_NO_GAIN, ODDS, as_it_happens
 from study.sampler.covariance import FEW_WORLDS
-from study.sampler.evidence import FEW_SUCCESSES
-from study.sampler.unlike import READING
-from study.sampler.worlds import Ensemble, Worlds
+from study.sampler.evidence import FAMILIAR, FEW_SUCCESSES
+from study.sampler.transforms import log_excess
+from study.sampler.worlds import EXPECTED_WORLDS, NARROWEST, Ensemble, Worlds
 from tests.study.sampler.studies import model_of, told
 
 D, ROWS, WORLDS = 3, 300, 12
@@ -27,9 +29,15 @@ NAMES = [f"x{column}" for column in range(D)]
 LONELY = np.where(RNG.random((ROWS, 1)) < 0.2, COSTS, 30.0 + 30.0 * COSTS)
 # Costs jump from row to row, and are one group.
 JAGGED = np.exp(RNG.uniform(0.0, 4.0, (ROWS, 1)) * np.ones(WORLDS))
-FALL, SUCCESS = 50.0, 10.0
+# Walks are cheap in one half of the space, and dear in the other; a row falls in some worlds.
+WALKS = np.where(UNIT[:, :1] < 0.5, COSTS, 30.0 * COSTS)
+SHARE = RNG.choice([0.3, 0.8], (ROWS, 1))
+FAR = np.where(RNG.random((ROWS, WORLDS)) < SHARE, WALKS, 55.0 + COSTS)
+# Some walks cost as much as a success.
+EQUAL = np.where(FAR < 54.0, np.minimum(np.round(FAR, 1), 42.0), FAR)
+FALL, SUCCESS = 90.0, 10.0
+OF_FAR = {"success": 54.0}
 APART = np.linspace(1.5, 6.0, FEW_SUCCESSES).tolist()
-ALIKE = np.linspace(1.5, 1.51, FEW_SUCCESSES).tolist()
 
 
 def study_of(outcomes, costs, limits=(), sign=1.0, **options):
@@ -57,47 +65,51 @@ def costs_by(model, points):
     return mean + model.expected(points, model.cost()), np.sqrt(variance)
 
 
+WHEN = {
+    "four successes": (JUMPY, [FALL, *APART], {}, True),
+    "no failure": (JUMPY, APART, {}, True),
+    "three": (JUMPY, [FALL, *APART[1:]], {}, False),
+    "one, where they lie far apart": (FAR, [FALL, 3.0], OF_FAR, True),
+    "none of these": (FAR, [FALL, FALL], OF_FAR, False),
+    "one, and worlds are few": (FAR[:, : FEW_WORLDS - 1], [FALL, 3.0], OF_FAR, False),
+    "one, where rows tell nothing": (LONELY, [FALL, 3.0], {}, True),
+    "nor few worlds": (LONELY[:, : FEW_WORLDS - 1], [FALL, 3.0], {}, False),
+    "no success is told": (LONELY, [FALL, 3.0], {"success": None}, True),
+    "nor are costs two groups": (JAGGED, [FALL, 3.0], {"success": None}, False),
+    "rows alone": (FAR, [FALL, 3.0], OF_FAR | {"off_grid": 0}, True),
+    "no success is told of these": (
+        FAR,
+        [3.0],
+        {"success": None, "off_grid": 0},
+        False,
+    ),
+    "no world has one": (
+        JUMPY,
+        [FALL, *np.divide(APART, 10.0)],
+        {"success": 0.9},
+        True,
+    ),
+    "smooth": (COSTS, [FALL, *APART], {}, False),
+}
+
+
 @pytest.mark.parametrize(
-    ("outcomes", "costs", "options", "is_asked"),
-    [
-        (JUMPY, [FALL, *APART], {}, True),
-        (JUMPY, APART, {}, True),
-        (JUMPY, [FALL, *APART[1:]], {}, False),
-        (LONELY, [FALL, 3.0], {}, True),
-        (LONELY[:, : FEW_WORLDS - 1], [FALL, 3.0], {}, False),
-        (LONELY, [FALL, FALL], {}, False),
-        (LONELY, [FALL, 3.0], {"success": None}, True),
-        (JAGGED, [FALL, 3.0], {"success": None}, False),
-        (LONELY, [FALL, 3.0], {"off_grid": 0}, False),
-        (LONELY, [FALL, 3.0], {"off_grid": 0, "success": None}, False),
-        (COSTS, [FALL, *APART], {}, False),
-        (JUMPY, [FALL, *ALIKE], {}, False),
-    ],
-    ids=[
-        "four successes",
-        "no failure",
-        "three",
-        "one where rows tell nothing",
-        "and worlds are few",
-        "none yet",
-        "no success is told, and costs are two groups",
-        "no success is told, and costs are one group",
-        "rows alone",
-        "rows alone, and no success is told",
-        "smooth",
-        "in units of the trials",
-    ],
+    ("outcomes", "costs", "options", "is_asked"), WHEN.values(), ids=WHEN
 )
-def test_when_trials_that_succeeded_have_a_model_of_their_own(
+def test_when_trials_that_succeeded_have_a_process_of_their_own(
     outcomes, costs, options, is_asked
 ):
-    study, _ = study_of(outcomes, costs, **options)
-    successes = model_of(study).of_successes
-    assert (successes is not None) is is_asked
-    if successes is not None:
-        assert_array_equal(successes.costs, [cost for cost in costs if cost < FALL])
-        assert successes.of_table is None
-        assert successes.of_successes is None
+    for sign in (1.0, -1.0):
+        told_success = options.get("success", SUCCESS)
+        success = None if told_success is None else sign * told_success
+        values = sign * np.array(costs)
+        own = options | {"success": success}
+        model = model_of(study_of(sign * outcomes, values, sign=sign, **own)[0])
+        found = model.of_successes
+        assert (found is not None) is is_asked and not model.is_familiar
+        if found is not None:
+            assert_array_equal(found.costs, [cost for cost in costs if cost < FALL])
+            assert found.ensemble.is_of_successes and found.of_successes is None
 
 
 def test_without_a_success_the_costs_of_all_worlds_are_parted():
@@ -150,87 +162,48 @@ def test_a_trial_that_breaks_a_limit_is_no_success_but_tells_what_one_costs():
 
 
 @pytest.mark.parametrize("limits", [(), [-1.0, -0.5, 1.0, 2.0, -0.2]])
-def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(limits):
+@pytest.mark.parametrize(("outcomes", "success"), [(LONELY, SUCCESS), (FAR, 54.0)])
+def test_utility_is_the_chance_of_success_times_the_improvement_if_it_comes(
+    outcomes, success, limits
+):
     """By SciPy's normal distribution, from the means and variances of both models.
 
     And times the chance that limits are kept; one of the trials that cost little broke one.
     Of what is likelier to fail than not the improvement does not count.
     """
-    study, table = study_of(LONELY, [FALL, 3.0, 40.0, 2.0, 2.5], limits=limits)
+    costs = [FALL, 3.0, 65.0, 2.0, 2.5]
+    study, table = study_of(outcomes, costs, limits=limits, success=success)
     model = model_of(study)
     points = points_of(table, model)
     utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
     mean, sd = costs_by(model, points)
-    (goal,) = model.ensemble.standard(np.array([SUCCESS]))
-    success = scipy.stats.norm.cdf(goal, mean, sd)
+    (goal,) = model.ensemble.standard(np.array([success]))
+    chance = as_odds_have_it(scipy.stats.norm.cdf(goal, mean, sd))
     kept = np.ones(ROWS)
     assert len(model.limit_posteriors) == (1 if limits else 0)
     for posterior in model.limit_posteriors.values():
         limit, variance = posterior.predict(model.visible(points))
         kept *= scipy.stats.norm.cdf(0.0, limit, np.sqrt(variance))
     mean, sd = costs_by(model.of_successes, points)
-    costs = [3.0, 2.5] if limits else [3.0, 2.0, 2.5]
-    best = model.of_successes.standard(
-        np.array([min(costs)]), np.array([3.0, 2.0, 2.5])
-    )
+    least = 2.5 if limits else 2.0
+    (best,) = model.of_successes.ensemble.standard(np.array([least]))
     z = (best - mean) / sd
-    improvement = (best - mean) * scipy.stats.norm.cdf(z) + sd * scipy.stats.norm.pdf(z)
-    likely = success >= 0.5
-    seen = likely & (success * kept > 1e-6) & (improvement > 1e-9)
+    gain = (best - mean) * scipy.stats.norm.cdf(z) + sd * scipy.stats.norm.pdf(z)
+    seen = (chance >= 0.5) & (kept > 1e-6) & (gain > 1e-9)
     assert seen.sum() > ROWS / 10
-    found = np.exp(utility[seen])
-    assert_allclose(found, (success * kept * improvement)[seen], rtol=1e-3)
+    assert_allclose(np.exp(utility[seen]), (chance * kept * gain)[seen], rtol=1e-3)
     # What is likelier to fail comes after all others, by its chance alone.
-    unlikely = ~likely & (success * kept > 1e-6)
-    assert unlikely.sum() > ROWS / 10
+    unlikely = (chance < 0.5) & (chance * kept > 1e-6)
+    assert unlikely.sum() > ROWS / 20
     assert utility[unlikely].max() < utility[seen].min()
-    chances = np.log(success * kept)[unlikely]
+    chances = np.log(chance * kept)[unlikely]
     assert_allclose(utility[unlikely] - chances, LOG_NO_GAIN, rtol=1e-6)
 
 
-def test_no_improvement_counts_for_more_than_one_to_the_least_cost_of_all_worlds():
-    """Beside SciPy's integral of what is gained at each cost."""
-    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
-    assert model.least == model.ensemble.ends[0] < model.cost()[1]
-    mean, sd = RNG.uniform(-2.0, 2.0, 20), RNG.uniform(0.05, 2.0, 20)
-    found = np.exp(model._log_improvement(mean, sd**2))
-    best, least = model.cost()[1], model.least - READING
-    for place, expected in enumerate(found):
-        cost = scipy.stats.norm(mean[place], sd[place])
-        gain = cost.expect(lambda f: best - f, lb=least, ub=best)
-        gain += (best - least) * cost.cdf(least)
-        assert_allclose(expected, gain, rtol=1e-6, atol=1e-12)
-
-
-def test_a_cost_below_that_of_all_worlds_can_be_improved_on():
-    model = model_of(study_of(JUMPY, [FALL, 0.5])[0])
-    assert model.cost()[1] < model.least
-    below, none = model.cost()[1] - np.array([0.1, 5.0, 6.0]), np.array([9.0, 0.0])
-    found = model._log_improvement(below, np.full(3, 0.01))
-    assert np.exp(found[0]) == pytest.approx(0.1, rel=0.2)
-    assert_allclose(np.exp(found[1:]), READING, rtol=1e-4)
-    assert found[2] > found[1] + 1e-7  # of those that are sure the better one
-    assert model._log_improvement(none[:1], none[1:]) == -np.inf
-
-
-@pytest.mark.parametrize(
-    ("outcomes", "costs"),
-    [
-        (LONELY, [FALL, 3.0]),
-        (JUMPY[:, : FEW_WORLDS - 1], [FALL, 3.0]),
-        (COSTS, [2.0, 3.0]),
-        (JUMPY, [FALL, *ALIKE]),
-    ],
-    ids=["rows tell nothing", "few worlds", "smooth", "in units of the trials"],
-)
-def test_elsewhere_the_worlds_do_not_bound_it(outcomes, costs):
-    assert model_of(study_of(outcomes, costs)[0]).least is None
-
-
-def test_nor_do_they_bound_a_goal_that_was_drawn_for_a_trial():
-    model = model_of(study_of(JUMPY, [FALL, 3.0])[0])
-    drawn = Ensemble(Worlds.of(JUMPY), JUMPY)
-    assert model.least is not None and replace(model, ensemble=drawn).least is None
+def as_odds_have_it(said):
+    """The chance of what is said to have this one."""
+    shift, slope = ODDS
+    return scipy.special.expit(shift + slope * scipy.special.logit(said))
 
 
 def test_failures_do_not_say_what_successes_cost():
@@ -242,3 +215,105 @@ def test_failures_do_not_say_what_successes_cost():
         points = points_of(table, successes)
         found.append(successes.posterior.predict(successes.visible(points)))
     assert_array_equal(found[0], found[1])
+
+
+def test_goals_that_were_drawn_for_a_trial_have_no_successes():
+    drawn = Ensemble(Worlds.of(FAR), FAR)
+    assert drawn.with_successes(54.0) is drawn
+    assert drawn.with_successes(None) is drawn
+
+
+NOTHING_TOLD = {
+    "no world has a success": (0.5, [0.4, 0.3]),
+    "one is the best of all": (float(FAR.min()), [0.4, 0.3]),
+}
+
+
+@pytest.mark.parametrize(("success", "costs"), NOTHING_TOLD.values(), ids=NOTHING_TOLD)
+def test_where_worlds_tell_nothing_of_successes_their_trials_do(success, costs):
+    """No row is then expected to cost less than another; the first is worth steps from it."""
+    study, table = study_of(FAR, [FALL, *costs, 0.2, 0.35], success=success)
+    own = model_of(study).of_successes
+    told_rows = points_of(table, own).matrix[:, own.columns.mean]
+    assert_allclose(told_rows, np.zeros((ROWS, 1)), atol=1e-6 / NARROWEST)
+    assert np.isfinite(own.cost()).all() and (np.diff(np.sort(own.cost())) > 0.0).all()
+    assert study.ask(table.rows.space.as_dict()).params
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "success"), [(FAR, 54.0), (EQUAL, 42.0)], ids=["far", "equal"]
+)
+def test_rows_have_the_mean_of_their_costs_in_the_worlds_where_they_succeed(
+    outcomes, success
+):
+    """In units of all successes; two worlds at the mean of these are added to each row."""
+    study, table = study_of(outcomes, [FALL, 1.3], success=success)
+    model = model_of(study)
+    columns, seen = model.columns, points_of(table, model).matrix
+    own = model.ensemble.standard(outcomes)
+    every = own[outcomes <= success]
+    middle, unit = every.mean(), every.std()
+    told = (model.ensemble.standard(np.array([1.3])) - middle) / unit
+    assert_allclose(model.of_successes.cost(), told)
+    for row in range(0, ROWS, 7):
+        succeeds = outcomes[row] <= success
+        costs = (own[row] - middle) / unit
+        mean = costs[succeeds].sum() / (succeeds.sum() + EXPECTED_WORLDS)
+        away = np.where(succeeds, costs - mean, 0.0) / np.sqrt(WORLDS)
+        assert_allclose(seen[row, columns.mean_of_successes], [mean], atol=1e-12)
+        assert_allclose(seen[row, columns.successes], away, atol=1e-12)
+    of_successes = model.of_successes.columns
+    assert of_successes.worlds == columns.successes
+    assert of_successes.mean == columns.mean_of_successes
+    assert (of_successes.one, of_successes.gap) == (columns.one, columns.gap)
+
+
+def test_it_is_a_process_over_columns_of_its_own():
+    """Beside its formula; between rows and candidates as among rows."""
+    study, table = study_of(FAR, [FALL, 3.0, 2.0], **OF_FAR)
+    model = model_of(study).of_successes
+    own, columns = model.posterior, model.columns
+    x = points_of(table, model).matrix[:40]
+    (_, like, _), (_, ranking, _), (_, shift, _), (_, near, scales) = (
+        own.covariance.valued(own.theta)
+    )
+    d, m, u = x[:, columns.worlds], x[:, columns.mean], x[:, columns.coordinates]
+    away = (u[:, None] - u) / scales
+    expected = like * d @ d.T + ranking * m @ m.T + shift
+    expected += near * np.exp(-0.5 * (away**2).sum(axis=2))
+    assert_allclose(own.covariance.gram(own.theta, x)[0], expected)
+    assert_allclose(own.covariance.towards(own.theta, x, np.float64)(x), expected)
+
+
+def test_eight_successes_have_units_of_their_own():
+    """As smooth costs have; the chance of one stays in those of the table."""
+    successes = np.linspace(1.5, 1.6, FAMILIAR)
+    for count in (FAMILIAR - 1, FAMILIAR):
+        model = model_of(study_of(FAR, [FALL, *successes[:count]], **OF_FAR)[0])
+        own = model.of_successes
+        assert not model.is_familiar
+        assert own.is_familiar is (count == FAMILIAR)
+        costs = log_excess(own.costs, own.costs)
+        if not own.is_familiar:
+            costs = own.ensemble.standard(own.costs)
+        assert_allclose(own.cost(), costs)
+
+
+def test_a_chance_counts_as_such_chances_come_true():
+    said = np.array([0.0, 1e-9, 0.1, 0.5, 0.9, 1.0 - 1e-9, 1.0])
+    with np.errstate(divide="ignore"):
+        found = np.exp(as_it_happens(np.log(said)))
+    assert_allclose(found, as_odds_have_it(said), rtol=1e-6, atol=1e-60)
+    assert found[-1] == 1.0
+
+
+def test_what_is_likelier_to_fail_comes_last_though_nothing_promises_to_be_better():
+    study, table = study_of(FAR, [FALL, 1e-6], **OF_FAR)
+    model = model_of(study)
+    points = points_of(table, model)
+    utility = model.utility(points, np.ones(ROWS, bool), np.random.default_rng(1))
+    mean, variance = model._costs_at(points)
+    chance = np.exp(as_it_happens(model._log_chance_of_success(mean, variance)))
+    likely = chance >= 0.5
+    assert 10 < likely.sum() < ROWS - 10
+    assert utility[likely].min() > utility[~likely].max()

@@ -16,16 +16,13 @@ from scipy.stats import multivariate_normal, norm
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler import space as spaces
-from study.sampler.between import error_of_guess
 from study.sampler.covariance import (
-    DOUBTED,
     FALL_NOISE,
     SUCCESS_NOISE,
     WITH_WORLDS,
-    WORLD,
     WORLD_NOISE,
 )
-from study.sampler.evidence import FAMILIAR, FEW_SUCCESSES, HOPELESS, ROWS_TRIED
+from study.sampler.evidence import FAMILIAR, HOPELESS, ROWS_TRIED
 from study.sampler.history import OFF_TABLE, placed
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
@@ -234,32 +231,6 @@ def test_smooth_costs_are_soon_in_units_of_the_trials_others_in_those_of_the_tab
         assert of_ranking == pytest.approx(0.0 if is_smooth else np.log(0.1))
         costs = np.array(values_of(study))
         assert_allclose(model.in_units(model.cost()), costs)
-
-
-@pytest.mark.parametrize(("value", "is_hidden"), [(0.01, True), (0.9, False)])
-def test_successes_that_look_alike_in_units_of_the_table_are_told_apart_by_their_own(
-    value, is_hidden
-):
-    """The ranking then fits them as freely as they ask, and worlds count if these ask for it.
-
-    Before, nobody asks whether costs are smooth, which takes long to learn, but where the
-    nearest rows tell nothing.
-    """
-    study, best = study_of(table(FALLS), success=1.0), COSTS.min()
-    values = [40.0, best, *np.linspace(best, best + value, FEW_SUCCESSES)[1:]]
-    for number, cost in enumerate(values):
-        x, y = ROWS[number]
-        told(study, SPACE, {"x": x, "y": 100.0**y}, cost)
-        model = model_of(study)
-        if number < FEW_SUCCESSES:
-            assert model.posterior and model.of_table is not None
-            is_asked = "guess" in vars(model.ensemble)
-            assert is_asked is (error_of_guess(ROWS, model.ensemble.mean) is not None)
-    assert (model.of_table is None) is is_hidden
-    likeness, ranking, *_ = model.posterior.covariance.terms
-    assert likeness.variance == (DOUBTED if is_hidden else WORLD)
-    assert ranking.variance.mode == pytest.approx(0.0 if is_hidden else np.log(0.1))
-    assert_allclose(model.in_units(model.cost()), values)
 
 
 def test_where_rows_tell_nothing_of_points_between_them_these_are_unsure():
