@@ -344,12 +344,12 @@ class Model(Evidence):
             return log_chance_kept  # nothing to improve on: first find a candidate that holds
         mean, variance = self._costs_at(points)
         if self.of_successes is not None:
-            log_chance = self._log_chance_of_success(mean, variance)
-            log_chance = as_it_happens(log_chance)
-            mean, variance = self.of_successes._costs_at(points)
-            log_gain = self.of_successes._log_improvement(mean, variance)
-            np.maximum(log_gain, LOG_LEAST_GAIN, out=log_gain)
-            log_gain[log_chance < LOG_EVEN] = LOG_NO_GAIN
+            log_chance = as_it_happens(self._log_chance_of_success(mean, variance))
+            likely = log_chance >= LOG_EVEN
+            mean, variance = self.of_successes._costs_at(points.take(likely))
+            gain = self.of_successes._log_improvement(mean, variance)
+            log_gain: Floats = np.full(len(points), LOG_NO_GAIN)
+            log_gain[likely] = np.maximum(gain, LOG_LEAST_GAIN)
             return log_chance + log_gain + log_chance_kept
         if self.success is not None and not self.succeeded.any():
             log_chance = self._log_chance_of_success(mean, variance) + log_chance_kept

@@ -92,13 +92,9 @@ class Points:
     @cached_property
     def matrix(self) -> Floats:
         """Features and coordinates side by side, [m, k + e]; made once."""
-        return self.part(slice(None))
-
-    def part(self, some: slice) -> Floats:
-        """Some rows of the matrix."""
         if not self.coordinates.shape[1]:
-            return self.features[some]
-        return np.hstack([self.features[some], self.coordinates[some]])
+            return self.features
+        return np.hstack([self.features, self.coordinates])
 
     @cached_property
     def single(self) -> NDArray[np.float32]:
