@@ -345,12 +345,13 @@ class Model(Evidence):
         mean, variance = self._costs_at(points)
         if self.of_successes is not None:
             log_chance = as_it_happens(self._log_chance_of_success(mean, variance))
+            log_chance += log_chance_kept
             likely = log_chance >= LOG_EVEN
             mean, variance = self.of_successes._costs_at(points.take(likely))
             gain = self.of_successes._log_improvement(mean, variance)
             log_gain: Floats = np.full(len(points), LOG_NO_GAIN)
             log_gain[likely] = np.maximum(gain, LOG_LEAST_GAIN)
-            return log_chance + log_gain + log_chance_kept
+            return log_chance + log_gain
         if self.success is not None and not self.succeeded.any():
             log_chance = self._log_chance_of_success(mean, variance) + log_chance_kept
             # Rows come first, and decide for the points off the table too.

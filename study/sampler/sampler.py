@@ -112,10 +112,10 @@ class FeatureKernelSampler(BaseSampler):
             this, or at least, where values are maximised. Until one has, the candidate
             that most likely succeeds comes next (with costs in worlds after the three
             best rows by their mean; on a machine like no world plain Bayesian
-            optimisation by turns with it), then that of the largest expected improvement
-            (where costs jump, times the chance of success). None: improvement alone
-            counts; or where costs jump and are two groups, what parts these takes its
-            place (`Ensemble.parting`).
+            optimisation by turns with it), then that of the largest expected improvement;
+            where costs jump, and successes tell what one costs, of this times the chance
+            of success. None: improvement alone counts; or where costs jump and are two
+            groups, what parts these takes its place (`Ensemble.parting`).
         allowed: which rows of a table may be proposed, [n]; None: all. Points off it
             are not looked at then.
         limits_of: trials of other studies over the same table, whose constraints alone

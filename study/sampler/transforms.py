@@ -92,9 +92,13 @@ class Points:
     @cached_property
     def matrix(self) -> Floats:
         """Features and coordinates side by side, [m, k + e]; made once."""
+        return self.part(slice(None))
+
+    def part(self, some: slice) -> Floats:
+        """Some rows of the matrix."""
         if not self.coordinates.shape[1]:
-            return self.features
-        return np.hstack([self.features, self.coordinates])
+            return self.features[some]
+        return np.hstack([self.features[some], self.coordinates[some]])
 
     @cached_property
     def single(self) -> NDArray[np.float32]:

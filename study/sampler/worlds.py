@@ -75,7 +75,9 @@ EXPECTED_WORLDS = 2.0
 # 0.73 landings of a drone (14:2 after 25); with the smooth cost, 0.18, steps from a first
 # success lost to rows on a gentle ramp (5:43).
 LEAST_UNIT = 0.5
-NARROWEST = 0.01  # of these units: of successes that hardly differ nothing is told
+NARROWEST = (
+    0.1  # the same, where successes hardly differ in the worlds, or none is there
+)
 ROUNDING = 1e-9  # of costs in standard deviations
 LEAST_SHARE = 1e-3  # of the least cost in the table: what is lower is taken for it
 
@@ -345,10 +347,10 @@ class Ensemble:
     def _among_successes(self, success: float) -> "Ensemble":
         told, (goal,) = self.told(self.columns), self.standard(np.array([success]))
         succeeds = told <= goal + ROUNDING
-        middle, unit = float(goal), 1.0
+        middle, unit = float(goal), NARROWEST
         if succeeds.any():
             middle = float(told[succeeds].mean())
-            unit = max(float(told[succeeds].std()), NARROWEST)
+            unit = max(float(told[succeeds].std()), unit)
         own = (told - middle) / unit
         share = np.where(succeeds, self.weights, 0.0)
         expected = EXPECTED_WORLDS / len(self.names)
