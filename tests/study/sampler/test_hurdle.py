@@ -220,7 +220,7 @@ NOTHING_TOLD = {
 
 @pytest.mark.parametrize(("success", "costs"), NOTHING_TOLD.values(), ids=NOTHING_TOLD)
 def test_where_worlds_tell_nothing_of_successes_their_trials_do(success, costs):
-    """No row is then expected to cost less than another; the first is worth steps from it."""
+    """No row is then expected to cost less than another, if it succeeds."""
     study, table = study_of(FAR, [FALL, *costs, 0.2, 0.35], success=success)
     own = model_of(study).of_successes
     told_rows = points_of(table, own).matrix[:, own.columns.mean]
@@ -272,6 +272,12 @@ def test_it_is_a_process_over_columns_of_its_own():
     expected += near * np.exp(-0.5 * (away**2).sum(axis=2))
     assert_allclose(own.covariance.gram(own.theta, x)[0], expected)
     assert_allclose(own.covariance.towards(own.theta, x, np.float64)(x), expected)
+
+
+def test_how_far_a_guess_between_rows_is_off_is_not_known_of_it():
+    model = model_of(study_of(LONELY, [FALL, *APART])[0])
+    assert model.guess_error is not None
+    assert model.of_successes.guess_error is None
 
 
 def test_eight_successes_have_units_of_their_own():
