@@ -70,10 +70,10 @@ LEAST_APART = 0.8
 # success of many tells little of the row.
 EXPECTED_WORLDS = 2.0
 # How far successes lie apart in the worlds, in standard deviations of all costs, from which
-# on worlds tell at once what they cost. Walks lie 1.5 apart with the non-smooth cost, 0.63
-# those of Walker2d (15:3 after 30 trials), 0.88 those of Ant (from four on 6:21 after 5) and
-# 0.73 landings of a drone (14:2 after 25); with the smooth cost, 0.18, steps from a first
-# success lost to rows on a gentle ramp (5:43).
+# on worlds tell at once what they cost. Walks lie 1.5 apart with the non-smooth cost, 1.2
+# those of Ant (from four successes on 6:21 after 5 trials), 0.63 those of Walker2d (15:3
+# after 30) and 0.73 landings of a drone (14:2 after 25); with the smooth cost, 0.18, steps
+# from a first success lost to rows on a gentle ramp (5:43).
 LEAST_UNIT = 0.5
 NARROWEST = (
     0.1  # the same, where successes hardly differ in the worlds, or none is there
