@@ -52,7 +52,7 @@ CACHED_CONSTANTS = 16
 # log odds = a + b (log odds said). Round numbers near the best of 2,146 proposals for Ant and
 # for made-up machines; those for Walker2d, not looked at before, gained as much.
 ODDS = (-0.5, 0.7)
-# What is likelier to fail than to succeed is the last that a hurdle takes. Without this
+# What is likelier to fail, or to break a limit, is the last that a hurdle takes. Without this
 # half of its proposals for walkers that limp had a chance below 0.05, and gained next to
 # nothing; for Ant those below 0.7 gained a third of what others did.
 LOG_EVEN = np.log(0.5)
@@ -160,10 +160,11 @@ class Model(Evidence):
         Where costs jump, a failure lies so far above all successes that one process
         through both expects one a short step from any success, and steps stay too small
         to gain by. So a candidate counts by the chance that it succeeds times the
-        improvement if it does (a hurdle model: Cragg 1971), and what is likelier to fail
-        than not by its chance alone, after all others. What is expected of a success is
-        told by the worlds in which a row is one (`Evidence.successes`). A trial that broke
-        a limit is no success, but tells what success costs.
+        improvement if it does (a hurdle model: Cragg 1971). What is likelier to fail, or to
+        break a limit, counts by its chance alone, after all others, where that is shunned.
+        What is expected of a success is told by the worlds in which a row is one
+        (`Evidence.successes`). A trial that broke a limit is no success, but tells what
+        success costs.
         """
         of_them = self.successes
         if of_them is None or self.success is None:
@@ -339,14 +340,13 @@ class Model(Evidence):
         log_chance_kept = np.zeros(len(points))
         for posterior in self.limit_posteriors.values():
             log_chance_kept += log_chance_below_zero(*posterior.predict(visible))
-        feasible = self.feasible
-        if not feasible.any():
+        if not self.feasible.any():
             return log_chance_kept  # nothing to improve on: first find a candidate that holds
         mean, variance = self._costs_at(points)
         if self.of_successes is not None:
-            log_chance = as_it_happens(self._log_chance_of_success(mean, variance))
-            log_chance += log_chance_kept
-            likely = log_chance >= LOG_EVEN
+            log_chance = self._log_chance_of_success(mean, variance)
+            log_chance = as_it_happens(log_chance) + log_chance_kept
+            likely = log_chance >= (LOG_EVEN if self.shuns_failures else -np.inf)
             mean, variance = self.of_successes._costs_at(points.take(likely))
             gain = self.of_successes._log_improvement(mean, variance)
             log_gain: Floats = np.full(len(points), LOG_NO_GAIN)

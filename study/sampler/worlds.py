@@ -314,6 +314,8 @@ class Ensemble:
         # What the same rows cost in the worlds where they succeed: `with_successes`.
         self.of_successes: Ensemble | None = None
         self.is_of_successes = False
+        # Whether the first success is enough: many worlds tell that others lie far apart.
+        self.tells_successes = False
 
     def with_successes(self, success: float | None) -> "Ensemble":
         """The same worlds, which also tell what a row costs in those where it succeeds.
@@ -337,20 +339,25 @@ class Ensemble:
         return found
 
     def _with_successes(self, success: float) -> "Ensemble":
-        successes, both = self._among_successes(success), copy(self)
+        successes = self._among_successes(success)
+        both = copy(self)
         columns = [successes.parts, successes.mean, self.columns]
         # Points have one matrix, of which each process takes its own columns.
         both.columns = successes.columns = np.column_stack(columns)
-        both.of_successes, both.kept = successes, {}
+        both.of_successes = successes
+        both.kept = {}
+        is_far = successes._unit >= LEAST_UNIT * self._unit
+        both.tells_successes = is_far and not self._are_few
         return both
 
     def _among_successes(self, success: float) -> "Ensemble":
-        told, (goal,) = self.told(self.columns), self.standard(np.array([success]))
+        told = self.told(self.columns)
+        (goal,) = self.standard(np.array([success]))
         succeeds = told <= goal + ROUNDING
-        middle, unit = float(goal), NARROWEST
+        middle, unit = goal, NARROWEST
         if succeeds.any():
-            middle = float(told[succeeds].mean())
-            unit = max(float(told[succeeds].std()), unit)
+            middle = told[succeeds].mean()
+            unit = max(told[succeeds].std(), unit)
         own = (told - middle) / unit
         share = np.where(succeeds, self.weights, 0.0)
         expected = EXPECTED_WORLDS / len(self.names)
@@ -364,13 +371,6 @@ class Ensemble:
         away = np.where(succeeds, own - found.mean[:, None], 0.0)
         found.parts = away * np.sqrt(self.weights)
         return found
-
-    @property
-    def tells_successes(self) -> bool:
-        """Whether the first success is enough: many worlds tell that others lie far apart."""
-        if self.of_successes is None or self._are_few:
-            return False
-        return self.of_successes._unit >= LEAST_UNIT * self._unit
 
     def layout(self, features: int, coordinates: int) -> Columns:
         """The columns of points that have `columns` between features and coordinates."""
