@@ -12,7 +12,7 @@ from study.neighbours import require_neighbours
 if TYPE_CHECKING:
     from storage.inputs.errors import InputError
     from study.bench.bench import Bench
-    from study.experiment.features import world_table
+    from study.experiment.features import world_table, worlds_function
     from study.sampler.forecast import Forecast, forecast
     from study.sampler.policy import TableExhaustedError
     from study.sampler.prediction import Best, Prediction
@@ -31,12 +31,13 @@ __all__ = [
     "TableExhaustedError",
     "forecast",
     "world_table",
+    "worlds_function",
 ]
 
 _PLACES = {
     "storage.inputs.errors": ("InputError",),
     "study.bench.bench": ("Bench",),
-    "study.experiment.features": ("world_table",),
+    "study.experiment.features": ("world_table", "worlds_function"),
     "study.sampler.forecast": ("Forecast", "forecast"),
     "study.sampler.prediction": ("Best", "Prediction"),
     "study.sampler.sampler": ("DoGSampler", "FeatureKernelSampler"),

@@ -1,19 +1,25 @@
 """What a store knows of its rows: columns, and what a trial costs in each world."""
 
+import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 from optuna.distributions import BaseDistribution
 
 from storage.cautions import cautions
 from storage.inputs import checks
+from storage.inputs.config import read_toml, read_whole
 from storage.inputs.errors import InputError, listed, shortened
+from storage.precompute import score_rows
 from storage.simulator import WALKER
+from storage.specification import read_specification
 from storage.store import Store, evaluated_name, open_store
 from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
@@ -28,6 +34,8 @@ Floats = NDArray[np.float64]
 # over them.
 WORLDS, RANKING = "worlds", "mean_over_worlds"
 IN_WORLDS = (WORLDS, RANKING)
+# Keys of a specification that tell which rows a store has, not what becomes of them.
+OF_ROWS = {"samples", "shard_rows", "repertoire", "columns"}
 
 
 def feature_table(
@@ -266,6 +274,73 @@ def table_of_worlds(
             name: np.stack([goal[name] for goal in goals], axis=-1) for name in outcomes
         }
     return _table(store, space, outcomes=outcomes)
+
+
+@checks.checked(
+    path=checks.path, config=checks.path, cost=checks.optional(checks.function)
+)
+def worlds_function(
+    path: str | Path, config: str | Path, cost: Cost | None = None, *others: Cost
+) -> Callable[[Floats], Floats]:
+    """The simulator of a store, to be asked what other points would cost in its worlds.
+
+    It is the `feature_function` of a sampler over `world_table` of the same store and
+    costs: points [m, d] to costs [m, w], or [m, w, k] of k costs. A point that fell in
+    the base setting, where no family tried it, has NaN.
+
+    Args:
+        path: of the store.
+        config: file that the store was computed by. What it names is run; what the
+            store names is not.
+        cost: as for `world_table`.
+        others: likewise.
+
+    Raises:
+        InputError: no store, no such configuration, or one of other worlds, parameters
+            or versions.
+    """
+    store = open_store(path)
+    specification = read_whole(read_toml(Path(config)), read_specification)
+    own = json.loads(json.dumps(specification.document))
+    for key in sorted((own.keys() | store.specification.keys()) - OF_ROWS):
+        if own.get(key) != store.specification.get(key):
+            allowed = f"one with {key!r} as the store {shortened(str(path))} has it"
+            raise InputError("config", shortened(str(config)), allowed)
+    costs = (cost or Objective().in_worlds, *others)
+
+    def outcomes(points: Floats) -> Floats:
+        rows, _ = score_rows(specification, range(len(points)), _unseen, points)
+        tried = Tried(
+            path=store.path,
+            files=(),
+            footers=({"rows": len(points)},),
+            columns=store.columns,
+            specification=store.specification,
+            rows=rows,
+        )
+        goals = [np.hstack([*outcomes_of(tried, each).values()]) for each in costs]
+        return np.stack(goals, axis=-1) if others else goals[0]
+
+    return outcomes
+
+
+@dataclass(frozen=True)
+class Tried(Store):
+    """Points that were run as those of a store, and are in no file.
+
+    Attributes:
+        rows: these points, as a store has its own.
+    """
+
+    rows: pa.Table
+
+    def tables(self, columns: Iterable[str] | None = None) -> Iterator[pa.Table]:
+        """See `Store.tables`."""
+        return iter([self.rows.select(list(columns or self.columns))])
+
+
+def _unseen(part: float) -> None:
+    """No progress is shown."""
 
 
 def front_of(table: FeatureTable) -> list[tuple[int, float, float]]:

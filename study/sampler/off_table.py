@@ -15,6 +15,7 @@ import numpy as np
 
 from study.sampler.acquisition import Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
+from study.sampler.asking import ASKED, Asked
 from study.sampler.draws import Purpose
 from study.sampler.history import OFF_TABLE, History, notes_of
 from study.sampler.policy import (
@@ -28,6 +29,7 @@ from study.sampler.risk import Certificate, Places
 from study.sampler.rows import Rows, once
 from study.sampler.space import keys, nearby, not_among, not_near
 from study.sampler.transforms import Points
+from study.sampler.worlds import Ensemble
 
 CENTRES = 8  # best rows that points off the table are near to
 INCUMBENTS = 3  # and best trials
@@ -65,6 +67,7 @@ class OffTable:
         own_turn: of the trial.
         known: rows that may be proposed, m of them.
         utility: of these, [m].
+        asked: simulates points; None: rows alone tell what they cost in worlds.
     """
 
     policy: Policy
@@ -74,6 +77,7 @@ class OffTable:
     own_turn: int
     known: Points
     utility: Floats
+    asked: Asked | None = None
 
     def best(self, certificate: Certificate | None) -> tuple[float, Proposal]:
         """The best of some points near the best rows and trials, and its utility or infinity.
@@ -101,6 +105,8 @@ class OffTable:
 
         rng = policy.rng(Purpose.OFF_GRID_UTILITY, self.own_turn)
         found = self.model.utility(near.points, new, rng)
+        if self.asked is not None:
+            found = self._simulated(near, found, self.asked)
         chosen = argmax_random_tie(found, rng)
         while found[chosen] > -np.inf and not holds(chosen):
             found[chosen] = -np.inf
@@ -113,6 +119,26 @@ class OffTable:
             value = np.inf
         notes = notes_of(OFF_TABLE, near.features[chosen], self.model.aim)
         return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
+
+    def _simulated(self, near: Near, utility: Floats, asked: Asked) -> Floats:
+        """The utility of the points that promise most, simulated; minus infinity of others, [k]."""
+        best = np.argsort(-utility, kind="stable")[:ASKED]
+        best, ensemble = best[np.isfinite(utility[best])], self.model.ensemble
+        found = np.full(len(utility), -np.inf)
+        if not len(best) or not isinstance(ensemble, Ensemble):
+            return found
+        told, some = (
+            asked.columns(near.parameters[best], ensemble),
+            near.points.take(best),
+        )
+        some.features[:, -told.shape[1] :] = told
+        is_told = np.asarray(~np.isnan(told).any(axis=1))
+        if is_told.any():
+            rng = self.policy.rng(Purpose.OFF_GRID_UTILITY, self.own_turn)
+            offered = np.ones(int(is_told.sum()), dtype=bool)
+            utility = self.model.utility(some.take(is_told), offered, rng)
+            found[best[is_told]] = utility
+        return found
 
     def _near(self) -> Near:
         """Points that may be proposed."""

@@ -124,10 +124,13 @@ class Rows:
             return once(self, "alike", lambda: Alike(self._chosen(alike)))
         assert worlds is not None
         costs = partial(worlds.of_rows, self.numbers, signs, goals)
+        as_costs = partial(worlds.of_outcomes, signs=signs, goals=goals)
         if goals is not None:
-            return Ensemble(worlds, costs())
+            return Ensemble(worlds, costs(), as_costs=as_costs)
         return once(
-            self, ("ensemble", *signs), lambda: Ensemble(worlds, costs(), self.unit)
+            self,
+            ("ensemble", *signs),
+            lambda: Ensemble(worlds, costs(), self.unit, as_costs),
         )
 
     def between(self, ensemble: Relation | None = None) -> Between:

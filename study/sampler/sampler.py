@@ -94,7 +94,10 @@ class FeatureKernelSampler(BaseSampler):
             covariance of order 5/2, a length scale each. All but the first start with
             three random trials.
         feature_function: for a table, features of points off it, in the table's order
-            and units.
+            and units; with outcomes in worlds these, [n, w], of points that are
+            simulated, a column a world (`study.worlds_function`). Of each trial the most
+            promising points off the table are then simulated, in place of guessed from
+            the rows. What it returns of a point may not depend on other points.
         off_grid: with such a function, the number of points near the best ones that are
             added to the candidates of each trial; by default none. With outcomes in
             worlds, of points near the best trials, by default 1,500; 0: rows alone are
@@ -394,8 +397,8 @@ def _require_sense_of_table(
 ) -> None:
     """Refuse options that do not go together with a table."""
     off_grid, related = options.off_grid, options.kernel.related
-    if related and function is not None:
-        allowed = "none beside outcomes in worlds or a similarity, which do its work"
+    if options.kernel == SIMILARITY and function is not None:
+        allowed = "none beside a similarity, which does its work"
         raise InputError("feature_function", "given", allowed)
     if options.allowed is not None and options.allowed.shape != (len(table),):
         raise InputError("allowed", "another size", f"[{len(table)}]")

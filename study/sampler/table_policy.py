@@ -20,6 +20,7 @@ from optuna.trial import FrozenTrial, TrialState
 from storage.inputs.errors import InputError
 from study.sampler.acquisition import Aim, Model, argmax_random_tie
 from study.sampler.arrays import Floats, Mask
+from study.sampler.asking import Asked
 from study.sampler.covariance import WITH_WORLDS
 from study.sampler.diagnostics import Present
 from study.sampler.draws import Purpose, turn
@@ -91,11 +92,15 @@ class TablePolicy(Policy):
         seed: int,
         independent: BaseSampler,
     ) -> None:
-        super().__init__(function, options, seed, independent)
+        in_worlds = options.kernel == WITH_WORLDS
+        super().__init__(None if in_worlds else function, options, seed, independent)
+        self._asked = None
+        if in_worlds and function is not None:
+            self._asked = Asked(function)
         self._table = table
         self._suggested: Rows | None = None
         self._looked_up: LookedUp = {}
-        worlds = self.own_rows.worlds if options.kernel == WITH_WORLDS else None
+        worlds = self.own_rows.worlds if in_worlds else None
         # Costs in worlds are a model before any trial. What only ranks tells no cost.
         self._in_costs = worlds is not None and worlds.better is None
         if worlds is not None:
@@ -440,6 +445,7 @@ class TablePolicy(Policy):
                 own_turn=own_turn,
                 known=points,
                 utility=utility,
+                asked=self._asked,
             )
             value, off = search.best(certificate)
             if not free.any() or value > utility.max():
@@ -485,8 +491,13 @@ class TablePolicy(Policy):
         place = np.searchsorted(rows.numbers, placed.rows)
         place = np.minimum(place, len(rows.numbers) - 1)
         features = points.features[place]
-        for off in np.flatnonzero(rows.numbers[place] != placed.rows).tolist():
-            features[off] = rows.between_at(points, unit[off], ensemble)
+        off = np.flatnonzero(rows.numbers[place] != placed.rows)
+        for each in off.tolist():
+            features[each] = rows.between_at(points, unit[each], ensemble)
+        if self._asked is not None and isinstance(ensemble, Ensemble) and len(off):
+            found = self._asked.columns(placed.parameters[off], ensemble)
+            told = ~np.isnan(found).any(axis=1)
+            features[off[told], -found.shape[1] :] = found[told]
         return Points(features, unit)
 
     def present(self, study: optuna.Study) -> Present:

@@ -198,12 +198,37 @@ class Worlds:
 
     def of_rows(self, rows: Whole, signs: Floats, goals: Goals | None) -> Floats:
         """Costs [m, w] of some rows; `signs` are -1 where values are maximised, [k]."""
+        return self._as_costs(self.costs[rows], signs, goals)
+
+    def of_outcomes(
+        self, outcomes: Floats, signs: Floats, goals: Goals | None
+    ) -> Floats:
+        """The same of points that a user's function simulated, [m, w] or [m, w, k].
+
+        Infinity is beyond all that rows have.
+
+        Raises:
+            InputError: outcomes in fewer or in more worlds, or of other goals.
+        """
+        expected = (len(outcomes), *self.costs.shape[1:])
+        if outcomes.shape != expected:
+            allowed = f"{expected}: a column a world of the table"
+            raise InputError("outcomes(params).shape", outcomes.shape, allowed)
+        found = outcomes.reshape(len(outcomes), -1, self.goals)
+        each = [
+            squarable(without_infinities(goal, stand_ins(ends)))
+            for goal, ends in zip(np.moveaxis(found, -1, 0), self.ends, strict=True)
+        ]
+        finite = np.stack(each, axis=-1).reshape(expected)
+        return self._as_costs(finite, signs, goals)
+
+    def _as_costs(self, outcomes: Floats, signs: Floats, goals: Goals | None) -> Floats:
         if goals is not None:
             return goals.cost(
-                signs * self.costs[rows].reshape(len(rows), len(self.names), -1)
+                signs * outcomes.reshape(len(outcomes), len(self.names), -1)
             )
         sign = {"higher": -1.0, "lower": 1.0, None: float(signs[0])}[self.better]
-        return sign * self.costs[rows].reshape(len(rows), -1)
+        return sign * outcomes.reshape(len(outcomes), -1)
 
 
 def limits_in_worlds(given: Mapping[str, Outcomes], count: int) -> dict[str, Worlds]:
@@ -269,7 +294,11 @@ class Ensemble:
     """The worlds' costs of m rows as a Gaussian process takes them."""
 
     def __init__(
-        self, worlds: Worlds, costs: Floats, unit: Floats | None = None
+        self,
+        worlds: Worlds,
+        costs: Floats,
+        unit: Floats | None = None,
+        as_costs: Callable[[Floats], Floats] = np.asarray,
     ) -> None:
         """Take the costs [m, w] of rows, as `Worlds.of_rows` has them.
 
@@ -279,8 +308,10 @@ class Ensemble:
             unit: the rows in the unit cube, [m, e], to guess points between them;
                 None: of goals that were drawn for one trial, whose proposal would take
                 longer for it.
+            as_costs: the same of other points, by `Worlds.of_outcomes`.
         """
         self.names = worlds.names
+        self._as_costs = as_costs
         self._places = unit
         # How many worlds of one weight tell as much, less one: of one world nothing is
         # known of how far others are from it.
@@ -314,6 +345,8 @@ class Ensemble:
         # What the same rows cost in the worlds where they succeed: `with_successes`.
         self.of_successes: Ensemble | None = None
         self.is_of_successes = False
+        # Up to what standard cost a row succeeds.
+        self.goal = np.inf
         # Whether the first success is enough: many worlds tell that others lie far apart.
         self.tells_successes = False
 
@@ -358,19 +391,36 @@ class Ensemble:
         if succeeds.any():
             middle = told[succeeds].mean()
             unit = max(told[succeeds].std(), unit)
-        own = (told - middle) / unit
-        share = np.where(succeeds, self.weights, 0.0)
-        expected = EXPECTED_WORLDS / len(self.names)
 
         found = copy(self)
-        found.is_of_successes, found.kept = True, {}
+        found.is_of_successes, found.goal, found.kept = True, goal, {}
         found.guess_error = None  # how far a guess is off here is not known
         found._middle += self._unit * middle
         found._unit *= unit
-        found.mean = (share * own).sum(axis=1) / (share.sum(axis=1) + expected)
-        away = np.where(succeeds, own - found.mean[:, None], 0.0)
-        found.parts = away * np.sqrt(self.weights)
+        found.mean, found.parts = self._over(succeeds, (told - middle) / unit)
         return found
+
+    def _over(self, succeeds: Mask, own: Floats) -> tuple[Floats, Floats]:
+        """Mean and parts of costs [m, w] over the worlds where points succeed, [m] and [m, w]."""
+        share = np.where(succeeds, self.weights, 0.0)
+        expected = EXPECTED_WORLDS / len(self.names)
+        mean = (share * own).sum(axis=1) / (share.sum(axis=1) + expected)
+        away = np.where(succeeds, own - mean[:, None], 0.0)
+        return mean, away * np.sqrt(self.weights)
+
+    def columns_of(self, outcomes: Floats) -> Floats:
+        """The `columns` of other points, which came to these outcomes in the worlds, [m, w]."""
+        costs = self._as_costs(outcomes)
+        own = self.standard(costs)
+        mean = own @ self.weights
+        parts = (own - mean[:, None]) * np.sqrt(self.weights)
+        found = [parts, np.ones(len(own)), mean, np.zeros(len(own))]
+        theirs = self.of_successes
+        if theirs is not None:
+            succeeds = own <= theirs.goal + ROUNDING
+            mean, parts = self._over(succeeds, theirs.standard(costs))
+            found = [parts, mean, *found]
+        return np.column_stack(found)
 
     def layout(self, features: int, coordinates: int) -> Columns:
         """The columns of points that have `columns` between features and coordinates."""

@@ -10,11 +10,14 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from storage import FunctionSimulator, make_store
+from storage.inputs.config import read_toml
+from storage.precompute import precompute
+from storage.specification import read_specification
 from storage.store import open_store
 from study.bench.plan import read_plan
 from study.experiment.arms import ARMS, check_arms
 from study.experiment.experiment import candidates
-from study.experiment.features import world_table
+from study.experiment.features import world_table, worlds_function
 from tests.cases import ASSETS, refused
 from tests.storage import plants, robot
 from tests.study import fake_walker
@@ -243,3 +246,71 @@ def test_a_store_of_an_older_version_opens_with_what_its_worlds_kept(
             families={"gale": gale},
         )
     assert len(open_store(half, unfinished=True)) == 16
+
+
+CARTS = """
+simulator = "asked_carts.py:Cart"
+samples = 40
+seed = 3
+simulation.duration_s = 4.0
+
+[families.gale]
+settings = 3
+min_survival_s = 3.0
+world = {wind = [1.0, 3.0]}
+
+[families.long]
+settings = 2
+after = "gale"
+min_survived_fraction = 0.6
+horizon_s = 6.0
+world = {mass_kg = [1.0, 2.0]}
+"""
+
+
+@pytest.fixture(scope="module")
+def carts(tmp_path_factory):
+    """A store, and the configuration that it was computed by."""
+    folder = tmp_path_factory.mktemp("carts")
+    shutil.copy(robot.__file__, folder / "asked_carts.py")
+    config = folder / "carts.toml"
+    config.write_text(CARTS)
+    precompute(read_specification(read_toml(config)), folder / "store")
+    return folder / "store", config
+
+
+def by_speed(given, horizon_s):
+    return given["speed_mps"] + given["survived_fraction"]
+
+
+@pytest.mark.parametrize(
+    "costs", [(by_speed,), (by_speed, lambda given, _: -given["thrust_n"])]
+)
+def test_a_simulator_that_is_asked_says_what_its_store_says(carts, costs):
+    path, config = carts
+    table, simulate = world_table(path, *costs), worlds_function(path, config, *costs)
+    parameters, worlds = table.rows.parameters, table.rows.worlds
+    found = simulate(parameters)
+    assert 0 < np.isnan(found).sum() < found.size  # rows that no family ran
+    assert_array_equal(found, worlds.costs)
+    assert_array_equal(simulate(parameters[7:8]), worlds.costs[7:8])
+
+
+def test_a_simulator_of_other_worlds_is_not_asked(carts):
+    path, other = carts[0], carts[1].with_name("other.toml")
+    for changed, key in (
+        (CARTS.replace("3.0]}", "2.5]}"), "families"),
+        (CARTS.replace("duration_s = 4.0", "duration_s = 4.5"), "families"),
+        (CARTS.replace("seed = 3", "seed = 4"), "drawn"),
+    ):
+        other.write_text(changed)
+        with refused(rf"^config: .*other.toml.* with '{key}' as the store "):
+            worlds_function(path, other, by_speed)
+    other.write_text(CARTS.replace("samples = 40", "samples = 90"))
+    assert worlds_function(path, other, by_speed)  # other rows of the same worlds
+    with refused("^config: .*"):
+        worlds_function(path, other.with_name("none.toml"), by_speed)
+    with refused("^cost: 'no_column' "):
+        worlds_function(path, other, lambda given, _: given["no_column"])(
+            np.ones((1, 4))
+        )

@@ -402,7 +402,6 @@ def test_outcomes_that_do_not_fit_the_features_are_refused():
 @pytest.mark.parametrize(
     ("features", "options", "message"),
     [
-        (table(), {"feature_function": np.sin}, "'given' .* none beside outcomes"),
         (table(), {"off_grid": -1}, "-1 .* from 0 to 1000000"),
         (None, {"off_grid": 3}, "3"),
         (None, {"feature_function": np.sin}, "'given'"),
