@@ -385,7 +385,9 @@ class Advice:
 
     def _sampler(self, allowed: Mask | None = None) -> FeatureKernelSampler:
         limits = [frozen(trial, self.space, self.plan) for trial in self.elsewhere]
-        sampler = self.plan.sampler(self._known, allowed, limits)
+        # Other contexts are worlds that nobody simulates.
+        may_ask = not self.others
+        sampler = self.plan.sampler(self._known, allowed, limits, may_ask=may_ask)
         sampler.errors = self.errors
         return sampler
 

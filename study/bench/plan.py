@@ -33,7 +33,7 @@ from study.bench.limits import (
 )
 from study.sampler.sampler import MOST_OFF_GRID, FeatureKernelSampler
 from study.sampler.table import FeatureTable
-from study.sampler.worlds import limits_in_worlds
+from study.sampler.worlds import Better, limits_in_worlds
 
 if TYPE_CHECKING:
     from study.experiment.features import Cost
@@ -201,6 +201,12 @@ class Plan:
         return None if self.candidates.unread.get("features") else self.store
 
     @property
+    def asked(self) -> Path | None:
+        """The configuration of the store, whose simulator is asked; None: it is not."""
+        asked = self.candidates.unread.get("asked")
+        return None if not asked else self.candidates.folder / str(asked)
+
+    @property
     def _cost(self) -> str:
         """What a row of a store costs, by the name that the file has for it."""
         return str(self.candidates.unread.get("cost", SMOOTH))
@@ -297,6 +303,8 @@ class Plan:
         candidates: FeatureTable,
         allowed: NDArray[np.bool_] | None = None,
         limits_of: Sequence[FrozenTrial] = (),
+        *,
+        may_ask: bool = True,
     ) -> FeatureKernelSampler:
         """The sampler over candidates; trials off the table have what rows near them tell.
 
@@ -304,6 +312,8 @@ class Plan:
             candidates: the rows.
             allowed: which of them may be proposed, [n]; None: all.
             limits_of: trials elsewhere, of which the limits alone are learned.
+            may_ask: whether the candidates have the store's worlds alone, so that its
+                simulator may be asked.
         """
         rows = candidates.rows
         options = dict[str, Any]()
@@ -314,6 +324,8 @@ class Plan:
                 return rows.between().at(rows.features[rows.numbers], places, places)
 
             options = {"feature_function": features}
+        elif self.asked is not None and may_ask:
+            options = {"feature_function": _simulator_of(self)}
         return FeatureKernelSampler(
             candidates,
             seed=self.seed,
@@ -472,11 +484,12 @@ def _of_store(table: Table, plan: Plan) -> FeatureTable:
     # Of the walker: what has no store does without, as `status` does.
     from storage.store import open_store
     from study.experiment.features import told_of, world_table
-    from study.experiment.objective import PRINTED, Objective, Term, named_function
 
     path, features = table.folder / table.text("store"), table.texts("features")
-    cost = table.text("cost", SMOOTH)
     better = better_of(table)
+    asked = table.text("asked", "")
+    if asked and features:
+        raise InputError("candidates.asked", asked, "none beside features")
     store = open_store(path)
 
     def told(field: str, names: tuple[str, ...]) -> ByFamily:
@@ -491,11 +504,29 @@ def _of_store(table: Table, plan: Plan) -> FeatureTable:
     if features:
         found = FeatureTable.from_parquet(path, features=features).rows
     else:
-        goal = plan.goal if better is None else replace(plan.goal, failed=None)
-        term = Term(cost, 1.0, function=named_function(table, cost))
-        in_values = goal.in_worlds(term)
-        costs = Objective(cost).in_worlds if cost in PRINTED else in_values
-        found = world_table(path, costs).rows
+        if asked:
+            _simulator_of(plan)  # refused before the first trial
+        found = world_table(path, _cost_of(table, plan, better)).rows
         assert found.worlds is not None
         found = replace(found, worlds=replace(found.worlds, better=better))
     return FeatureTable(replace(found, limits=limits_in_worlds(limits, len(found))))
+
+
+def _cost_of(table: Table, plan: Plan, better: Better | None) -> "Cost":
+    """What a trial costs in a world of the store, as [candidates] says."""
+    from study.experiment.objective import PRINTED, Objective, Term, named_function
+
+    cost = table.text("cost", SMOOTH)
+    goal = plan.goal if better is None else replace(plan.goal, failed=None)
+    term = Term(cost, 1.0, function=named_function(table, cost))
+    return Objective(cost).in_worlds if cost in PRINTED else goal.in_worlds(term)
+
+
+def _simulator_of(plan: Plan) -> Callable[[Floats], Floats]:
+    """The simulator of the store, to be asked what other points cost in its worlds."""
+    from study.experiment.features import worlds_function
+
+    table = Table(plan.candidates.unread, "candidates", plan.candidates.folder)
+    assert plan.store is not None and plan.asked is not None
+    cost = _cost_of(table, plan, better_of(table))
+    return worlds_function(plan.store, plan.asked, cost)

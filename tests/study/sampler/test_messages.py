@@ -33,6 +33,7 @@ PARAMETERS = {"a": [0.1, 0.5, 0.9], "b": [1.0, 2.0, 3.0]}
 FEATURES = [[0.0], [1.0], [4.0]]
 SPACE = {"a": FloatDistribution(0, 1), "b": FloatDistribution(0, 5)}
 TABLE = FeatureTable.from_arrays(PARAMETERS, FEATURES)
+IN_WORLDS = FeatureTable.from_arrays(PARAMETERS, outcomes=np.eye(3, 4))
 LINE = np.linspace(0, 1, 20)
 DAYS = np.array(["2026-11-27", "2026-11-28", "2026-11-29"], dtype="M8[s]")
 
@@ -166,6 +167,16 @@ TRIALS = {
     "features(params): 'no row without NaN' …": (
         lambda params: params * np.nan,
         {"space": SPACE},
+        both,
+    ),
+    "outcomes(params): … allowed: outcomes, no exception": (
+        IN_WORLDS,
+        {"feature_function": lambda params: 1 / 0},
+        both,
+    ),
+    "outcomes(params).shape: … allowed: …": (
+        IN_WORLDS,
+        {"feature_function": lambda params: np.ones((7, 2))},
         both,
     ),
     "… the independent sampler takes over": (TABLE, {"strict": False}, both),

@@ -1,0 +1,85 @@
+"""A bench that asks the simulator of its store about points off the candidates."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from storage.inputs.config import read_toml
+from storage.precompute import precompute, score_rows
+from storage.specification import read_specification
+from study import Bench
+from study.experiment import features
+from tests.storage import robot
+from tests.study.conftest import refused
+
+STORE = """
+simulator = "bench_carts.py:Cart"
+samples = 80
+seed = 3
+simulation.duration_s = 8.0
+world.wind = 0.0
+families.heavy = {settings = 6, world = {wind = 0.0, mass_kg = [0.5, 2.0]}}
+"""
+BENCH = """
+[candidates]
+store = "made"
+cost = "speed_mps"
+asked = "carts.toml"
+[goal]
+success = 0.5
+duration_s = 8
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """With a store and the configuration that it was computed by."""
+    folder = tmp_path_factory.mktemp("carts")
+    shutil.copy(robot.__file__, folder / "bench_carts.py")
+    (folder / "carts.toml").write_text(STORE)
+    precompute(read_specification(read_toml(folder / "carts.toml")), folder / "made")
+    return folder
+
+
+def tried(folder, name, trials):
+    """A bench of a cart of 1.3 kg, after some trials."""
+    path = folder / f"{name}.toml"
+    path.write_text(BENCH)
+    bench = Bench.new(path)
+    for _ in range(trials):
+        (trial,) = bench.next()
+        run = robot.drive(trial.params, {"wind": 0.0, "mass_kg": 1.3}, 8.0)
+        bench.record(trial.number, value=run["speed_mps"])
+    return bench
+
+
+def test_points_off_the_candidates_are_simulated_before_one_is_proposed(
+    folder, monkeypatch
+):
+    simulated = []
+
+    def noted(specification, rows, report, points):
+        simulated.append(points)
+        return score_rows(specification, rows, report, points)
+
+    monkeypatch.setattr(features, "score_rows", noted)
+    bench = tried(folder, "asks", 9)
+    rows = bench.candidates.rows
+    tries = [trial.params for trial in bench.state.trials.values()]
+    off = [rows.space.row(params) for params in tries if rows.find(params) is None]
+    assert off
+    every = np.vstack(simulated)
+    for point in off:
+        assert (every == point).all(axis=1).any()
+
+
+def test_another_simulator_than_the_stores_is_refused_before_the_first_trial(folder):
+    path = folder / "other.toml"
+    (folder / "heavier.toml").write_text(STORE.replace("2.0]", "2.5]"))
+    path.write_text(BENCH.replace("carts.toml", "heavier.toml"))
+    with refused("^config: .*heavier.toml.* with 'families' as the store"):
+        Bench.new(path)
+    path.write_text(BENCH.replace("cost =", "features = ['speed_mps']\ncost ="))
+    with refused("^candidates.asked: 'carts.toml' .* none beside features"):
+        Bench.new(path)
