@@ -7,7 +7,8 @@ study. `evidence` is what its trials have shown, and all that this decides. `gp`
 Gaussian process, `covariance` its kernels, `acquisition` compares candidates by it,
 `transforms` and `goals` put features and costs on its scales. `worlds` and `similarity`
 are what may be known of rows beside features, `between` what rows tell of other points,
-`unlike` says that a machine is like no world. `prediction` says what to expect, by
-`calibration` as sure as past trials allow; `risk` keeps to small ones; `forecast` lets
-worlds take the machine's place; `diagnostics` reports what features and worlds were worth.
+`asking` what a simulator says of these; `unlike` says that a machine is like no world.
+`prediction` says what to expect, by `calibration` as sure as past trials allow; `risk`
+keeps to small ones; `forecast` lets worlds take the machine's place; `diagnostics` reports
+what features and worlds were worth.
 """

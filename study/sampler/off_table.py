@@ -127,10 +127,8 @@ class OffTable:
         found = np.full(len(utility), -np.inf)
         if not len(best) or not isinstance(ensemble, Ensemble):
             return found
-        told, some = (
-            asked.columns(near.parameters[best], ensemble),
-            near.points.take(best),
-        )
+        told = asked.columns(near.parameters[best], ensemble)
+        some = near.points.take(best)
         some.features[:, -told.shape[1] :] = told
         is_told = np.asarray(~np.isnan(told).any(axis=1))
         if is_told.any():
