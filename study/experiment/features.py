@@ -19,7 +19,7 @@ from storage.inputs.config import read_toml, read_whole
 from storage.inputs.errors import InputError, listed, shortened
 from storage.precompute import score_rows
 from storage.simulator import WALKER
-from storage.specification import read_specification
+from storage.specification import Specification, read_specification
 from storage.store import Store, evaluated_name, open_store
 from study.experiment.objective import Objective
 from study.sampler.columns import store_parameters
@@ -281,7 +281,7 @@ def table_of_worlds(
 )
 def worlds_function(
     path: str | Path, config: str | Path, cost: Cost | None = None, *others: Cost
-) -> Callable[[Floats], Floats]:
+) -> "Simulated":
     """The simulator of a store, to be asked what other points would cost in its worlds.
 
     It is the `feature_function` of a sampler over `world_table` of the same store and
@@ -306,22 +306,48 @@ def worlds_function(
         if own.get(key) != store.specification.get(key):
             allowed = f"one with {key!r} as the store {shortened(str(path))} has it"
             raise InputError("config", shortened(str(config)), allowed)
-    costs = (cost or Objective().in_worlds, *others)
+    return Simulated(store, specification, (cost or Objective().in_worlds, *others))
 
-    def outcomes(points: Floats) -> Floats:
-        rows, _ = score_rows(specification, range(len(points)), _unseen, points)
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulated:
+    """The simulator of a store as a function of points.
+
+    Attributes:
+        store: whose worlds they are run in.
+        specification: that it was computed by.
+        costs: of a run in a world, one or more.
+    """
+
+    store: Store
+    specification: Specification
+    costs: tuple[Cost, ...]
+
+    def __repr__(self) -> str:
+        return f"worlds_function({str(self.store.path)!r}, ...)"
+
+    def __call__(self, points: Floats) -> Floats:
+        """What points [m, d] cost in the worlds, [m, w], or [m, w, k] of k costs.
+
+        Raises:
+            InputError: no finite numbers [m, d].
+        """
+        points, d = checks.numbers("points", points), len(self.store.bounds)
+        if points.ndim != 2 or points.shape[1] != d:
+            raise InputError("points.shape", points.shape, f"[m, {d}]")
+        if not np.isfinite(points).all():
+            raise InputError("points", "NaN or infinity", "finite numbers")
+        rows, _ = score_rows(self.specification, range(len(points)), _unseen, points)
         tried = Tried(
-            path=store.path,
+            path=self.store.path,
             files=(),
             footers=({"rows": len(points)},),
-            columns=store.columns,
-            specification=store.specification,
+            columns=self.store.columns,
+            specification=self.store.specification,
             rows=rows,
         )
-        goals = [np.hstack([*outcomes_of(tried, each).values()]) for each in costs]
-        return np.stack(goals, axis=-1) if others else goals[0]
-
-    return outcomes
+        each = [np.hstack([*outcomes_of(tried, cost).values()]) for cost in self.costs]
+        return each[0] if len(each) == 1 else np.stack(each, axis=-1)
 
 
 @dataclass(frozen=True)

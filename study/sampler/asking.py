@@ -33,11 +33,12 @@ class Asked:
     def columns(self, parameters: Floats, ensemble: Ensemble) -> Floats:
         """What an ensemble has of points [m, d], [m, k]; NaN where a world tells nothing."""
         keys = [point.tobytes() for point in parameters]
-        new = [place for place, key in enumerate(keys) if key not in self._known]
+        places = {key: place for place, key in enumerate(keys)}
+        new = [key for key in places if key not in self._known]
         if new:
-            found = self._simulated(parameters[new])
-            for place, outcomes in zip(new, found, strict=True):
-                self._known[keys[place]] = outcomes
+            found = self._simulated(parameters[[places[key] for key in new]])
+            ensemble.columns_of(found)  # refused before it is kept
+            self._known |= zip(new, found, strict=True)
         return ensemble.columns_of(np.stack([self._known[key] for key in keys]))
 
     def _simulated(self, parameters: Floats) -> Floats:

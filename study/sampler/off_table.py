@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from study.sampler.acquisition import Model, argmax_random_tie
-from study.sampler.arrays import Floats, Mask
+from study.sampler.arrays import Floats, Mask, Whole
 from study.sampler.asking import ASKED, Asked
 from study.sampler.draws import Purpose
 from study.sampler.history import OFF_TABLE, History, notes_of
@@ -121,21 +121,29 @@ class OffTable:
         return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
 
     def _simulated(self, near: Near, utility: Floats, asked: Asked) -> Floats:
-        """The utility of the points that promise most, simulated; minus infinity of others, [k]."""
-        best = np.argsort(-utility, kind="stable")[:ASKED]
-        best, ensemble = best[np.isfinite(utility[best])], self.model.ensemble
-        found = np.full(len(utility), -np.inf)
+        """The utility of the points that promise most, simulated; minus infinity of others, [k].
+
+        Where the simulator tells nothing of any of them, and no row is left either, it is
+        that of the others, by what rows tell; of these, if there are no others.
+        """
+        ensemble, found = self.model.ensemble, np.full(len(utility), -np.inf)
+        best = most_promising(near.parameters, utility, ASKED)
         if not len(best) or not isinstance(ensemble, Ensemble):
             return found
         told = asked.columns(near.parameters[best], ensemble)
-        some = near.points.take(best)
-        some.features[:, -told.shape[1] :] = told
         is_told = np.asarray(~np.isnan(told).any(axis=1))
         if is_told.any():
+            some = near.points.take(best[is_told])
+            some.features[:, -told.shape[1] :] = told[is_told]
             rng = self.policy.rng(Purpose.OFF_GRID_UTILITY, self.own_turn)
-            offered = np.ones(int(is_told.sum()), dtype=bool)
-            utility = self.model.utility(some.take(is_told), offered, rng)
-            found[best[is_told]] = utility
+            offered = np.ones(len(some), dtype=bool)
+            found[best[is_told]] = self.model.utility(some, offered, rng)
+        elif not np.isfinite(self.utility).any():
+            silent = set(keys(near.unit[best]))
+            is_silent = np.array([key in silent for key in keys(near.unit)])
+            found = np.where(is_silent, -np.inf, utility)
+            if not np.isfinite(found).any():
+                return utility
         return found
 
     def _near(self) -> Near:
@@ -176,6 +184,15 @@ class OffTable:
             new=new,
             centres=centres,
         )
+
+
+def most_promising(parameters: Floats, utility: Floats, count: int) -> Whole:
+    """Places of the most useful of different points [k, d], by their utility, [k]; so many."""
+    order = np.argsort(-utility, kind="stable")
+    order = order[np.isfinite(utility[order])]
+    # Of integers and choices many points are the same.
+    _, first = np.unique(parameters[order], axis=0, return_index=True)
+    return order[np.sort(first)[:count]]
 
 
 def _are_rows(rows: Rows, unit: Floats) -> Mask:

@@ -170,6 +170,12 @@ class Worlds:
         columns = self.costs.reshape(-1, self.goals).T
         return np.array([[np.nanmin(column), np.nanmax(column)] for column in columns])
 
+    @cached_property
+    def _beyond(self) -> list[tuple[float, float]]:
+        """What stands for infinities, for each of k goals."""
+        finite = self.costs if self.as_before is None else self.as_before
+        return [stand_ins(goal) for goal in finite.reshape(-1, self.goals).T]
+
     @property
     def goals(self) -> int:
         """k, 1 where outcomes have two axes."""
@@ -205,7 +211,7 @@ class Worlds:
     ) -> Floats:
         """The same of points that a user's function simulated, [m, w] or [m, w, k].
 
-        Infinity is beyond all that rows have.
+        Infinity counts as it does in the rows.
 
         Raises:
             InputError: outcomes in fewer or in more worlds, or of other goals.
@@ -216,8 +222,8 @@ class Worlds:
             raise InputError("outcomes(params).shape", outcomes.shape, allowed)
         found = outcomes.reshape(len(outcomes), -1, self.goals)
         each = [
-            squarable(without_infinities(goal, stand_ins(ends)))
-            for goal, ends in zip(np.moveaxis(found, -1, 0), self.ends, strict=True)
+            squarable(without_infinities(goal, ends))
+            for goal, ends in zip(np.moveaxis(found, -1, 0), self._beyond, strict=True)
         ]
         finite = np.stack(each, axis=-1).reshape(expected)
         return self._as_costs(finite, signs, goals)

@@ -1,9 +1,11 @@
 """What a store knows of its rows, as candidates of studies."""
 
+import pickle
 import re
 import shutil
 import warnings
 from dataclasses import replace
+from math import nan
 
 import numpy as np
 import pytest
@@ -294,6 +296,28 @@ def test_a_simulator_that_is_asked_says_what_its_store_says(carts, costs):
     assert 0 < np.isnan(found).sum() < found.size  # rows that no family ran
     assert_array_equal(found, worlds.costs)
     assert_array_equal(simulate(parameters[7:8]), worlds.costs[7:8])
+
+
+def test_a_simulator_that_is_asked_goes_to_another_process(carts):
+    path, _ = carts
+    table, simulate = world_table(path, by_speed), worlds_function(*carts, by_speed)
+    again = pickle.loads(pickle.dumps(simulate))
+    assert_array_equal(again(table.rows.parameters), simulate(table.rows.parameters))
+    assert repr(simulate) == f"worlds_function({str(path)!r}, ...)"
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        (np.ones((2, 3)), r"^points.shape: \(2, 3\) .* \[m, 4\]"),
+        (np.ones(4), r"^points.shape: \(4,\) "),
+        ([[1.0, nan, 1.0, 0.0]], "^points: 'NaN or infinity' .* finite"),
+        (["fast"], r"^points\[0\]: 'fast' .* numbers"),
+    ],
+)
+def test_points_that_are_none_are_not_simulated(carts, points, message):
+    with refused(message):
+        worlds_function(*carts, by_speed)(points)
 
 
 def test_a_simulator_of_other_worlds_is_not_asked(carts):

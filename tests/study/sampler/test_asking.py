@@ -6,6 +6,7 @@ import numpy as np
 import optuna
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from optuna.distributions import IntDistribution
 
 from study import FeatureKernelSampler, FeatureTable
 from study.sampler.asking import ASKED
@@ -182,15 +183,87 @@ def test_points_of_which_the_simulator_tells_nothing_are_not_proposed():
     assert OFF_TABLE not in rows_of(silent)
 
 
-def test_an_infinite_outcome_is_worse_than_all_of_the_table():
-    def diverging(points):
-        return np.where(simulated(points) == FALL, inf, simulated(points))
+SIDE = np.arange(12)
+GRID = np.array([(x, y) for x in SIDE[::3] for y in SIDE[::3]])
 
+
+def on_grid(points):
+    away = (points[:, :1] - 5.0) ** 2 + (points[:, 1:] - 7.0) ** 2
+    return away * np.linspace(0.5, 1.5, 6) + 1.0
+
+
+def grid_study(function, trials):
+    """Of a table of 16 of the 144 points of two integers."""
+    space = {"x": IntDistribution(0, 11), "y": IntDistribution(0, 11)}
+    columns = {"x": GRID[:, 0], "y": GRID[:, 1]}
+    table = FeatureTable.from_arrays(columns, outcomes=on_grid(GRID), space=space)
+    sampler = FeatureKernelSampler(table, seed=1, feature_function=function)
+    study = optuna.create_study(sampler=sampler)
+    for _ in range(trials):
+        trial = study.ask(space)
+        point = np.array([[trial.params["x"], trial.params["y"]]])
+        study.tell(trial, float(on_grid(point).mean()))
+    return study
+
+
+def test_points_that_are_the_same_are_simulated_once():
+    asked = []
+
+    def noted(points):
+        asked.append(points.copy())
+        return on_grid(points)
+
+    grid_study(noted, 8)
+    every = np.vstack(asked)
+    assert len(np.unique(every, axis=0)) == len(every)
+    assert max(map(len, asked)) == ASKED
+
+
+@pytest.mark.parametrize("told", ["nothing", "half"])
+def test_where_no_row_is_left_a_silent_simulator_repeats_nothing(told):
+    def silent(points):
+        is_silent = (points[:, :1] < 6) | (told == "nothing")
+        return np.where(is_silent, nan, on_grid(points))
+
+    study = grid_study(silent, 40)
+    tried = [tuple(trial.params.values()) for trial in study.trials]
+    assert len(set(tried)) == 40
+
+
+def test_an_answer_that_is_refused_is_not_kept():
+    """A function that is mended goes on; one that changes its worlds is refused each time."""
+    fewer = [True]
+
+    def mended(points):
+        return simulated(points)[:, 1:] if fewer[0] else simulated(points)
+
+    study = study_of(0, function=mended)
+    space = study.sampler.infer_relative_search_space(study, None)
+    told(study, space, dict.fromkeys(NAMES, 0.4321), 1.5)
+    with refused(r"outcomes\(params\).shape: \(1, 11\)"):
+        go_on(study, 1)
+    fewer[0] = False
+    go_on(study, 3)
+    fewer[0] = True
+    with refused(r"outcomes\(params\).shape: \(\d+, 11\)"):
+        go_on(study, 4)
+
+
+@pytest.mark.parametrize("infinite", [inf, -inf])
+def test_an_infinite_outcome_counts_as_it_does_in_the_table(infinite):
+    def diverging(points):
+        return np.where(simulated(points) == FALL, infinite, simulated(points))
+
+    rows = table_of(diverging).rows
+    ensemble = rows.ensemble(np.ones(1)).with_successes(SUCCESS)
+    assert_allclose(ensemble.columns_of(diverging(UNIT)), ensemble.columns, atol=1e-9)
     study = study_of(10, table_of(diverging), diverging)
-    model = model_of(study)
-    assert np.isfinite(model.trials.features).all()
-    infinite = model.ensemble.columns_of(np.full((1, WORLDS), inf))
-    assert model.ensemble.told(infinite).min() >= model.ensemble.ends[1] - 1e-9
+    assert np.isfinite(model_of(study).trials.features).all()
+    # One that no row has is beyond all of these.
+    finite = table_of().rows.ensemble(np.ones(1))
+    beyond = finite.told(finite.columns_of(np.full((1, WORLDS), infinite)))
+    low, high = finite.ends
+    assert (beyond > high).all() if infinite > 0.0 else (beyond < low).all()
 
 
 @pytest.mark.parametrize(
