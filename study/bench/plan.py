@@ -204,7 +204,7 @@ class Plan:
     def asked(self) -> Path | None:
         """The configuration of the store, whose simulator is asked; None: it is not."""
         asked = self.candidates.unread.get("asked")
-        return None if not asked else self.candidates.folder / str(asked)
+        return None if asked is None else self.candidates.folder / str(asked)
 
     @property
     def _cost(self) -> str:
@@ -487,9 +487,10 @@ def _of_store(table: Table, plan: Plan) -> FeatureTable:
 
     path, features = table.folder / table.text("store"), table.texts("features")
     better = better_of(table)
-    asked = table.text("asked", "")
-    if asked and features:
-        raise InputError("candidates.asked", asked, "none beside features")
+    asked = table.text("asked") if table.has("asked") else None
+    if asked is not None and (features or not asked):
+        allowed = "none beside features" if features else "a file"
+        raise InputError("candidates.asked", asked, allowed)
     store = open_store(path)
 
     def told(field: str, names: tuple[str, ...]) -> ByFamily:
@@ -529,4 +530,10 @@ def _simulator_of(plan: Plan) -> Callable[[Floats], Floats]:
     table = Table(plan.candidates.unread, "candidates", plan.candidates.folder)
     assert plan.store is not None and plan.asked is not None
     cost = _cost_of(table, plan, better_of(table))
-    return worlds_function(plan.store, plan.asked, cost)
+    try:
+        return worlds_function(plan.store, plan.asked, cost)
+    except InputError as error:
+        if error.field != "config":
+            raise
+        given = str(plan.candidates.unread["asked"])
+        raise InputError("candidates.asked", given, error.allowed) from None

@@ -36,6 +36,8 @@ WORLDS, RANKING = "worlds", "mean_over_worlds"
 IN_WORLDS = (WORLDS, RANKING)
 # Keys of a specification that tell which rows a store has, not what becomes of them.
 OF_ROWS = {"samples", "shard_rows", "repertoire", "columns"}
+# What stands in a configuration, or in its simulator, for keys of a specification.
+WRITTEN = {"drawn": "seed", "code_version": "code of the simulator"}
 
 
 def feature_table(
@@ -304,9 +306,13 @@ def worlds_function(
     own = json.loads(json.dumps(specification.document))
     for key in sorted((own.keys() | store.specification.keys()) - OF_ROWS):
         if own.get(key) != store.specification.get(key):
-            allowed = f"one with {key!r} as the store {shortened(str(path))} has it"
+            what = WRITTEN.get(key, key)
+            allowed = f"one with {what!r} as the store {shortened(str(path))} has it"
             raise InputError("config", shortened(str(config)), allowed)
-    return Simulated(store, specification, (cost or Objective().in_worlds, *others))
+    found = Simulated(store, specification, (cost or Objective().in_worlds, *others))
+    # What a cost cannot price is refused now, not in the midst of a study.
+    found.price(next(iter(store.tables())).slice(0, 1))
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -338,10 +344,14 @@ class Simulated:
         if not np.isfinite(points).all():
             raise InputError("points", "NaN or infinity", "finite numbers")
         rows, _ = score_rows(self.specification, range(len(points)), _unseen, points)
+        return self.price(rows)
+
+    def price(self, rows: pa.Table) -> Floats:
+        """The costs of rows, as a store has them."""
         tried = Tried(
             path=self.store.path,
             files=(),
-            footers=({"rows": len(points)},),
+            footers=({"rows": len(rows)},),
             columns=self.store.columns,
             specification=self.store.specification,
             rows=rows,

@@ -6,16 +6,18 @@ trial of a machine takes far more. So the points that promise most, by what rows
 simulated in all worlds before one of them is proposed, and so is each trial off the table.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from storage.inputs.errors import InputError
 from study.sampler.arrays import Floats
+from study.sampler.rows import Rows
 from study.sampler.worlds import Ensemble, matrix_of
 
 ASKED = 16  # points of each proposal
 FIELD = "outcomes(params)"
+ROUNDED = 1e-3  # standard deviations that a simulator may be off by rounding
 
 
 class Asked:
@@ -40,6 +42,18 @@ class Asked:
             ensemble.columns_of(found)  # refused before it is kept
             self._known |= zip(new, found, strict=True)
         return ensemble.columns_of(np.stack([self._known[key] for key in keys]))
+
+    def doubts(self, rows: Rows, ensemble: Ensemble) -> Iterator[str]:
+        """A line, if the best row, simulated, costs other than the table has it."""
+        place = [int(ensemble.mean.argmin())]
+        row = rows.numbers[place]
+        found = ensemble.told(self.columns(rows.parameters[row], ensemble))
+        known = ensemble.told(ensemble.columns[place])
+        if not np.allclose(found, known, rtol=0.0, atol=ROUNDED):
+            yield (
+                f"feature_function: row {row[0]}, simulated, comes to other outcomes than"
+                " the table has; are worlds in its order, and costs the same?"
+            )
 
     def _simulated(self, parameters: Floats) -> Floats:
         try:

@@ -436,6 +436,9 @@ class TablePolicy(Policy):
         if free.any():
             rng = self.rng(Purpose.CANDIDATES, own_turn)
             utility = model.utility(points, free, rng)
+        if self._asked is not None and isinstance(model.ensemble, Ensemble):
+            for doubt in self._asked.doubts(self.rows, model.ensemble):
+                self.warn(doubt)
         if self.options.off_grid:
             search = OffTable(
                 policy=self,

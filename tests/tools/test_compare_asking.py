@@ -57,7 +57,7 @@ def test_another_configuration_than_the_stores_is_refused(tool, files, tmp_path)
     robots, other = files[0], files[1].with_name("other.toml")
     other.write_text(STORE.replace("seed = 3", "seed = 4"))
     tool.refuses(
-        "config: .*other.toml.* allowed: one with 'drawn' as the store ",
+        "config: .*other.toml.* allowed: one with 'seed' as the store ",
         "compare_asking",
         *("--config", robots, "--simulator", other, "--out", tmp_path / "out"),
     )

@@ -78,8 +78,11 @@ def test_another_simulator_than_the_stores_is_refused_before_the_first_trial(fol
     path = folder / "other.toml"
     (folder / "heavier.toml").write_text(STORE.replace("2.0]", "2.5]"))
     path.write_text(BENCH.replace("carts.toml", "heavier.toml"))
-    with refused("^config: .*heavier.toml.* with 'families' as the store"):
+    with refused("^candidates.asked: 'heavier.toml' .* with 'families' as the store"):
         Bench.new(path)
     path.write_text(BENCH.replace("cost =", "features = ['speed_mps']\ncost ="))
     with refused("^candidates.asked: 'carts.toml' .* none beside features"):
+        Bench.new(path)
+    path.write_text(BENCH.replace("carts.toml", ""))
+    with refused("^candidates.asked: '' .* a file"):
         Bench.new(path)

@@ -1,5 +1,6 @@
 """A simulator that is asked: points off a table have what worlds cost there, not what rows tell."""
 
+import warnings
 from math import inf, nan
 
 import numpy as np
@@ -138,6 +139,16 @@ def test_what_is_proposed_was_simulated_and_is_the_best_of_it():
             assert (every == point).all(axis=1).sum() == 1
 
 
+def test_a_simulator_of_other_worlds_than_the_tables_is_warned_of():
+    with pytest.warns(
+        UserWarning, match=r"^feature_function: row \d+, simulated, comes"
+    ):
+        study_of(2, function=lambda points: simulated(points)[:, ::-1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        study_of(4)
+
+
 def test_another_process_proposes_the_same():
     study = study_of(8)
     again = optuna.create_study(
@@ -164,6 +175,7 @@ def test_a_trial_that_a_person_chose_is_simulated_too():
     assert_allclose(model.ensemble.told(model.trials.features[-1:]), expected)
 
 
+@pytest.mark.filterwarnings("ignore:feature_function")
 def test_what_is_predicted_of_a_point_is_simulated_as_well():
     """Before a trial nothing else is known of it than what it costs in the worlds."""
     study, point = study_of(0, table_of(smooth), smooth), np.full((1, D), 0.4321)
@@ -172,6 +184,7 @@ def test_what_is_predicted_of_a_point_is_simulated_as_well():
     assert costs.min() <= told.value[0] <= costs.max()
 
 
+@pytest.mark.filterwarnings("ignore:feature_function")
 def test_points_of_which_the_simulator_tells_nothing_are_not_proposed():
     def partly(points):
         return np.where(points[:, :1] < 0.5, nan, simulated(points))
@@ -219,6 +232,7 @@ def test_points_that_are_the_same_are_simulated_once():
     assert max(map(len, asked)) == ASKED
 
 
+@pytest.mark.filterwarnings("ignore:feature_function")
 @pytest.mark.parametrize("told", ["nothing", "half"])
 def test_where_no_row_is_left_a_silent_simulator_repeats_nothing(told):
     def silent(points):
@@ -230,6 +244,7 @@ def test_where_no_row_is_left_a_silent_simulator_repeats_nothing(told):
     assert len(set(tried)) == 40
 
 
+@pytest.mark.filterwarnings("ignore:feature_function")
 def test_an_answer_that_is_refused_is_not_kept():
     """A function that is mended goes on; one that changes its worlds is refused each time."""
     fewer = [True]
@@ -277,7 +292,7 @@ def test_an_infinite_outcome_counts_as_it_does_in_the_table(infinite):
             lambda points: simulated(points)[:, 1:],
             r"outcomes\(params\).shape: .*, 11\)",
         ),
-        (lambda points: simulated(points)[1:], r"outcomes\(params\).shape: \(15, "),
+        (lambda points: simulated(points)[1:], r"outcomes\(params\).shape: \(0, "),
         (lambda points: "walks", r"outcomes\(params\): 'str' .* numbers"),
     ],
     ids=["raises", "a world too few", "a point too few", "words"],

@@ -179,6 +179,11 @@ TRIALS = {
         {"feature_function": lambda params: np.ones((7, 2))},
         both,
     ),
+    "feature_function: row …, simulated, comes to other outcomes than the table has; …": (
+        IN_WORLDS,
+        {"feature_function": lambda params: np.ones((len(params), 4))},
+        both,
+    ),
     "… the independent sampler takes over": (TABLE, {"strict": False}, both),
     "success: … is better than all that any world has, …": (
         FeatureTable.from_arrays(PARAMETERS, outcomes=[3.0, 1.0, 2.0]),
