@@ -5,7 +5,6 @@ not tried.
 """
 
 import inspect
-import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -21,11 +20,9 @@ from optuna.samplers import BaseSampler
 import storage
 import study
 import taichi_nmm
-from storage.inputs.config import read_toml
 from storage.inputs.errors import InputError
 from storage.precompute import precompute
 from storage.simulator import Simulator, check_simulator
-from storage.specification import read_specification
 from study.experiment.objective import Objective
 from taichi_nmm import terrain
 from taichi_nmm.parameters import PUBLISHED_GAINS
@@ -233,6 +230,8 @@ def ground_doors(folder):
 
 def store_doors(store, folder):
     opened = storage.open_store(store)
+    settings = "samples = 4\nseed = 1\nfamilies.gale.settings = 2\n"
+    carts, config = robot.written_store(folder, "door_carts", settings)
     return [
         door(
             storage.FunctionSimulator,
@@ -264,28 +263,12 @@ def store_doors(store, folder):
         door(study.world_table, path=store, cost=Objective().in_worlds),
         door(
             study.worlds_function,
-            **asked_store(folder),
+            path=carts,
+            config=config,
             cost=lambda given, horizon_s: given["speed_mps"],
         ),
         door(study.FeatureTable.from_parquet, path=store, features=["phi_printed"]),
     ]
-
-
-ASKED = """
-simulator = "door_carts.py:Cart"
-samples = 4
-seed = 1
-families.gale.settings = 2
-"""
-
-
-def asked_store(folder):
-    """A store, and the configuration that it was computed by."""
-    shutil.copy(robot.__file__, folder / "door_carts.py")
-    config = folder / "door_carts.toml"
-    config.write_text(ASKED)
-    precompute(read_specification(read_toml(config)), folder / "asked")
-    return {"path": folder / "asked", "config": config}
 
 
 def robot_doors():

@@ -8,6 +8,7 @@ store, a name or a file. The same command resumes.
 """
 
 from argparse import Namespace
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,8 +19,9 @@ with guarded_imports():
     import optuna
     from optuna.samplers import BaseSampler
 
+    from study.cli import ProgressBar
     from study.experiment.arms import ARMS, OUR_ARM
-    from study.experiment.compare import Request, compare
+    from study.experiment.compare import Progress, Request, compare
     from study.experiment.experiment import MOST_RUNS, MOST_TRIALS, store_path
     from study.experiment.features import worlds_function
     from study.experiment.robots import read_any
@@ -39,10 +41,9 @@ def main() -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     experiment = read_any(options.config, None, options.seed)
     ours = ARMS[OUR_ARM]
-    cost = experiment.objective.in_worlds
-    simulate = worlds_function(
-        store_path(experiment, ours.store), options.simulator, cost
-    )
+    store = store_path(experiment, ours.store)
+    in_worlds = experiment.objective.in_worlds
+    simulate = worlds_function(store, options.simulator, in_worlds)
 
     def asking(task: Task) -> BaseSampler:
         success = experiment.objective.success(experiment.trial_s)
@@ -66,24 +67,29 @@ def main() -> None:
         trials=options.trials,
         workers=1,  # another process would not know the arm
     )
-    compare(experiment, request, lambda progress: None, dashboard_summary)
+    with closing(ProgressBar()) as bar:
+
+        def show(progress: Progress) -> None:
+            bar.move("trial", progress.trials, progress.total)
+
+        compare(experiment, request, show, dashboard_summary)
     arms = read_results(out).arms
     guessed, asked = arms[OUR_ARM].best, arms[ASKING].best  # [robots, trials]
     print(f"{len(asked)} robots; asked against guessed, won:lost, p, ratio of costs")
     for after in AFTER:
         if after > asked.shape[1]:
             break
-        ours_then, theirs = asked[:, after - 1], guessed[:, after - 1]
-        won, lost = int((ours_then < theirs).sum()), int((ours_then > theirs).sum())
-        p = wilcoxon(theirs - ours_then, 0.0 * theirs).p
-        ratio = float(np.exp(np.mean(np.log(ours_then / theirs))))
+        cost, other = asked[:, after - 1], guessed[:, after - 1]
+        won, lost = int((cost < other).sum()), int((cost > other).sum())
+        p = wilcoxon(other - cost, 0.0 * other).p
+        ratio = float(np.exp(np.mean(np.log(cost / other))))
         print(f"after {after:2d}: {won}:{lost}, p = {p:.2g}, {ratio:.2f}")
 
 
 def parse() -> Namespace:
     parser = Options(__file__)
-    for flag, what in (("--config", "comparison"), ("--simulator", "its store")):
-        about = f"configuration of the {what}, a name or a file"
+    for flag, whose in (("--config", "the comparison"), ("--simulator", "its store")):
+        about = f"configuration of {whose}, a name or a file"
         parser.add_argument(flag, type=config_path, required=True, help=about)
     parser.whole("--seed", 0, LARGEST_SEED, help="of the robots; the file's")
     parser.whole("--runs", 1, MOST_RUNS, help="robots; as many as the file's")

@@ -306,7 +306,8 @@ class Plan:
         *,
         may_ask: bool = True,
     ) -> FeatureKernelSampler:
-        """The sampler over candidates; trials off the table have what rows near them tell.
+        """The sampler over candidates; trials off the table have what rows near them tell,
+        or the simulator that is asked.
 
         Args:
             candidates: the rows.

@@ -6,7 +6,7 @@ trial of a machine takes far more. So the points that promise most, by what rows
 simulated in all worlds before one of them is proposed, and so is each trial off the table.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -43,17 +43,18 @@ class Asked:
             self._known |= zip(new, found, strict=True)
         return ensemble.columns_of(np.stack([self._known[key] for key in keys]))
 
-    def doubts(self, rows: Rows, ensemble: Ensemble) -> Iterator[str]:
-        """A line, if the best row, simulated, costs other than the table has it."""
+    def doubt(self, rows: Rows, ensemble: Ensemble) -> str:
+        """A line, if the best row, simulated, costs other than the table has it; else ""."""
         place = [int(ensemble.mean.argmin())]
         row = rows.numbers[place]
         found = ensemble.told(self.columns(rows.parameters[row], ensemble))
         known = ensemble.told(ensemble.columns[place])
-        if not np.allclose(found, known, rtol=0.0, atol=ROUNDED):
-            yield (
-                f"feature_function: row {row[0]}, simulated, comes to other outcomes than"
-                " the table has; are worlds in its order, and costs the same?"
-            )
+        if np.allclose(found, known, rtol=0.0, atol=ROUNDED):
+            return ""
+        return (
+            f"feature_function: row {row[0]}, simulated, comes to other outcomes than"
+            " the table has; are worlds in its order, and costs the same?"
+        )
 
     def _simulated(self, parameters: Floats) -> Floats:
         try:

@@ -5,7 +5,8 @@ near the centre that is nearest to it. A point far from its centre has others ne
 costs that does not matter: points that are guessed from their own rows, the best one
 first, were no better (a plant, 54 of them: 13:17 and 6:17 after 30 trials). A risk that
 is allowed is certain only by a point's own rows, so that of the chosen one is asked
-again.
+again. Where a simulator can be asked, the points that promise most are simulated
+(`study.sampler.asking`).
 """
 
 from dataclasses import dataclass

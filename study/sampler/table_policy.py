@@ -437,7 +437,8 @@ class TablePolicy(Policy):
             rng = self.rng(Purpose.CANDIDATES, own_turn)
             utility = model.utility(points, free, rng)
         if self._asked is not None and isinstance(model.ensemble, Ensemble):
-            for doubt in self._asked.doubts(self.rows, model.ensemble):
+            doubt = self._asked.doubt(self.rows, model.ensemble)
+            if doubt:
                 self.warn(doubt)
         if self.options.off_grid:
             search = OffTable(
@@ -484,7 +485,7 @@ class TablePolicy(Policy):
         )
 
     def _seen(self, placed: Placed, ensemble: Relation | None) -> Points:
-        """Trials as points: with worlds, those off the table have what rows near them tell."""
+        """Trials as points: with worlds, off the table, as simulated or as rows near them tell."""
         if ensemble is None:
             features = features_of(self.rows, placed, self.function)
             kernel = self.options.kernel
@@ -496,6 +497,7 @@ class TablePolicy(Policy):
         features = points.features[place]
         off = np.flatnonzero(rows.numbers[place] != placed.rows)
         for each in off.tolist():
+            # Features beside the worlds, too, are those of rows near it.
             features[each] = rows.between_at(points, unit[each], ensemble)
         if self._asked is not None and isinstance(ensemble, Ensemble) and len(off):
             found = self._asked.columns(placed.parameters[off], ensemble)

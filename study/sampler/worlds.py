@@ -13,7 +13,7 @@ being those of `Ensemble.standard`, and p_w the weights of the worlds:
 with s ~ N(0, v) and b ~ N(0, a^2 I). Where no world is like the robot, the trials make
 1 + s small. The shift is common to all rows: a robot may be worse than all worlds. A
 point off the table has the m and d that rows near it let expect
-(`study.sampler.between`). Outcomes in other
+(`study.sampler.between`), or that a simulator gives it (`study.sampler.asking`). Outcomes in other
 units than the study's values (shares survived, scores) tell which rows are better, not
 what they cost: there is no shift then.
 
@@ -171,10 +171,12 @@ class Worlds:
         return np.array([[np.nanmin(column), np.nanmax(column)] for column in columns])
 
     @cached_property
-    def _beyond(self) -> list[tuple[float, float]]:
-        """What stands for infinities, for each of k goals."""
+    def _beyond(self) -> Floats:
+        """What stands for minus infinity and for infinity, for each of k goals, [2, k]."""
         finite = self.costs if self.as_before is None else self.as_before
-        return [stand_ins(goal) for goal in finite.reshape(-1, self.goals).T]
+        return np.array(
+            [stand_ins(goal) for goal in finite.reshape(-1, self.goals).T]
+        ).T
 
     @property
     def goals(self) -> int:
@@ -221,12 +223,8 @@ class Worlds:
             allowed = f"{expected}: a column a world of the table"
             raise InputError("outcomes(params).shape", outcomes.shape, allowed)
         found = outcomes.reshape(len(outcomes), -1, self.goals)
-        each = [
-            squarable(without_infinities(goal, ends))
-            for goal, ends in zip(np.moveaxis(found, -1, 0), self._beyond, strict=True)
-        ]
-        finite = np.stack(each, axis=-1).reshape(expected)
-        return self._as_costs(finite, signs, goals)
+        finite = squarable(without_infinities(found, self._beyond))
+        return self._as_costs(finite.reshape(expected), signs, goals)
 
     def _as_costs(self, outcomes: Floats, signs: Floats, goals: Goals | None) -> Floats:
         if goals is not None:

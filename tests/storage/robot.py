@@ -1,7 +1,9 @@
 """A cart of somebody else's: a function, and the simulator made of it."""
 
 import math
+import shutil
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,9 @@ from optuna.distributions import (
 )
 
 from storage import FunctionSimulator
+from storage.inputs.config import read_toml
+from storage.precompute import precompute
+from storage.specification import read_specification
 
 PARAMETERS = {
     "thrust_n": FloatDistribution(0.1, 10.0, log=True),
@@ -54,3 +59,19 @@ Cart = FunctionSimulator(
 Carts = FunctionSimulator(
     drive_all, parameters=PARAMETERS, worlds=WORLDS, columns=COLUMNS, batch=True
 )
+
+
+def written_store(folder: Path, module: str, settings: str) -> tuple[Path, Path]:
+    """A store of carts, and the configuration that it was computed by.
+
+    Args:
+        folder: for both, and for the file of the simulator.
+        module: name of this file; another in each test file, since a process imports
+            a name once.
+        settings: of the configuration, beside the simulator.
+    """
+    shutil.copy(__file__, folder / f"{module}.py")
+    store, config = folder / f"{module}-store", folder / f"{module}.toml"
+    config.write_text(f'simulator = "{module}.py:Cart"\n{settings}')
+    precompute(read_specification(read_toml(config)), store)
+    return store, config

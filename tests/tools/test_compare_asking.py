@@ -1,16 +1,10 @@
 """The tool that says what it brings to ask a store's simulator."""
 
-import shutil
-
 import pytest
 
-from storage.inputs.config import read_toml
-from storage.precompute import precompute
-from storage.specification import read_specification
 from tests.storage import robot
 
 STORE = """
-simulator = "windy_carts.py:Cart"
 samples = 60
 seed = 3
 simulation.duration_s = 4.0
@@ -33,12 +27,10 @@ world = {wind = [0.0, 0.001], mass_kg = [1.0, 2.0]}
 def files(tmp_path_factory):
     """The configurations of a comparison and of its store."""
     folder = tmp_path_factory.mktemp("windy")
-    shutil.copy(robot.__file__, folder / "windy_carts.py")
-    store, robots = folder / "store.toml", folder / "robots.toml"
-    store.write_text(STORE)
-    robots.write_text(ROBOTS.replace("STORE", str(folder / "made")))
-    precompute(read_specification(read_toml(store)), folder / "made")
-    return robots, store
+    store, config = robot.written_store(folder, "windy_carts", STORE)
+    robots = folder / "robots.toml"
+    robots.write_text(ROBOTS.replace("STORE", str(store)))
+    return robots, config
 
 
 @pytest.mark.slow
@@ -55,7 +47,7 @@ def test_both_arms_have_tried_the_same_robots(tool, files, tmp_path):
 
 def test_another_configuration_than_the_stores_is_refused(tool, files, tmp_path):
     robots, other = files[0], files[1].with_name("other.toml")
-    other.write_text(STORE.replace("seed = 3", "seed = 4"))
+    other.write_text(files[1].read_text().replace("seed = 3", "seed = 4"))
     tool.refuses(
         "config: .*other.toml.* allowed: one with 'seed' as the store ",
         "compare_asking",

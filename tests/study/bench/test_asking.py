@@ -1,20 +1,15 @@
 """A bench that asks the simulator of its store about points off the candidates."""
 
-import shutil
-
 import numpy as np
 import pytest
 
-from storage.inputs.config import read_toml
-from storage.precompute import precompute, score_rows
-from storage.specification import read_specification
+from storage.precompute import score_rows
 from study import Bench
 from study.experiment import features
 from tests.storage import robot
 from tests.study.conftest import refused
 
 STORE = """
-simulator = "bench_carts.py:Cart"
 samples = 80
 seed = 3
 simulation.duration_s = 8.0
@@ -23,9 +18,9 @@ families.heavy = {settings = 6, world = {wind = 0.0, mass_kg = [0.5, 2.0]}}
 """
 BENCH = """
 [candidates]
-store = "made"
+store = "bench_carts-store"
 cost = "speed_mps"
-asked = "carts.toml"
+asked = "bench_carts.toml"
 [goal]
 success = 0.5
 duration_s = 8
@@ -36,9 +31,7 @@ duration_s = 8
 def folder(tmp_path_factory):
     """With a store and the configuration that it was computed by."""
     folder = tmp_path_factory.mktemp("carts")
-    shutil.copy(robot.__file__, folder / "bench_carts.py")
-    (folder / "carts.toml").write_text(STORE)
-    precompute(read_specification(read_toml(folder / "carts.toml")), folder / "made")
+    robot.written_store(folder, "bench_carts", STORE)
     return folder
 
 
@@ -76,13 +69,14 @@ def test_points_off_the_candidates_are_simulated_before_one_is_proposed(
 
 def test_another_simulator_than_the_stores_is_refused_before_the_first_trial(folder):
     path = folder / "other.toml"
-    (folder / "heavier.toml").write_text(STORE.replace("2.0]", "2.5]"))
-    path.write_text(BENCH.replace("carts.toml", "heavier.toml"))
+    own = (folder / "bench_carts.toml").read_text()
+    (folder / "heavier.toml").write_text(own.replace("2.0]", "2.5]"))
+    path.write_text(BENCH.replace("bench_carts.toml", "heavier.toml"))
     with refused("^candidates.asked: 'heavier.toml' .* with 'families' as the store"):
         Bench.new(path)
     path.write_text(BENCH.replace("cost =", "features = ['speed_mps']\ncost ="))
-    with refused("^candidates.asked: 'carts.toml' .* none beside features"):
+    with refused("^candidates.asked: 'bench_carts.toml' .* none beside features"):
         Bench.new(path)
-    path.write_text(BENCH.replace("carts.toml", ""))
+    path.write_text(BENCH.replace("bench_carts.toml", ""))
     with refused("^candidates.asked: '' .* a file"):
         Bench.new(path)

@@ -12,9 +12,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from storage import FunctionSimulator, make_store
-from storage.inputs.config import read_toml
-from storage.precompute import precompute
-from storage.specification import read_specification
 from storage.store import open_store
 from study.bench.plan import read_plan
 from study.experiment.arms import ARMS, check_arms
@@ -251,7 +248,6 @@ def test_a_store_of_an_older_version_opens_with_what_its_worlds_kept(
 
 
 CARTS = """
-simulator = "asked_carts.py:Cart"
 samples = 40
 seed = 3
 simulation.duration_s = 4.0
@@ -273,12 +269,7 @@ world = {mass_kg = [1.0, 2.0]}
 @pytest.fixture(scope="module")
 def carts(tmp_path_factory):
     """A store, and the configuration that it was computed by."""
-    folder = tmp_path_factory.mktemp("carts")
-    shutil.copy(robot.__file__, folder / "asked_carts.py")
-    config = folder / "carts.toml"
-    config.write_text(CARTS)
-    precompute(read_specification(read_toml(config)), folder / "store")
-    return folder / "store", config
+    return robot.written_store(tmp_path_factory.mktemp("carts"), "asked_carts", CARTS)
 
 
 def by_speed(given, horizon_s):
@@ -324,15 +315,16 @@ def test_points_that_are_none_are_not_simulated(carts, points, message):
 
 def test_a_simulator_of_other_worlds_is_not_asked(carts):
     path, other = carts[0], carts[1].with_name("other.toml")
+    own = carts[1].read_text()
     for changed, key in (
-        (CARTS.replace("3.0]}", "2.5]}"), "families"),
-        (CARTS.replace("duration_s = 4.0", "duration_s = 4.5"), "families"),
-        (CARTS.replace("seed = 3", "seed = 4"), "seed"),
+        (own.replace("3.0]}", "2.5]}"), "families"),
+        (own.replace("duration_s = 4.0", "duration_s = 4.5"), "families"),
+        (own.replace("seed = 3", "seed = 4"), "seed"),
     ):
         other.write_text(changed)
         with refused(rf"^config: .*other.toml.* with '{key}' as the store "):
             worlds_function(path, other, by_speed)
-    other.write_text(CARTS.replace("samples = 40", "samples = 90"))
+    other.write_text(own.replace("samples = 40", "samples = 90"))
     assert worlds_function(path, other, by_speed)  # other rows of the same worlds
     with refused("^config: .*"):
         worlds_function(path, other.with_name("none.toml"), by_speed)
