@@ -46,7 +46,7 @@ NODES_A_LENGTH = 100
 WORK = 1e10
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
-MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
+MOST_IN_WORLDS = 2048  # with worlds, which are a hundred columns
 CACHED_CONSTANTS = 16
 # Where costs jump, chances of success are less extreme than a normal distribution says:
 # log odds = a + b (log odds said). Round numbers near the best of 2,146 proposals for Ant and
@@ -60,7 +60,7 @@ LOG_LEAST_GAIN = -5e2  # of what is likely: less is as little
 LOG_NO_GAIN = -1e3  # of what is unlikely: below all of these
 # Up to so many trials, constants are learned anew after so many: they change ever more
 # slowly.
-REFITS = ((32, 1), (128, 4), (np.inf, 16))
+REFITS = ((32, 1), (64, 4), (128, 8), (np.inf, 16))
 
 
 Learned = dict[tuple[Covariance, bytes], Floats]
@@ -197,7 +197,7 @@ class Model(Evidence):
     @cached_property
     def one_dimensional(self) -> bool:
         """Whether candidates differ by one number only."""
-        return not self.kernel.of_parameters and self.trials.features.shape[1] == 1
+        return not self.kernel.of_parameters and self.trials.width == 1
 
     def cost(self, some: slice = slice(None)) -> Floats:
         """The costs of some trials as the process sees them, [n]."""
@@ -269,7 +269,7 @@ class Model(Evidence):
         return condition(covariance, theta, x, y(slice(None)), noisy=noisy)
 
     def _columns(self, points: Points) -> Columns:
-        features, coordinates = points.features.shape[1], points.coordinates.shape[1]
+        features, coordinates = points.width, points.coordinates.shape[1]
         if self.ensemble is None:
             return new_columns(features, coordinates)
         features -= self.ensemble.columns.shape[1]
@@ -285,12 +285,10 @@ class Model(Evidence):
         return self.known[key]
 
     def visible(self, points: Points) -> Points:
-        """Points with the columns that the kernel uses; the same points where these are all."""
-        k = points.features.shape[1] if self.kernel.of_features else 0
-        e = points.coordinates.shape[1] if self.kernel.of_parameters else 0
-        if k + e == points.features.shape[1] + points.coordinates.shape[1]:
-            return points
-        return Points(points.features[:, :k], points.coordinates[:, :e])
+        """Points with the columns that the kernel uses."""
+        first = 0 if self.kernel.of_features else points.width
+        end = None if self.kernel.of_parameters else points.width
+        return Points(points.matrix[:, first:end], points.width - first)
 
     def _looked_at(
         self, points: Points, offered: Mask, rng: np.random.Generator
@@ -322,17 +320,23 @@ class Model(Evidence):
 
     def _merit(self, points: Points) -> Floats:
         """Minus the costs by a ridge regression on the features, unit slopes against unit noise."""
-        seen, columns = self.trials.features.copy(), self.columns
         # Of what successes cost this line knows nothing.
-        seen[:, columns.successes.start : columns.mean_of_successes.stop] = 0.0
+        parts = (
+            slice(self.columns.features.stop),
+            slice(self.columns.worlds.start, None),
+        )
+        seen = np.hstack([self.trials.features[:, part] for part in parts])
         n, k = seen.shape
         residual = self.posterior.y[:n]  # less what running trials are believed to show
         if k <= n:
             slopes = np.linalg.solve(seen.T @ seen + np.eye(k), seen.T @ residual)
         else:  # the same by fewer equations
             slopes = seen.T @ np.linalg.solve(seen @ seen.T + np.eye(n), residual)
-        learned = self.posterior.cost_sd * (points.single @ slopes.astype(np.float32))
-        return np.asarray(-(learned + self.expected(points, self.cost())))
+        found = -self.expected(points, self.cost())
+        own = self.posterior.cost_sd * slopes.astype(np.float32)
+        for part, some in zip(parts, np.split(own, [parts[0].stop]), strict=True):
+            found -= points.single[:, part] @ some
+        return found
 
     def _utility(self, points: Points) -> Floats:
         """The utility of candidates that are looked at, [m]: see `utility`."""
@@ -401,7 +405,7 @@ def along_feature(
     count = int(min(np.ceil(lengths * NODES_A_LENGTH), len(values))) + 1
     if posterior.precision is np.float32 and count < len(values):
         nodes = np.linspace(values[0], values[-1], count)
-    found = computed(Points(nodes[:, None], np.empty((len(nodes), 0))))
+    found = computed(Points(nodes[:, None], 1))
     if nodes is not values:
         found = np.interp(values, nodes, found)
     return found[place]

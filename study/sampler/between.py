@@ -104,7 +104,7 @@ class Between:
         for place, centre in enumerate(centres):
             own = nearest == place
             if own.any():
-                pool = self._pool(centre)
+                pool = self.pool(centre)
                 x, known, asked = self.unit[pool], columns[pool], points[own]
                 found[own, features:] = self.guess(x, known[:, features:], asked)
                 if self.error is not None:
@@ -118,12 +118,21 @@ class Between:
         """|u|^2 of the rows, [m]."""
         return np.asarray(np.einsum("me,me->m", self.unit, self.unit))
 
-    def _pool(self, centre: Floats) -> Whole:
+    @cached_property
+    def _pools(self) -> dict[bytes, Whole]:
+        """Those that were asked for, by their centre: the best trials are asked for again."""
+        return {}
+
+    def pool(self, centre: Floats) -> Whole:
         """Places of the rows that are nearest to a point of the unit cube [e], ascending."""
-        # Less |centre|^2, which all share.
-        squares = self._lengths - 2.0 * (self.unit @ centre)
-        count = min(NEAR_POOL, len(squares))
-        return np.sort(np.argpartition(squares, count - 1)[:count])
+        key = centre.tobytes()
+        if key not in self._pools:
+            # Less |centre|^2, which all share.
+            squares = self._lengths - 2.0 * (self.unit @ centre)
+            count = min(NEAR_POOL, len(squares))
+            nearest = np.argpartition(squares, count - 1)[:count]
+            self._pools[key] = np.sort(nearest)
+        return self._pools[key]
 
 
 def kriged(
@@ -203,7 +212,7 @@ def _left_out_error(guess: Guess, unit: Floats, mean: Floats, some: Whole) -> fl
     """Root mean square error of the guess of some rows, each from the rows near it."""
     rows, errors = Between(unit, guess), np.empty(len(some))
     for place, row in enumerate(some.tolist()):
-        pool = rows._pool(unit[row])
+        pool = rows.pool(unit[row])
         others = pool[pool != row]
         guessed = guess(unit[others], mean[others, None], unit[row][None])
         errors[place] = float(guessed[0, 0]) - mean[row]

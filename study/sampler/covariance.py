@@ -317,8 +317,8 @@ class Covariance:
     ) -> Towards:
         """The covariance, without noise, of rows a [n, p] and others; in 32 or 64 bits.
 
-        Distances are taken in 64 bits always; what is of size [n, m] after that may be
-        in 32.
+        Distances are taken in 64 bits always; products, and what is of size [n, m] after
+        that, may be in 32.
         """
         weights = np.zeros(a.shape[1])  # of linear terms, which are one product
         curved = []
@@ -329,12 +329,15 @@ class Covariance:
                 curved.append((term, variance, scales, left, own_gap))
             else:
                 weights[term.columns.start : term.columns.stop] += variance
-        straight = [(part, a[:, part] * weights[part]) for part in _runs(weights)]
+        straight = [
+            (part, (a[:, part] * weights[part]).astype(precision))
+            for part in _runs(weights)
+        ]
 
         def cross(x: Floats) -> AnyFloats:
             total = np.zeros((len(a), len(x)), precision)
             for part, slopes in straight:
-                total += (slopes @ x[:, part].T).astype(precision, copy=False)
+                total += slopes @ x[:, part].astype(precision, copy=False).T
             for term, variance, scales, left, own_gap in curved:
                 gap, seen = _gap_of(term, x)
                 half = left @ _right(_scaled(seen, scales))

@@ -274,7 +274,9 @@ def _errors(model: Model) -> Errors | None:
     with_features = residuals(model.posterior)
     without = None
     if model.kernel.of_parameters:
-        alike = Points(np.zeros_like(model.trials.features), model.trials.coordinates)
+        alike = Points.of(
+            np.zeros_like(model.trials.features), model.trials.coordinates
+        )
         blind = residuals(replace(model, trials=alike).posterior)
         without = rms(blind) / unit
         if without < 1.0:

@@ -191,7 +191,7 @@ class Posterior:
         ones = np.ones_like(weights)
         for start in range(0, len(points), BLOCK):
             block = slice(start, start + BLOCK)
-            x = points.part(block)
+            x = points.matrix[block]
             whitened = self._whitened(x)
             mean[block] = weights @ whitened
             variance[block] = self.covariance.variance(self.theta, x)

@@ -81,7 +81,7 @@ class OffTable:
     asked: Asked | None = None
 
     def best(self, certificate: Certificate | None) -> tuple[float, Proposal]:
-        """The best of some points near the best rows and trials, and its utility or infinity.
+        """The best of some points near the best rows and trials, and its utility.
 
         Beside worlds no point that repeats a trial, unless nothing else is left: repeats
         are asked for by enqueuing them. A certificate is of the risk that is allowed;
@@ -100,7 +100,7 @@ class OffTable:
             point, unit = near.points.take(some), near.unit[some]
             if policy.function is None:
                 own = rows.between_at(self.known, unit[0], self.model.ensemble)
-                point = Points(own[None], unit)
+                point = Points.of(own[None], unit)
             alone = Places(np.array([OFF_TABLE]), unit)
             return bool(certificate.within(alone, point).all())
 
@@ -113,11 +113,8 @@ class OffTable:
             found[chosen] = -np.inf
             chosen = argmax_random_tie(found, rng)
         value = float(found[chosen])
-        if value == -np.inf:
-            if certificate is not None:
-                return value, NOTHING
-        elif self.model.rows_fail:
-            value = np.inf
+        if value == -np.inf and certificate is not None:
+            return value, NOTHING
         notes = notes_of(OFF_TABLE, near.features[chosen], self.model.aim)
         return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
 
@@ -171,7 +168,7 @@ class OffTable:
             features = np.full((len(near), len(rows.feature_names)), np.nan)
             may_be = not_near(unit, taken)
             between = rows.between(self.model.ensemble)
-            points = Points(between.at(self.known.features, unit, centres), unit)
+            points = Points.of(between.at(self.known.features, unit, centres), unit)
         if (new & may_be).any() or np.isfinite(self.utility).any():
             new = new & may_be
         elif function is not None:

@@ -329,7 +329,7 @@ def points_of(
     if kernel.of_parameters:
         unit = rows.space.unit(parameters)
     scale = rows.scale(by_order=kernel.by_order)
-    return Points(scale.standard(features), unit)
+    return Points.of(scale.standard(features), unit)
 
 
 def one_thread() -> AbstractContextManager[Any]:

@@ -105,11 +105,15 @@ class Rows:
         def made() -> Points:
             chosen = self._chosen(self.features)
             features = self.scores.own if by_order else self.standard.standard(chosen)
+            width = features.shape[1]
+            parts = [features]
             if ensemble is not None:
-                features = np.hstack([features, ensemble.columns])
-            return Points(
-                features, self.unit if coordinates else np.empty((len(features), 0))
-            )
+                width += ensemble.columns.shape[1]
+                parts.append(ensemble.columns)
+            if coordinates:
+                parts.append(self.unit)
+            matrix = np.hstack(parts) if len(parts) > 1 else features
+            return Points(matrix, width)
 
         return once(ensemble or self, (by_order, coordinates), made)
 

@@ -276,4 +276,4 @@ def by_parameters(
 
 def _placed(scale: Scale, features: Floats, space: Space, parameters: Floats) -> Points:
     """Features [n, k] and parameters [n, d] as the model sees them."""
-    return Points(scale.standard(features), space.unit(parameters))
+    return Points.of(scale.standard(features), space.unit(parameters))

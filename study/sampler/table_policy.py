@@ -503,7 +503,7 @@ class TablePolicy(Policy):
             found = self._asked.columns(placed.parameters[off], ensemble)
             told = ~np.isnan(found).any(axis=1)
             features[off[told], -found.shape[1] :] = found[told]
-        return Points(features, unit)
+        return Points.of(features, unit)
 
     def present(self, study: optuna.Study) -> Present:
         """See `Present`."""

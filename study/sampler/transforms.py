@@ -77,28 +77,36 @@ class Points:
     """m candidates or trials.
 
     Attributes:
-        features: in standard units, [m, k]; k may be 0. The last are those of an
-            ensemble or a similarity, where there is one (`Columns`).
-        coordinates: of the parameters in the unit cube, [m, e]; e may be 0.
+        matrix: features in standard units, and then coordinates of the parameters in
+            the unit cube, [m, k + e]; k and e may be 0. The last features are those of
+            an ensemble or a similarity, where there is one (`Columns`).
+        width: k, the number of features.
     """
 
-    features: Floats
-    coordinates: Floats
+    matrix: Floats
+    width: int
+
+    @classmethod
+    def of(cls, features: Floats, coordinates: Floats) -> "Points":
+        """Points with these features [m, k] and coordinates [m, e]."""
+        matrix = features
+        if coordinates.shape[1]:
+            matrix = np.hstack([features, coordinates])
+        return cls(matrix, features.shape[1])
 
     def __len__(self) -> int:
         """Number of points, m."""
-        return len(self.features)
+        return len(self.matrix)
 
-    @cached_property
-    def matrix(self) -> Floats:
-        """Features and coordinates side by side, [m, k + e]; made once."""
-        return self.part(slice(None))
+    @property
+    def features(self) -> Floats:
+        """The features, [m, k], a view."""
+        return self.matrix[:, : self.width]
 
-    def part(self, some: slice) -> Floats:
-        """Some rows of the matrix."""
-        if not self.coordinates.shape[1]:
-            return self.features[some]
-        return np.hstack([self.features[some], self.coordinates[some]])
+    @property
+    def coordinates(self) -> Floats:
+        """The coordinates, [m, e], a view."""
+        return self.matrix[:, self.width :]
 
     @cached_property
     def single(self) -> NDArray[np.float32]:
@@ -118,12 +126,11 @@ class Points:
 
     def take(self, index: NDArray[Any]) -> "Points":
         """Some of them, by number or by mask."""
-        return Points(self.features[index], self.coordinates[index])
+        return Points(self.matrix[index], self.width)
 
     def followed_by(self, others: "Points") -> "Points":
         """These, and then the others."""
-        features = np.vstack([self.features, others.features])
-        return Points(features, np.vstack([self.coordinates, others.coordinates]))
+        return Points(np.vstack([self.matrix, others.matrix]), self.width)
 
 
 def log_excess(values: Floats, cost: Floats) -> Floats:

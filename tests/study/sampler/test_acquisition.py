@@ -71,7 +71,7 @@ def test_noise_is_a_chance_of_improvement_only_where_it_is_the_spread_of_alike_c
     kernel,
 ):
     """Costs at random; where parameters are looked at, candidates that are alike are the same."""
-    seen = Points(np.zeros((40, 1)), np.full((40, 2), 0.5))
+    seen = Points.of(np.zeros((40, 1)), np.full((40, 2), 0.5))
     cost = np.random.default_rng(0).uniform(1.0, 2.0, 40)
     model = model_after(seen, cost, KERNELS[kernel])
     _, variance = model.posterior.predict(model.visible(seen.take(np.arange(1))))
@@ -84,7 +84,7 @@ def test_of_many_candidates_those_that_worlds_rank_first_are_looked_at():
     rng = np.random.default_rng(1)
     outcomes = rng.standard_normal((2 * acquisition.MOST_IN_WORLDS, 3))
     ensemble = Ensemble(Worlds.of(outcomes, "lower"), outcomes)
-    many = Points(ensemble.columns, rng.uniform(size=(len(outcomes), 2)))
+    many = Points.of(ensemble.columns, rng.uniform(size=(len(outcomes), 2)))
     seen = many.take(np.arange(12))
     cost = np.exp(ensemble.mean[:12] + 0.01 * rng.standard_normal(12))
     model = model_after(seen, cost, WITH_WORLDS, ensemble)

@@ -140,7 +140,7 @@ def test_leaving_out_is_that_of_refits_with_the_same_constants(kernel, monkeypat
         x, others = posterior.x, np.arange(len(y)) != left
         kept = posterior.covariance, posterior.theta, x[others], y[others]
         refit = gp.condition(*kept, noisy=False)
-        missed.append(y[left] - refit.mean(Points(x[[left]], x[[left], :0]))[0])
+        missed.append(y[left] - refit.mean(Points.of(x[[left]], x[[left], :0]))[0])
     assert_allclose(residuals(posterior), missed, rtol=1e-6, atol=1e-9)
     assert_allclose(
         residuals_of_constant(np.array([1.0, 2.0, 6.0])), [1 - 4, 2 - 3.5, 6 - 1.5]
@@ -190,7 +190,7 @@ def test_the_gain_is_over_the_parameters_where_they_are_better_than_a_constant()
         add(study, row, TABLE.rows.as_parameters(row)["a"] ** 2)
     errors, model = worth_of(study).errors, model_of(study)
     assert errors.without is not None and errors.without < 1.0
-    alike = Points(np.zeros_like(model.trials.features), model.trials.coordinates)
+    alike = Points.of(np.zeros_like(model.trials.features), model.trials.coordinates)
     blind = residuals(replace(model, trials=alike).posterior)
     less = np.abs(blind) - np.abs(residuals(model.posterior))
     assert errors.gain == pytest.approx(less.mean() / stats.sem(less))

@@ -32,7 +32,7 @@ def covariance_of(form, layout=LAYOUT):
 
 def some_points(count, seed):
     rng = np.random.default_rng(seed)
-    return Points(rng.standard_normal((count, 3)), rng.uniform(size=(count, 4)))
+    return Points.of(rng.standard_normal((count, 3)), rng.uniform(size=(count, 4)))
 
 
 def costs(points, seed=0):
@@ -255,7 +255,7 @@ def test_along_one_feature(monkeypatch, fast, tolerance, values):
     feature = np.random.default_rng(1).choice(np.linspace(-3, 8, values), 20_000)[
         :, None
     ]
-    candidates = Points(feature, np.empty((len(feature), 0)))
+    candidates = Points.of(feature, np.empty((len(feature), 0)))
 
     def along(which):
         return along_feature(

@@ -132,7 +132,7 @@ def test_of_a_space_they_are_the_ends_too():
 
 def doubts(costs, turn, limits=None):
     """Whether a sampler by features leaves this trial to the parameters, after these costs."""
-    trials = Points(np.empty((len(costs), 0)), np.empty((len(costs), 0)))
+    trials = Points.of(np.empty((len(costs), 0)), np.empty((len(costs), 0)))
     model = model_after(trials, costs, ADDITIVE, limits=limits)
     return study_of(table_of(np.eye(ROWS))).sampler._policy.doubts(model, turn)
 

@@ -59,7 +59,7 @@ def test_no_node_of_a_graph_stands_out_before_a_trial():
 
 def test_the_posterior_is_that_of_the_gram_matrix():
     alike = Alike(factor_of_gram(GRAM))
-    points = Points(alike.columns, np.empty((300, 0)))
+    points = Points.of(alike.columns, np.empty((300, 0)))
     model = model_after(points.take(np.arange(9)), COST[:9], SIMILARITY, alike)
     size, noise = np.exp(model.posterior.theta)
     y = log_excess(COST[:9], COST[:9])
