@@ -81,8 +81,10 @@ class Bench:
             _ = self.space, self._simulated, self.state  # all of it can be read
         if found:
             field, ours, theirs = found
-            allowed = f"{theirs!r}, with which the bench was begun; or another name for a new one"
-            raise InputError(f"{self.plan.path.name}: {field}", ours, allowed)
+            begun = "without it" if theirs is None else f"with {theirs!r}"
+            allowed = f"as the bench was begun, {begun}; or another name for a new one"
+            value = "none" if ours is None else ours
+            raise InputError(f"{self.plan.path.name}: {field}", value, allowed)
 
     @classmethod
     def new(cls, path: str | Path, operator: str | None = None) -> "Bench":

@@ -5,6 +5,7 @@ import pytest
 
 from storage.precompute import score_rows
 from study import Bench
+from study.cli import main
 from study.experiment import features
 from tests.storage import robot
 from tests.study.conftest import refused
@@ -80,3 +81,26 @@ def test_another_simulator_than_the_stores_is_refused_before_the_first_trial(fol
     path.write_text(BENCH.replace("bench_carts.toml", ""))
     with refused("^candidates.asked: '' .* a file"):
         Bench.new(path)
+
+
+def test_the_command_says_that_points_are_simulated(folder, capsys):
+    path = folder / "said.toml"
+    path.write_text(BENCH)
+    main(["bench", "new", str(path)])
+    config = folder / "bench_carts.toml"
+    assert f"points between the rows are simulated: {config}" in capsys.readouterr().out
+
+
+def test_a_bench_asks_or_does_not_as_it_was_begun(folder):
+    path, silent = folder / "kept.toml", BENCH.replace('asked = "bench_carts.toml"', "")
+    path.write_text(silent)
+    Bench.new(path)
+    path.write_text(BENCH)
+    with refused("candidates.asked: 'bench_carts.toml' .* begun, without it; or another"):
+        Bench(path)
+    other = folder / "asking.toml"
+    other.write_text(BENCH)
+    Bench.new(other)
+    other.write_text(silent)
+    with refused("candidates.asked: 'none' .* begun, with 'bench_carts.toml'; or another"):
+        Bench(other)
