@@ -46,7 +46,7 @@ NODES_A_LENGTH = 100
 WORK = 1e10
 LEAST_CANDIDATES = 1000
 MOST_CANDIDATES = 4096  # of a kernel over features and parameters
-MOST_IN_WORLDS = 2048  # with worlds, which are a hundred columns
+MOST_IN_WORLDS = 2560  # with worlds, which are a hundred columns
 CACHED_CONSTANTS = 16
 # Where costs jump, chances of success are less extreme than a normal distribution says:
 # log odds = a + b (log odds said). Round numbers near the best of 2,146 proposals for Ant and

@@ -241,8 +241,7 @@ class Evidence:
     @property
     def likeness(self) -> Constant:
         """What is expected of how much it counts which world the robot is like."""
-        is_doubted = self.is_lost or (self.is_familiar and not self.is_smooth)
-        return DOUBTED if is_doubted else WORLD
+        return DOUBTED if self.is_lost or self.is_familiar else WORLD
 
     @property
     def noise(self) -> Constant:
