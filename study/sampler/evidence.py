@@ -13,6 +13,7 @@ comes to these decisions in this order:
 | `successes` | those that succeeded have a process of their own, a hurdle's second part |
 | `shuns_failures` | what is likelier to fail comes after all else |
 | `is_familiar` | costs count in units of the trials, no longer of the table |
+| `rows_fail` | rows are left for points near the trials |
 
 Beside features without worlds there is one: `has_stalled`.
 
@@ -36,6 +37,7 @@ from study.sampler.covariance import (
     Constant,
     GuessError,
 )
+from study.sampler.history import OFF_TABLE
 from study.sampler.similarity import Relation
 from study.sampler.transforms import Points
 from study.sampler.unlike import Unlike, unlike
@@ -58,6 +60,9 @@ FAMILIAR = 8
 # tell little: until then rows all over the table are tried. From three on, a gentle ramp lost
 # (15:32 after 30 trials).
 FEW_SUCCESSES = 4
+# Rows without success, after one: who is like no world leaves the table. With three of them
+# a robot on ramps down left it too early.
+ROWS_TRIED = 5
 
 
 @dataclass(eq=False, kw_only=True)
@@ -195,6 +200,19 @@ class Evidence:
         """
         worlds = self.of_table
         return self.off_grid or (worlds is not None and worlds.tells_successes)
+
+    @property
+    def rows_fail(self) -> bool:
+        """Whether a table is left: after a success its last `ROWS_TRIED` rows have failed.
+
+        A robot is then like no world, and gains by steps from its own trials. The model does
+        not see it: where worlds disagree on a row, it may be good again and again.
+        """
+        if self.success is None or not isinstance(self.ensemble, Ensemble):
+            return False
+        tried = (self.rows != OFF_TABLE) & (np.cumsum(self.succeeded) > 0)
+        last = self.succeeded[tried][-ROWS_TRIED:]
+        return len(last) == ROWS_TRIED and not last.any()
 
     @property
     def of_table(self) -> Ensemble | None:

@@ -81,7 +81,7 @@ class OffTable:
     asked: Asked | None = None
 
     def best(self, certificate: Certificate | None) -> tuple[float, Proposal]:
-        """The best of some points near the best rows and trials, and its utility.
+        """The best of some points near the best rows and trials, and its utility or infinity.
 
         Beside worlds no point that repeats a trial, unless nothing else is left: repeats
         are asked for by enqueuing them. A certificate is of the risk that is allowed;
@@ -113,8 +113,11 @@ class OffTable:
             found[chosen] = -np.inf
             chosen = argmax_random_tie(found, rng)
         value = float(found[chosen])
-        if value == -np.inf and certificate is not None:
-            return value, NOTHING
+        if value == -np.inf:
+            if certificate is not None:
+                return value, NOTHING
+        elif self.model.rows_fail:
+            value = np.inf
         notes = notes_of(OFF_TABLE, near.features[chosen], self.model.aim)
         return value, Proposal(rows.space.values(near.parameters[chosen]), notes)
 

@@ -96,11 +96,15 @@ def test_a_bench_asks_or_does_not_as_it_was_begun(folder):
     path.write_text(silent)
     Bench.new(path)
     path.write_text(BENCH)
-    with refused("candidates.asked: 'bench_carts.toml' .* begun, without it; or another"):
+    with refused(
+        "candidates.asked: 'bench_carts.toml' .* begun, without it; or another"
+    ):
         Bench(path)
     other = folder / "asking.toml"
     other.write_text(BENCH)
     Bench.new(other)
     other.write_text(silent)
-    with refused("candidates.asked: 'none' .* begun, with 'bench_carts.toml'; or another"):
+    with refused(
+        "candidates.asked: 'none' .* begun, with 'bench_carts.toml'; or another"
+    ):
         Bench(other)

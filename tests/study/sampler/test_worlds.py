@@ -22,8 +22,8 @@ from study.sampler.covariance import (
     WITH_WORLDS,
     WORLD_NOISE,
 )
-from study.sampler.evidence import FAMILIAR, HOPELESS
-from study.sampler.history import placed
+from study.sampler.evidence import FAMILIAR, HOPELESS, ROWS_TRIED
+from study.sampler.history import OFF_TABLE, placed
 from study.sampler.transforms import Points
 from study.sampler.worlds import Ensemble, Worlds
 from tests.study.conftest import refused
@@ -265,6 +265,26 @@ def test_until_a_trial_succeeds_falls_are_taken_for_chance(outcomes, success, no
         told(study, SPACE, table().rows.as_parameters(number), cost)
         own = model_of(study).posterior
         assert own.covariance.noise == noises[number > 2]
+
+
+def test_the_table_is_left_after_five_rows_that_failed_behind_a_success():
+    """A fall off the table, or before a success, counts for nothing; a success begins anew."""
+    off, count = {"x": 0.123, "y": 4.56}, ROWS_TRIED
+    for falls, begins_anew in ((count, False), (count - 1, False), (count, True)):
+        study = study_of(table(FALLS), success=1.0)
+        last = 0.5 if begins_anew else 50.0
+        costs = [50.0] * count + [0.5] + [50.0] * (falls - 1) + [last]
+        for (x, y), value in zip(ROWS, costs, strict=False):
+            told(study, SPACE, {"x": x, "y": 100.0**y}, value)
+            told(study, SPACE, off, 50.0)
+        leaves = falls == count and not begins_anew
+        assert model_of(study).rows_fail is leaves
+        proposed = [study.ask(SPACE).user_attrs["row"] for _ in range(4)]
+        assert not leaves or proposed == [OFF_TABLE] * 4
+    keeps = study_of(table(FALLS), success=1.0, off_grid=0)
+    for (x, y), value in zip(ROWS, [0.5] + [50.0] * count, strict=False):
+        told(keeps, SPACE, {"x": x, "y": 100.0**y}, value)
+    assert keeps.ask(SPACE).user_attrs["row"] >= 0  # there is nowhere else to go
 
 
 def test_no_cost_is_expected_below_nothing_where_those_of_worlds_are_positive():
