@@ -159,8 +159,10 @@ ROUGH_NOISE = Constant(-7.0, 2.0, ROUGH_NOISE_BOUNDS)
 # one.
 WORLD = Constant(log(0.25), 1.4, SIGNAL_BOUNDS)  # a^2
 # The same where costs are in units of the trials: on some grounds worlds tell walks
-# apart, on others they tell who falls alone, and only trials know which. And of a machine
-# that is like no world, until it has succeeded: rows that a world promised fell one by one.
+# apart, on others they tell who falls alone, and only trials know which. Of smooth costs
+# too (71:47 on 120 plants unlike all worlds after 30 trials, 33:27 on 60 like them). And of
+# a machine that is like no world, until it has succeeded: rows that a world promised fell
+# one by one.
 DOUBTED = Constant(log(0.02), 2.0, (1e-5, 1e2))
 SHIFT = Constant(0.0, 0.1, SIGNAL_BOUNDS)  # c^2
 BEYOND = Constant(log(0.3), 1.4, SIGNAL_BOUNDS)  # t^2
@@ -317,8 +319,8 @@ class Covariance:
     ) -> Towards:
         """The covariance, without noise, of rows a [n, p] and others; in 32 or 64 bits.
 
-        Distances are taken in 64 bits always; products, and what is of size [n, m] after
-        that, may be in 32.
+        Distances are taken in 64 bits always; what is of size [n, m] after that may be
+        in 32.
         """
         weights = np.zeros(a.shape[1])  # of linear terms, which are one product
         curved = []
@@ -329,15 +331,12 @@ class Covariance:
                 curved.append((term, variance, scales, left, own_gap))
             else:
                 weights[term.columns.start : term.columns.stop] += variance
-        straight = [
-            (part, (a[:, part] * weights[part]).astype(precision))
-            for part in _runs(weights)
-        ]
+        straight = [(part, a[:, part] * weights[part]) for part in _runs(weights)]
 
         def cross(x: Floats) -> AnyFloats:
             total = np.zeros((len(a), len(x)), precision)
             for part, slopes in straight:
-                total += slopes @ x[:, part].astype(precision, copy=False).T
+                total += (slopes @ x[:, part].T).astype(precision, copy=False)
             for term, variance, scales, left, own_gap in curved:
                 gap, seen = _gap_of(term, x)
                 half = left @ _right(_scaled(seen, scales))

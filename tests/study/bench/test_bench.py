@@ -212,7 +212,7 @@ def test_what_cannot_be_entered_is_one_line_and_changes_nothing(bench):
 def test_another_file_or_other_candidates_are_refused(bench, tmp_path):
     path = bench.plan.path
     change(path, "success = 0.5", "success = 0.6")
-    with refused(r"walk.toml: goal.success: 0.6 .* 0.5, with which"):
+    with refused(r"walk.toml: goal.success: 0.6 .* begun, with 0.5; or"):
         Bench(path)
     change(path, "success = 0.6", "success = 0.5")
     change(path, "10 m of treadmill", "12 m")  # words may change
