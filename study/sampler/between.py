@@ -44,6 +44,7 @@ NEAR_ROWS = 8  # whose mean a point has
 NEAR_POWER = 4  # of the distance, by which their weights fall
 LEAST_DISTANCE = 1e-3  # in the unit cube: nearer rows count as if they were so far
 NEAR_POOL = 128  # rows near a centre, from which points around it are guessed
+KEPT_POOLS = 64  # found last: the best trials are centres again and again
 BEST_ROWS = 64  # that are left out in turn
 LEAST_TAUGHT = 32  # rows, from which kriging is learned
 # Kriging's error on the best rows, as a share of the nearest rows' error, up to which it
@@ -120,7 +121,7 @@ class Between:
 
     @cached_property
     def _pools(self) -> dict[bytes, Whole]:
-        """Those that were asked for, by their centre: the best trials are asked for again."""
+        """Those that were asked for last, by their centre."""
         return {}
 
     def pool(self, centre: Floats) -> Whole:
@@ -131,6 +132,8 @@ class Between:
             squares = self._lengths - 2.0 * (self.unit @ centre)
             count = min(NEAR_POOL, len(squares))
             nearest = np.argpartition(squares, count - 1)[:count]
+            if len(self._pools) >= KEPT_POOLS:
+                self._pools.pop(next(iter(self._pools)))
             self._pools[key] = np.sort(nearest)
         return self._pools[key]
 

@@ -111,6 +111,17 @@ def test_each_point_is_guessed_from_the_rows_near_its_centre():
         assert_allclose(asked, point[None])
 
 
+def test_rows_near_a_centre_are_found_once_and_few_are_kept():
+    rows = between.Between(UNIT)
+    centres = RNG.random((3 * between.KEPT_POOLS, D))
+    for centre in [*centres, *centres[-3:]]:
+        squares = ((UNIT - centre) ** 2).sum(axis=1)
+        nearest = np.sort(np.argsort(squares)[: between.NEAR_POOL])
+        assert rows.pool(centre).tolist() == nearest.tolist()
+    assert len(rows._pools) == between.KEPT_POOLS
+    assert rows.pool(centres[-1]) is rows.pool(centres[-1])
+
+
 def test_features_beside_worlds_are_the_nearest_rows_mean():
     """Kriging knows the worlds' length scales alone: of jagged features it makes wild ones."""
     columns = np.column_stack([FALLS, BOWL])
