@@ -24,7 +24,7 @@ COMMANDS = ("tools", "study.commands")
 # No measure may be larger. A node is one of the syntax tree: neither width nor
 # docstrings nor comments change their number.
 BOUNDS = {
-    "nodes of the product": 322_807,
+    "nodes of the product": 322_800,
     "nodes of the tests": 309_269,
     "characters a line of the product": 46.5,
     "characters a line of the tests": 48.0,
@@ -34,7 +34,7 @@ BOUNDS = {
     "public fields without words, %": 5.0,
     "lines of the longest function": 90,
     "lines of the longest file": 600,
-    "words of the documents": 52_175,
+    "words of the documents": 52_183,
 }
 
 # A part of the house, and all that it may import of this project.

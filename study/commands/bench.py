@@ -45,7 +45,7 @@ def main(args: Namespace) -> None:
         print(f"{bench.plan.name}: {rows}; begun by {bench.entries[0].operator}")
         warn([*repeated(rows.rows), *bench.plan.cautions(), *bench.doubts()])
         if bench.plan.asked is not None:
-            print(f"points between the rows are simulated: {bench.plan.asked}")
+            print(f"points off the table are simulated: {bench.plan.asked}")
         line = [*PROGRAM, "next", "--bench", str(bench.plan.path)]
         print(f"next: {shlex.join(line)}")
         tell_forecast(bench, is_asked=False)

@@ -44,7 +44,7 @@ NEAR_ROWS = 8  # whose mean a point has
 NEAR_POWER = 4  # of the distance, by which their weights fall
 LEAST_DISTANCE = 1e-3  # in the unit cube: nearer rows count as if they were so far
 NEAR_POOL = 128  # rows near a centre, from which points around it are guessed
-KEPT_POOLS = 64  # found last: the best trials are centres again and again
+KEPT_POOLS = 64  # at most: the best trials are centres again and again
 BEST_ROWS = 64  # that are left out in turn
 LEAST_TAUGHT = 32  # rows, from which kriging is learned
 # Kriging's error on the best rows, as a share of the nearest rows' error, up to which it
@@ -121,21 +121,22 @@ class Between:
 
     @cached_property
     def _pools(self) -> dict[bytes, Whole]:
-        """Those that were asked for last, by their centre."""
+        """Some that were found before, by their centre."""
         return {}
 
     def pool(self, centre: Floats) -> Whole:
         """Places of the rows that are nearest to a point of the unit cube [e], ascending."""
         key = centre.tobytes()
-        if key not in self._pools:
+        found = self._pools.get(key)
+        if found is None:
             # Less |centre|^2, which all share.
             squares = self._lengths - 2.0 * (self.unit @ centre)
             count = min(NEAR_POOL, len(squares))
-            nearest = np.argpartition(squares, count - 1)[:count]
+            found = np.sort(np.argpartition(squares, count - 1)[:count])
             if len(self._pools) >= KEPT_POOLS:
-                self._pools.pop(next(iter(self._pools)))
-            self._pools[key] = np.sort(nearest)
-        return self._pools[key]
+                self._pools.clear()
+            self._pools[key] = found
+        return found
 
 
 def kriged(

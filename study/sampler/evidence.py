@@ -233,7 +233,7 @@ class Evidence:
         `FAMILIAR` trials tell how far this robot's lie apart: then they count by
         `log_excess`, in their own standard deviations. That tells costs near the best
         apart, where a robot unlike all worlds differs from them most. Which worlds the
-        robot is like, which told who falls, then counts as far as it tells successes apart.
+        robot is like then counts as far as trials ask for it (`likeness`).
         """
         found = self.ensemble
         if not isinstance(found, Ensemble) or not found.in_costs:

@@ -88,7 +88,7 @@ def test_the_command_says_that_points_are_simulated(folder, capsys):
     path.write_text(BENCH)
     main(["bench", "new", str(path)])
     config = folder / "bench_carts.toml"
-    assert f"points between the rows are simulated: {config}" in capsys.readouterr().out
+    assert f"points off the table are simulated: {config}" in capsys.readouterr().out
 
 
 def test_a_bench_asks_or_does_not_as_it_was_begun(folder):

@@ -118,7 +118,7 @@ def test_rows_near_a_centre_are_found_once_and_few_are_kept():
         squares = ((UNIT - centre) ** 2).sum(axis=1)
         nearest = np.sort(np.argsort(squares)[: between.NEAR_POOL])
         assert rows.pool(centre).tolist() == nearest.tolist()
-    assert len(rows._pools) == between.KEPT_POOLS
+    assert len(rows._pools) <= between.KEPT_POOLS
     assert rows.pool(centres[-1]) is rows.pool(centres[-1])
 
 
