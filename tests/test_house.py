@@ -34,7 +34,7 @@ BOUNDS = {
     "public fields without words, %": 5.0,
     "lines of the longest function": 90,
     "lines of the longest file": 600,
-    "words of the documents": 52_183,
+    "words of the documents": 52_198,
 }
 
 # A part of the house, and all that it may import of this project.
