@@ -24,7 +24,7 @@ COMMANDS = ("tools", "study.commands")
 # No measure may be larger. A node is one of the syntax tree: neither width nor
 # docstrings nor comments change their number.
 BOUNDS = {
-    "nodes of the product": 322_800,
+    "nodes of the product": 322_794,
     "nodes of the tests": 309_269,
     "characters a line of the product": 46.5,
     "characters a line of the tests": 48.0,

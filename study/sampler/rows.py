@@ -105,13 +105,11 @@ class Rows:
         def made() -> Points:
             chosen = self._chosen(self.features)
             features = self.scores.own if by_order else self.standard.standard(chosen)
-            width = features.shape[1]
-            parts = [features]
-            if ensemble is not None:
-                width += ensemble.columns.shape[1]
-                parts.append(ensemble.columns)
+            parts = [features] if ensemble is None else [features, ensemble.columns]
+            width = sum(part.shape[1] for part in parts)
             if coordinates:
                 parts.append(self.unit)
+            # One copy at most: they may be millions of numbers.
             matrix = np.hstack(parts) if len(parts) > 1 else features
             return Points(matrix, width)
 
